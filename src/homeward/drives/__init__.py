@@ -1,0 +1,1 @@
+"""Drives: what enters, and its readers and writers, one format a file."""

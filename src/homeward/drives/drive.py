@@ -1,0 +1,197 @@
+"""The Drive: everything that enters, whatever file or camera it came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from homeward.angles import interpolate, wrap
+from homeward.frames import Polar, Pose
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Strict(BaseModel):
+    """A settings model that knows its keys and does not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Mount(Strict):
+    """Where a camera sits on the robot."""
+
+    x: Finite = 0.0
+    """Ahead of the robot's centre [m]."""
+    y: Finite = 0.0
+    """To the left of it [m]."""
+    yaw: Finite = 0.0
+    """Of the camera's axis from the robot's heading [rad]."""
+
+    @property
+    def pose(self) -> Pose:
+        """The camera in the robot's frame."""
+        return Pose(self.x, self.y, self.yaw)
+
+
+class Sensor(Mount):
+    """The camera of the drive."""
+
+    bearing_sigma: Positive | None = None
+    """Standard deviation of a bearing [rad]; None when unknown."""
+    field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
+    """Full opening angle around its axis [rad]; None when unknown."""
+
+
+class OdometryNoise(Strict):
+    """What is known of the odometry's errors; None when unknown."""
+
+    speed_sigma: NonNegative | None = None
+    """White noise of the speed [m/s/sqrt(Hz)]."""
+    turn_sigma: NonNegative | None = None
+    """White noise of the turn rate [rad/s/sqrt(Hz)]."""
+    speed_scale_sigma: NonNegative | None = None
+    """Constant relative error of the speed [1]."""
+    turn_scale_sigma: NonNegative | None = None
+    """Constant relative error of the turn rate [1]."""
+    turn_bias_sigma: NonNegative | None = None
+    """Constant error of the turn rate [rad/s]."""
+
+
+class Start(Strict):
+    """A start prior: where the robot was when the drive began, in the home frame."""
+
+    R: NonNegative
+    """Distance from home [m]."""
+    theta: Finite
+    """Direction of the robot seen from home [rad]."""
+    alpha: Finite
+    """Heading [rad]."""
+    sigma_R: Positive = 0.05
+    """[m]"""
+    sigma_theta: Positive = 0.1
+    """[rad]"""
+    sigma_alpha: Positive = 0.1
+    """[rad]"""
+
+    @property
+    def polar(self) -> Polar:
+        """The mean as (R, theta, alpha)."""
+        return Polar(self.R, self.theta, self.alpha)
+
+
+class DriveSettings(Strict):
+    """Everything that drive.yaml may say; every key may be absent."""
+
+    sensor: Sensor = Sensor()
+    home_sensor: Mount | None = None
+    """The camera as it sat when home was stored; None: as `sensor`."""
+    odometry: OdometryNoise = OdometryNoise()
+    start: Start | None = None
+
+    @property
+    def home_mount(self) -> Mount:
+        """The camera's place on the robot when home was stored."""
+        return self.sensor if self.home_sensor is None else self.home_sensor
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Twists; each holds from its stamp to the next. All arrays have shape (n,)."""
+
+    t: np.ndarray
+    """Strictly increasing times [s]."""
+    v: np.ndarray
+    """Forward speed [m/s]."""
+    omega: np.ndarray
+    """Turn rate [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Bearings seen on the way. All arrays have shape (n,)."""
+
+    t: np.ndarray
+    """Times [s], never decreasing."""
+    landmark: np.ndarray
+    """Ids (str)."""
+    bearing: np.ndarray
+    """From the camera's axis [rad], in (-pi, pi]."""
+    sigma: np.ndarray
+    """[rad]; NaN where not given."""
+
+    def stamps(self) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
+        """Yield (t, {id: bearing}, {id: sigma}) for each stamp; of equal ids the last counts."""
+        edges = np.flatnonzero(self.t[1:] != self.t[:-1]) + 1
+        for a, b in pairwise(np.unique([0, *edges, self.t.size])):
+            ids = [str(i) for i in self.landmark[a:b]]
+            seen = dict(zip(ids, self.bearing[a:b].tolist(), strict=True))
+            sigma = dict(zip(ids, self.sigma[a:b].tolist(), strict=True))
+            yield float(self.t[a]), seen, {i: s for i, s in sigma.items() if math.isfinite(s)}
+
+
+@dataclass(frozen=True)
+class HomeBearing:
+    """What the camera saw of one landmark at home."""
+
+    bearing: float
+    """From the camera's axis there [rad], in (-pi, pi]."""
+    sigma: float = math.nan
+    """[rad]; NaN where not given."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True poses in the home frame, for scoring alone. All arrays have shape (n,)."""
+
+    t: np.ndarray
+    """Strictly increasing times [s]."""
+    x: np.ndarray
+    """[m]"""
+    y: np.ndarray
+    """[m]"""
+    heading: np.ndarray
+    """[rad]"""
+
+    def at(self, t: np.ndarray) -> Pose:
+        """Interpolate the pose at times `t` [s], shape (m,); held still beyond either end."""
+        return Pose(
+            np.interp(t, self.t, self.x),
+            np.interp(t, self.t, self.y),
+            interpolate(t, self.t, self.heading),
+        )
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive of a robot, ready for any estimator."""
+
+    name: str
+    odometry: Odometry
+    sightings: Sightings
+    home: dict[str, HomeBearing]
+    settings: DriveSettings = field(default_factory=DriveSettings)
+    truth: Truth | None = None
+    remarks: dict[str, int] = field(default_factory=dict)
+    """What the reader counted on the way, by reason in words: equal stamps, unknown ids."""
+
+    def home_bearings(self) -> dict[str, float]:
+        """Return beta* of each landmark in the robot's own home frame [rad].
+
+        The yaw of the camera at home is taken out here; its offset from the centre is not.
+        """
+        yaw = self.settings.home_mount.yaw
+        return {i: float(wrap(b.bearing + yaw)) for i, b in self.home.items()}
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s] of odometry and sightings; (nan, nan) when there are none."""
+        ends = [a[i] for a in (self.odometry.t, self.sightings.t) if a.size for i in (0, -1)]
+        return (float(min(ends)), float(max(ends))) if ends else (math.nan, math.nan)

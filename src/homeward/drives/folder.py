@@ -1,0 +1,251 @@
+"""The drive folder: homeward's plain format, a folder of CSV files."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Odometry,
+    Sightings,
+    Truth,
+)
+from homeward.drives.settings import read_settings, settings_yaml
+from homeward.drives.table import (
+    Table,
+    identifiers,
+    is_identifier,
+    naming,
+    numbers,
+    numbers_or_nothing,
+    quoted,
+    read_csv,
+    require_folder,
+)
+from homeward.errors import InputError
+
+ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
+SETTINGS, TRUTH = "drive.yaml", "truth.csv"
+REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH)
+REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
+REPEATED_TRUTH = "truth rows with a repeated stamp"
+
+
+def is_drive_folder(path: Path) -> bool:
+    """Whether any of the files that every drive folder has is there."""
+    return any((path / name).exists() for name in REQUIRED)
+
+
+def read_folder(path: str | os.PathLike[str]) -> Drive:
+    """Read a drive folder.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
+        home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml and truth.csv
+        (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
+
+    Returns
+    -------
+    Drive
+        Bearings are wrapped; of equal stamps in odometry and truth the last counts, and they are
+        counted in its remarks. Landmark ids lose the white space around them.
+
+    Raises
+    ------
+    InputError
+        When the folder is not a drive; names file, row and what is wrong.
+    """
+    folder = Path(path)
+    require_folder(folder)
+    missing = [name for name in REQUIRED if not (folder / name).exists()]
+    if missing:
+        raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
+    remarks: dict[str, int] = {}
+    return Drive(
+        name=folder.resolve().name,
+        odometry=_read_odometry(folder / ODOMETRY, remarks),
+        sightings=_read_sightings(folder / BEARINGS),
+        home=_read_home(folder / HOME),
+        settings=_read_settings(folder / SETTINGS),
+        truth=_read_truth(folder / TRUTH, remarks),
+        remarks=remarks,
+    )
+
+
+def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
+    """Write a drive folder that `read_folder` reads back to the last bit.
+
+    The files are written beside it and moved into place when all are whole: a new folder appears
+    at once, and in an existing one only the files of a drive are replaced or, when this drive has
+    none, taken away.
+
+    Parameters
+    ----------
+    drive : Drive
+        What to write; its name and remarks are not part of the format.
+    path : path-like
+        The folder; missing parents are made.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written, or holds what the format has no place for: no odometry, numbers
+        that are not finite, ids with white space around them or unprintable characters.
+    """
+    folder = Path(path)
+    with naming(folder, "cannot be written"):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        # A folder inside the temporary one, since that one is for its owner's eyes only.
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as scratch:
+            staging = Path(scratch) / "drive"
+            staging.mkdir()
+            _write_files(drive, staging, folder)
+            _move_into_place(staging, folder)
+
+
+def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
+    """Check a table with times `t`, keep the last of equal stamps and count the others.
+
+    Parameters
+    ----------
+    table : Table
+        With a column `t` [s]; must have rows, in order of time.
+    remarks : dict of str to int
+        Where they are counted, under `reason`.
+    reason : str
+        In words.
+    """
+    table.require_rows()
+    table.require_order()
+    kept = table.last_of_equal_stamps()
+    if len(kept) < len(table):
+        remarks[reason] = len(table) - len(kept)
+    return kept
+
+
+def wrapped(table: Table, name: str) -> np.ndarray:
+    """Return column `name` [rad] in (-pi, pi]; what is inside stays as it is, to the last bit."""
+    table.require_angle(name)
+    angle = table[name]
+    inside = (angle > -math.pi) & (angle <= math.pi)
+    # Rounding can leave a multiple of the half turn one bit outside.
+    return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
+
+
+def _read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
+    table = read_csv(path, {"t": numbers, "v": numbers, "omega": numbers})
+    table = without_repeats(table, remarks, REPEATED_ODOMETRY)
+    return Odometry(table["t"], table["v"], table["omega"])
+
+
+def _read_sightings(path: Path) -> Sightings:
+    columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
+    table = read_csv(path, columns, {"sigma": numbers_or_nothing})
+    table.require_order()
+    return Sightings(table["t"], table["landmark"], wrapped(table, "bearing"), _sigma(table))
+
+
+def _read_home(path: Path) -> dict[str, HomeBearing]:
+    columns = {"landmark": identifiers, "bearing": numbers}
+    table = read_csv(path, columns, {"sigma": numbers_or_nothing})
+    table.require_unique("landmark")
+    rows = zip(wrapped(table, "bearing").tolist(), _sigma(table).tolist(), strict=True)
+    return dict(zip(table["landmark"].tolist(), (HomeBearing(*row) for row in rows), strict=True))
+
+
+def _sigma(table: Table) -> np.ndarray:
+    """Return the optional column sigma [rad], NaN where not given."""
+    if "sigma" not in table.columns:
+        return np.full(len(table), np.nan)
+    sigma = table["sigma"]
+    table.require("sigma", np.isnan(sigma) | (sigma > 0), "not greater than 0")
+    return sigma
+
+
+def _read_settings(path: Path) -> DriveSettings:
+    return read_settings(path, DriveSettings) if path.exists() else DriveSettings()
+
+
+def _read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
+    if not path.exists():
+        return None
+    table = read_csv(path, {"t": numbers, "x": numbers, "y": numbers, "heading": numbers})
+    table = without_repeats(table, remarks, REPEATED_TRUTH)
+    table.require_angle("heading")
+    return Truth(table["t"], table["x"], table["y"], table["heading"])
+
+
+def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
+    """Write all files of a drive into `staging`; errors speak of `folder`."""
+    if not drive.odometry.t.size:
+        raise InputError("no rows", folder / ODOMETRY)
+    for name, columns in _columns(drive).items():
+        with (staging / name).open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(columns)
+            cells = [_cells(column, values, folder / name) for column, values in columns.items()]
+            writer.writerows(zip(*cells, strict=True))
+    if text := settings_yaml(drive.settings):
+        (staging / SETTINGS).write_text(text, encoding="utf-8")
+
+
+def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
+    """Return the columns of each CSV file of a drive."""
+    odometry, sightings, home, truth = drive.odometry, drive.sightings, drive.home, drive.truth
+    files = {
+        ODOMETRY: {"t": odometry.t, "v": odometry.v, "omega": odometry.omega},
+        BEARINGS: {
+            "t": sightings.t,
+            "landmark": sightings.landmark,
+            "bearing": sightings.bearing,
+            "sigma": sightings.sigma,
+        },
+        HOME: {
+            "landmark": np.array(list(home), object),
+            "bearing": np.array([seen.bearing for seen in home.values()], float),
+            "sigma": np.array([seen.sigma for seen in home.values()], float),
+        },
+    }
+    for name in (BEARINGS, HOME):
+        if np.isnan(files[name]["sigma"]).all():
+            del files[name]["sigma"]
+    if truth is not None:
+        files[TRUTH] = {"t": truth.t, "x": truth.x, "y": truth.y, "heading": truth.heading}
+    return files
+
+
+def _cells(column: str, values: np.ndarray, file: Path) -> list[str]:
+    """Return the text of a column; repr of a float is the shortest that reads back as itself."""
+    if column == "landmark":
+        ids = [str(value) for value in values]
+        if bad := [i for i in ids if not is_identifier(i)]:
+            raise InputError(f"landmark {quoted(bad[0])} cannot be an id in a file", file)
+        return ids
+    missing = np.isnan(values) if column == "sigma" else np.zeros(values.shape, bool)
+    if not (missing | np.isfinite(values)).all():
+        raise InputError(f"{column} holds a number that is not finite", file)
+    pairs = zip(values.tolist(), missing.tolist(), strict=True)
+    return ["" if is_missing else repr(float(value)) for value, is_missing in pairs]
+
+
+def _move_into_place(staging: Path, folder: Path) -> None:
+    """Make the staged files the drive in `folder`."""
+    if not folder.exists():
+        staging.rename(folder)
+        return
+    for name in (*REQUIRED, *OPTIONAL):
+        if (staging / name).exists():
+            (staging / name).replace(folder / name)
+        else:
+            (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,88 @@
+"""Settings models from and to YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from homeward.drives.drive import Strict
+from homeward.drives.table import naming, quoted
+from homeward.errors import InputError
+
+Model = TypeVar("Model", bound=Strict)
+
+
+def read_settings(path: Path, model: type[Model]) -> Model:
+    """Read a settings model from a YAML file; a key without a value counts as absent.
+
+    Parameters
+    ----------
+    path : Path
+        The file, UTF-8.
+    model : type
+        A subclass of `Strict`, at most two levels of keys deep.
+
+    Raises
+    ------
+    InputError
+        When the file is not YAML, has a key that the model does not know, or a value out of range.
+    """
+    tree = _without_absent(_load(path))
+    if not isinstance(tree, dict):
+        raise InputError("not a mapping of keys to values", path)
+    sections = {k: _without_absent(v) for k, v in tree.items()}
+    return validated(model, sections, path)
+
+
+def validated(model: type[Model], values: Any, file: Path | None = None) -> Model:
+    """Return a settings model of `values`, or raise an `InputError` that names the key."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = _key(first["loc"], values)
+        message = first["msg"].removeprefix("Value error, ")
+        raise InputError(f"{quoted(key)}: {message}" if key else message, file) from error
+
+
+def settings_yaml(settings: Strict) -> str:
+    """Return a settings model as YAML text, with only the keys that were set; empty if none."""
+    tree = settings.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    return yaml.safe_dump(tree, sort_keys=False) if tree else ""
+
+
+def _load(path: Path) -> Any:
+    """Parse YAML into text alone: the model knows the types, and YAML reads 1:30 as 90."""
+    with naming(path, "cannot be read"):
+        data = path.read_bytes()
+    try:
+        return yaml.load(data, Loader=yaml.BaseLoader)
+    except yaml.MarkedYAMLError as error:
+        row = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise InputError(f"not YAML: {error.problem}", path, row) from error
+    except (yaml.YAMLError, UnicodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"not YAML: {reason}", path) from error
+
+
+def _without_absent(value: Any) -> Any:
+    """Drop the keys that have no value; no value at all is an empty mapping."""
+    if value in (None, "", "null", "~"):
+        return {}
+    if isinstance(value, dict):
+        return {k: v for k, v in value.items() if v not in ("", "null", "~")}
+    return value
+
+
+def _key(location: tuple[int | str, ...], values: Any) -> str:
+    """Return a key in dots, without the tags of unions, which pydantic puts between the keys."""
+    parts = []
+    for i, part in enumerate(location):
+        if isinstance(values, dict) and part not in values and i < len(location) - 1:
+            continue
+        parts.append(str(part))
+        values = values.get(part) if isinstance(values, dict) else None
+    return ".".join(parts)

@@ -1,0 +1,288 @@
+"""Tables in text files, read in bounded memory; whatever is wrong is named by file and row.
+
+Rows are line numbers counted from 1, the header included.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from homeward.errors import InputError
+
+CHUNK = 1024
+"""How many rows are held as text at once; few, so that collecting their garbage stays cheap."""
+LARGEST_ANGLE = 1e6
+"""Beyond this [rad] an angle can no longer be wrapped with any meaning."""
+
+Parser = Callable[[str, Sequence[str], Sequence[int], Path], np.ndarray]
+"""Turns (column name, cells, their rows, file) into an array, or raises InputError."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The wanted columns of a file, each an array of shape (n,)."""
+
+    file: Path
+    row: np.ndarray
+    """Line number of each entry, shape (n,)."""
+    columns: Mapping[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return self.row.size
+
+    def require(self, name: str, good: np.ndarray, complaint: str) -> None:
+        """Raise InputError for the first entry of column `name` where `good`, (n,), is False."""
+        if not good.all():
+            i = int(np.argmin(good))
+            value = quoted(str(self[name][i]))
+            raise InputError(f"{name} is {value}, {complaint}", self.file, int(self.row[i]))
+
+    def require_angle(self, name: str) -> None:
+        """Raise InputError where column `name` cannot be an angle [rad]."""
+        self.require(name, np.abs(self[name]) <= LARGEST_ANGLE, "too large for an angle in rad")
+
+    def require_rows(self) -> None:
+        """Raise InputError when there are none."""
+        if not len(self):
+            raise InputError("no rows", self.file)
+
+    def require_unique(self, name: str) -> None:
+        """Raise InputError where column `name` repeats an earlier entry."""
+        values = self[name].tolist()
+        first = dict(zip(reversed(values), reversed(range(len(values))), strict=True))
+        fresh = np.array([first[value] == i for i, value in enumerate(values)], bool)
+        self.require(name, fresh, "which has a row already")
+
+    def require_order(self) -> None:
+        """Raise InputError where `t` decreases."""
+        t = self["t"]
+        late = np.flatnonzero(t[1:] < t[:-1])
+        if late.size:
+            i = int(late[0]) + 1
+            raise InputError(
+                f"time runs backwards: {float(t[i])!r} after {float(t[i - 1])!r}",
+                self.file,
+                int(self.row[i]),
+            )
+
+    def last_of_equal_stamps(self) -> Table:
+        """Keep only the last of the entries that share a `t`."""
+        t = self["t"]
+        keep = np.ones(t.size, bool)
+        keep[:-1] = t[1:] != t[:-1]
+        return Table(self.file, self.row[keep], {n: c[keep] for n, c in self.columns.items()})
+
+
+def read_csv(
+    path: Path, required: Mapping[str, Parser], optional: Mapping[str, Parser] | None = None
+) -> Table:
+    """Read the named columns of a CSV file with a header, in whatever order they stand.
+
+    Other columns, blank lines, a byte order mark and any line ending are accepted.
+
+    Parameters
+    ----------
+    path : Path
+        The file, UTF-8.
+    required, optional : mapping of str to Parser
+        Columns wanted; an optional one that the file lacks is not in the table.
+
+    Raises
+    ------
+    InputError
+        On anything that cannot be read.
+    """
+    with _opened(path) as stream:
+        records = _csv_records(stream, path)
+        row, header = next(records, (1, None))
+        if header is None:
+            raise InputError("empty file", path)
+        wanted = {**required, **(optional or {})}
+        places = _places([name.strip() for name in header], required, wanted, path, row)
+        return _collect(records, len(header), {n: (i, wanted[n]) for n, i in places.items()}, path)
+
+
+def read_columns(path: Path, names: Sequence[str]) -> Table:
+    """Read a headerless file of numbers parted by white space; ``#`` begins a comment line.
+
+    Parameters
+    ----------
+    path : Path
+        The file, UTF-8.
+    names : sequence of str
+        The columns, in the order in which they stand in the file.
+
+    Raises
+    ------
+    InputError
+        On anything that cannot be read.
+    """
+    with _opened(path) as stream:
+        records = (
+            (row, line.split())
+            for row, line in enumerate(stream, start=1)
+            if line.strip() and not line.lstrip().startswith("#")
+        )
+        return _collect(
+            records, len(names), {name: (i, numbers) for i, name in enumerate(names)}, path
+        )
+
+
+def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Parse finite numbers."""
+    try:
+        values = np.fromiter(map(float, cells), float, len(cells))
+        if np.isfinite(values).all() and "_" not in "".join(cells):
+            return values
+    except ValueError:
+        pass
+    i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
+    trouble = "is empty" if not cells[i].strip() else f"is {quoted(cells[i])}, not a finite number"
+    raise InputError(f"{name} {trouble}", path, rows[i])
+
+
+def numbers_or_nothing(
+    name: str, cells: Sequence[str], rows: Sequence[int], path: Path
+) -> np.ndarray:
+    """Parse finite numbers; an empty cell gives NaN."""
+    given = [i for i, cell in enumerate(cells) if cell.strip()]
+    values = np.full(len(cells), np.nan)
+    values[given] = numbers(name, [cells[i] for i in given], [rows[i] for i in given], path)
+    return values
+
+
+def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Parse ids: any printable text, without the white space around it."""
+    clean = {cell: sys.intern(cell.strip()) for cell in set(cells)}
+    for cell, text in clean.items():
+        if not is_identifier(text):
+            trouble = f"is {quoted(text)}, with unprintable characters" if text else "is empty"
+            raise InputError(f"{name} {trouble}", path, rows[cells.index(cell)])
+    # Objects, not fixed-width text: one long id must not widen every row.
+    values = np.empty(len(cells), object)
+    values[:] = [clean[cell] for cell in cells]
+    return values
+
+
+def is_identifier(text: str) -> bool:
+    """Whether `text` can stand as an id in a file: printable, no white space around it."""
+    return bool(text) and text.isprintable() and text == text.strip()
+
+
+def quoted(text: str) -> str:
+    """Quote hostile text for a message of one line."""
+    return repr(text if len(text) <= 40 else text[:40] + "...")
+
+
+@contextmanager
+def naming(path: Path, trouble: str) -> Iterator[None]:
+    """Make an InputError of whatever the system says about `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{trouble}: {error.strerror or error}", path) from error
+
+
+def require_folder(path: Path) -> None:
+    """Raise InputError when `path` is not a folder that can be looked into."""
+    with naming(path, "cannot be read"):
+        if not path.is_dir():
+            raise InputError("not a folder" if path.exists() else "no such folder", path)
+        next(path.iterdir(), None)
+
+
+def _is_finite_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell)) and "_" not in cell
+    except ValueError:
+        return False
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    """Open a UTF-8 file; whatever the system or the decoder says becomes an InputError."""
+    try:
+        with naming(path, "cannot be read"):
+            if path.exists() and not path.is_file():
+                raise InputError("not a regular file", path)
+            with path.open(encoding="utf-8-sig", newline="") as stream:
+                yield stream
+    except UnicodeDecodeError as error:
+        raise InputError("not UTF-8 text", path, _undecodable_row(path)) from error
+
+
+def _undecodable_row(path: Path) -> int | None:
+    """Find the row of the first byte that is not UTF-8; the stream knows only its own buffer."""
+    data = path.read_bytes()
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        return len((data[: error.start] + b"?").splitlines())
+    return None
+
+
+def _csv_records(stream: TextIO, path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield (row, fields) of every line that is not blank."""
+    reader = csv.reader(stream, skipinitialspace=True, strict=True)
+    row = 1
+    try:
+        for fields in reader:
+            if len(fields) > 1 or (fields and fields[0].strip()):
+                yield row, fields
+            row = reader.line_num + 1
+    except csv.Error as error:
+        raise InputError(f"not CSV: {error}", path, row) from error
+
+
+def _places(
+    header: list[str],
+    required: Mapping[str, Parser],
+    wanted: Mapping[str, Parser],
+    path: Path,
+    row: int,
+) -> dict[str, int]:
+    """Find the wanted columns in the header."""
+    missing = [name for name in required if name not in header]
+    if missing:
+        found = quoted(",".join(header))
+        raise InputError(f"no column {', '.join(missing)} in the header {found}", path, row)
+    for name in wanted:
+        if header.count(name) > 1:
+            raise InputError(f"column {name} stands twice in the header", path, row)
+    return {name: header.index(name) for name in wanted if name in header}
+
+
+def _collect(
+    records: Iterator[tuple[int, list[str]]],
+    width: int,
+    parsers: Mapping[str, tuple[int, Parser]],
+    path: Path,
+) -> Table:
+    """Parse the records chunk by chunk, so that only numbers of a long file stay in memory."""
+    parts: dict[str, list[np.ndarray]] = {
+        name: [parse(name, (), (), path)] for name, (_, parse) in parsers.items()
+    }
+    all_rows = [np.empty(0, int)]
+    while chunk := list(itertools.islice(records, CHUNK)):
+        rows = [row for row, _ in chunk]
+        for row, fields in chunk:
+            if len(fields) != width:
+                raise InputError(f"{len(fields)} fields where {width} are due", path, row)
+        cells = list(zip(*(fields for _, fields in chunk), strict=True))
+        for name, (place, parse) in parsers.items():
+            parts[name].append(parse(name, cells[place], rows, path))
+        all_rows.append(np.array(rows))
+    return Table(path, np.concatenate(all_rows), {n: np.concatenate(p) for n, p in parts.items()})

@@ -1,0 +1,153 @@
+"""What every estimator is: odometry and bearings in, an `Estimate` out.
+
+The same object serves a robot that runs and a log that is replayed: nothing else is ever fed to an
+estimator, and nothing it answers is rewritten later.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from homeward.frames import Polar, Pose, to_polar
+
+
+class Status(enum.Enum):
+    """How far an answer can be trusted; a reason in words goes with it."""
+
+    WAITING = "waiting"
+    """Nothing usable yet."""
+    MAPPING = "mapping"
+    """Landmarks are being mapped, home is not found."""
+    UNVERIFIED = "unverified"
+    """A pose, but fewer than four home bearings agree, or another hypothesis fits as well."""
+    LOCALISED = "localised"
+    """A pose to rely on."""
+    COASTING = "coasting"
+    """Localised, but no bearings now: odometry alone."""
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """What one sighting said against what was expected, before any update of its stamp."""
+
+    landmark: str
+    value: float
+    """Measured minus predicted bearing [rad], wrapped."""
+    sigma: float
+    """Its predicted standard deviation [rad]."""
+    accepted: bool
+    """False when a gate rejected the sighting."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator knows at one time.
+
+    `pose` and `covariance` are both there or both None.
+    """
+
+    t: float
+    """Time [s], on the clock of the drive."""
+    status: Status
+    reason: str
+    """Why the status is what it is, in words."""
+    pose: Pose | None = None
+    """Robot's centre in the home frame: x [m], y [m], heading [rad]."""
+    covariance: np.ndarray | None = None
+    """(3, 3), of (x [m], y [m], heading [rad])."""
+    innovations: tuple[Innovation, ...] = ()
+    """Those of the sightings at this stamp."""
+
+    @property
+    def polar(self) -> Polar | None:
+        """The pose as (R [m], theta [rad], alpha [rad])."""
+        return None if self.pose is None else to_polar(self.pose)
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations of (x [m], y [m], heading [rad]), shape (3,); NaN without a pose."""
+        if self.covariance is None:
+            return np.full(3, np.nan)
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True)
+class LandmarkEstimate:
+    """What an estimator knows of one landmark at the end; NaN where it does not say."""
+
+    landmark: str
+    x: float = np.nan
+    """In the home frame [m]."""
+    y: float = np.nan
+    """In the home frame [m]."""
+    distance: float = np.nan
+    """From home [m]."""
+    sigma_distance: float = np.nan
+    """[m]"""
+    home_bearing_stored: float = np.nan
+    """beta* as home stored it [rad], in the robot's home frame."""
+    home_bearing_estimated: float = np.nan
+    """beta* as it must be now [rad]."""
+    moved_probability: float = np.nan
+    """That it stands elsewhere than when home was stored; NaN when the estimator does not judge."""
+    moved: bool | None = None
+    """The verdict, or None when the estimator does not judge."""
+    moved_at: float = np.nan
+    """When it moved during the drive [s]; NaN when it did not."""
+    sightings: int = 0
+
+
+@dataclass
+class Counts:
+    """What an estimator did with its input, counted by reason in words."""
+
+    used: int = 0
+    """Sightings used."""
+    rejected: dict[str, int] = field(default_factory=dict)
+    """Samples and sightings not used, by reason."""
+
+    def reject(self, reason: str, number: int = 1) -> None:
+        """Count samples that were not used."""
+        if number:
+            self.rejected[reason] = self.rejected.get(reason, 0) + number
+
+
+class Estimator(Protocol):
+    """What every estimator of homeward offers, online and offline.
+
+    Samples come in order of time; one that comes late, or holds a number that is not finite, is
+    counted and otherwise ignored, never an error. A twist holds from its stamp until the next
+    one's, at most `HOLD_S`.
+    """
+
+    name: str
+    """The word for it in commands and files."""
+    notes: tuple[str, ...]
+    """Assumptions that the user must know of, each a sentence."""
+    counts: Counts
+
+    def odometry(self, t: float, v: float, omega: float) -> None:
+        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Estimate:
+        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
+
+        `sigmas` [rad] may give the standard deviation of some of them.
+        """
+
+    def estimate(self, t: float) -> Estimate:
+        """Predict to `t` [s], not before the last sample, and change nothing."""
+
+    def landmarks(self) -> list[LandmarkEstimate]:
+        """Everything known of each landmark, in a fixed order."""
+
+
+HOLD_S = 1.0
+"""How long a twist holds without a successor [s]."""

@@ -1,0 +1,87 @@
+"""Poses in the plane (SE(2)) and polar coordinates, on floats, arrays and CasADi symbols.
+
+A pose is (x, y, heading) of the robot's centre; (R, theta, alpha) are its polar coordinates in the
+home frame: distance from home, direction seen from home, heading.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from homeward.angles import apply, wrap
+
+
+class Pose(NamedTuple):
+    """A pose in the plane: x [m], y [m], heading [rad]."""
+
+    x: Any
+    y: Any
+    heading: Any
+
+
+class Polar(NamedTuple):
+    """A pose in the paper's coordinates: R [m], theta [rad], alpha [rad]."""
+
+    R: Any
+    theta: Any
+    alpha: Any
+
+
+def compose(a: Pose, b: Pose) -> Pose:
+    """Return pose `b`, given in the frame of `a`, in the frame in which `a` is given."""
+    c, s = apply("cos", a.heading), apply("sin", a.heading)
+    return Pose(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, wrap(a.heading + b.heading))
+
+
+def inverse(a: Pose) -> Pose:
+    """Return the pose whose composition with `a` is the origin."""
+    c, s = apply("cos", a.heading), apply("sin", a.heading)
+    return Pose(-c * a.x - s * a.y, s * a.x - c * a.y, wrap(-a.heading))
+
+
+def between(a: Pose, b: Pose) -> Pose:
+    """Return pose `b` as seen from pose `a` (both in one frame)."""
+    return compose(inverse(a), b)
+
+
+def to_polar(pose: Pose) -> Polar:
+    """Return (R, theta, alpha) of a pose in the home frame; theta is 0 at home itself."""
+    return Polar(
+        apply("hypot", pose.x, pose.y), apply("arctan2", pose.y, pose.x), wrap(pose.heading)
+    )
+
+
+def from_polar(polar: Polar) -> Pose:
+    """Return the pose in the home frame; a negative R lies on the other side of home."""
+    return Pose(
+        polar.R * apply("cos", polar.theta),
+        polar.R * apply("sin", polar.theta),
+        wrap(polar.alpha),
+    )
+
+
+def bearing(pose: Pose, x: Any, y: Any) -> Any:
+    """Return the bearing [rad] of the point (x, y) from a pose, in (-pi, pi]."""
+    return wrap(apply("arctan2", y - pose.y, x - pose.x) - pose.heading)
+
+
+def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray:
+    """Carry a covariance of (R, theta, alpha) to (x, y, heading), to first order.
+
+    Parameters
+    ----------
+    polar : Polar
+        Where to linearise.
+    covariance : ndarray, shape (3, 3)
+        Of (R [m], theta [rad], alpha [rad]).
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Of (x [m], y [m], heading [rad]).
+    """
+    c, s = np.cos(polar.theta), np.sin(polar.theta)
+    jacobian = np.array([[c, -polar.R * s, 0.0], [s, polar.R * c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(jacobian @ covariance @ jacobian.T)

@@ -1,0 +1,446 @@
+"""The drive folder: what it accepts, what it refuses and in which words, and the way back."""
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Mount,
+    Odometry,
+    OdometryNoise,
+    Sensor,
+    Sightings,
+    Start,
+    Truth,
+)
+from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.table import is_identifier
+from homeward.errors import InputError
+
+VALID = {
+    "odometry.csv": b"t,v,omega\n0.0,0.1,0.0\n0.5,0.1,0.2\n1.0,0.1,-0.2\n",
+    "bearings.csv": b"t,landmark,bearing,sigma\n0.1,a,0.5,0.01\n0.1,b,-0.5,\n0.6,a,0.4,0.02\n",
+    "home.csv": b"landmark,bearing\na,0.25\nc,-1.5\n",
+    "drive.yaml": b"sensor:\n  x: 0.2\n  bearing_sigma: 0.01\nstart: {R: 1, theta: 0, alpha: 0}\n",
+    "truth.csv": b"t,x,y,heading\n0.0,1.0,0.0,0.0\n1.0,1.1,0.0,0.1\n",
+}
+
+
+def put(folder, **changed):
+    """Write the valid drive, with some files changed (dots as underscores) or, None, left out."""
+    folder.mkdir(exist_ok=True)
+    files = VALID | {name.replace("_", "."): content for name, content in changed.items()}
+    for name, content in files.items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+    return folder
+
+
+def refusal(folder):
+    """Return the message with which a folder is refused, without the path of the folder."""
+    with pytest.raises(InputError) as caught:
+        read_folder(folder)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    assert message.startswith(str(folder))
+    return message.removeprefix(str(folder)).removeprefix("/")
+
+
+def test_reads_every_file(tmp_path):
+    drive = read_folder(put(tmp_path / "run"))
+    assert drive.name == "run"
+    np.testing.assert_array_equal(drive.odometry.t, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(drive.odometry.omega, [0.0, 0.2, -0.2])
+    assert drive.sightings.landmark.tolist() == ["a", "b", "a"]
+    np.testing.assert_array_equal(drive.sightings.bearing, [0.5, -0.5, 0.4])
+    np.testing.assert_array_equal(drive.sightings.sigma, [0.01, np.nan, 0.02])
+    assert [b.bearing for b in drive.home.values()] == [0.25, -1.5]
+    assert all(math.isnan(b.sigma) for b in drive.home.values())
+    assert drive.settings.sensor.x == 0.2
+    assert drive.settings.start.R == 1.0
+    assert drive.truth is not None
+    np.testing.assert_array_equal(drive.truth.x, [1.0, 1.1])
+    assert drive.remarks == {}
+
+
+def test_settings_and_truth_may_be_absent(tmp_path):
+    drive = read_folder(put(tmp_path / "run", drive_yaml=None, truth_csv=None))
+    assert drive.settings == DriveSettings()
+    assert drive.truth is None
+
+
+ODOMETRY_ROWS = [[0.0, 0.1, 0.0], [0.5, 0.1, 0.2], [1.0, 0.1, -0.2]]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(b"\xef\xbb\xbf" + VALID["odometry.csv"], id="byte order mark"),
+        pytest.param(VALID["odometry.csv"].replace(b"\n", b"\r\n"), id="CRLF"),
+        pytest.param(VALID["odometry.csv"].replace(b"\n", b"\r"), id="CR"),
+        pytest.param(VALID["odometry.csv"] + b"\n\r\n  \n", id="blank lines at the end"),
+        pytest.param(VALID["odometry.csv"].rstrip(), id="no line end at the end"),
+        pytest.param(
+            b"note,omega,t,v\nx,0.0,0.0,0.1\n\xc3\xa9,0.2,0.5,0.1\n,-0.2,1.0,0.1\n",
+            id="other order and another column",
+        ),
+        pytest.param(b" t , v,omega\n0 , 1e-1,0\n5e-1,\t.1,.2\n1,0.1,-.2\n", id="white space"),
+        pytest.param(b't,v,omega\n"0",0.1,0\n0.5,"0.1",0.2\n1,0.1,-0.2\n', id="quotes"),
+    ],
+)
+def test_accepts(tmp_path, content):
+    odometry = read_folder(put(tmp_path / "run", odometry_csv=content)).odometry
+    np.testing.assert_array_equal(np.c_[odometry.t, odometry.v, odometry.omega], ODOMETRY_ROWS)
+
+
+def test_of_equal_stamps_the_last_counts_and_is_counted(tmp_path):
+    drive = read_folder(
+        put(
+            tmp_path / "run",
+            odometry_csv=b"t,v,omega\n0,1,0\n0,2,0\n0,3,0\n1,4,0\n2,5,0\n2,6,0\n",
+            truth_csv=b"t,x,y,heading\n0,1,0,0\n0,2,0,0\n1,3,0,0\n",
+        )
+    )
+    np.testing.assert_array_equal(drive.odometry.t, [0, 1, 2])
+    np.testing.assert_array_equal(drive.odometry.v, [3, 4, 6])
+    np.testing.assert_array_equal(drive.truth.x, [2, 3])
+    assert drive.remarks == {
+        "odometry rows with a repeated stamp": 3,
+        "truth rows with a repeated stamp": 1,
+    }
+
+
+def test_no_sightings_and_no_home_bearings_are_legal(tmp_path):
+    drive = read_folder(
+        put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n", home_csv=b"landmark,bearing\n")
+    )
+    assert drive.sightings.t.size == drive.sightings.landmark.size == 0
+    assert list(drive.sightings.stamps()) == []
+    assert drive.home == {}
+
+
+def test_ids_are_any_printable_text(tmp_path):
+    content = 't,landmark,bearing\n0,"door, left",0\n0, 7 ,0\n0,"a ""b""",0\n0,é,0\n'
+    drive = read_folder(put(tmp_path / "run", bearings_csv=content.encode()))
+    assert drive.sightings.landmark.tolist() == ["door, left", "7", 'a "b"', "é"]
+
+
+def test_bearings_are_wrapped(tmp_path):
+    given = [math.pi, -math.pi, 3.5, -7.0, 2000 * math.pi, -2001 * math.pi, 0.1]
+    rows = "".join(f"0,a,{bearing!r}\n" for bearing in given)
+    drive = read_folder(put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode()))
+    bearing = drive.sightings.bearing
+    assert (bearing > -math.pi).all()
+    assert (bearing <= math.pi).all()
+    np.testing.assert_allclose(np.exp(1j * bearing), np.exp(1j * np.array(given)), atol=1e-12)
+    assert bearing[0] == math.pi
+    assert bearing[-1] == 0.1
+
+
+HEADER = b"t,landmark,bearing,sigma\n"
+HOSTILE = [
+    ("odometry.csv", b"", "odometry.csv: empty file"),
+    ("odometry.csv", b"\n\n", "odometry.csv: empty file"),
+    ("odometry.csv", b"t,v,omega\n", "odometry.csv: no rows"),
+    ("odometry.csv", b"t,v\n0,1\n", "odometry.csv, row 1: no column omega in the header 't,v'"),
+    ("odometry.csv", b"0,0,0\n1,0,0\n", "odometry.csv, row 1: no column t, v, omega in the head"),
+    ("odometry.csv", b"t;v;omega\n0;0;0\n", "odometry.csv, row 1: no column t, v, omega"),
+    ("odometry.csv", b"t,v,omega,v\n0,0,0,0\n", "odometry.csv, row 1: column v stands twice"),
+    ("odometry.csv", b"t,v,omega\n0,fast,0\n", "odometry.csv, row 2: v is 'fast', not a finite"),
+    ("odometry.csv", b"t,v,omega\n0,0,0\n1,,0\n", "odometry.csv, row 3: v is empty"),
+    ("odometry.csv", b"t,v,omega\n0,0,nan\n", "odometry.csv, row 2: omega is 'nan', not a finite"),
+    ("odometry.csv", b"t,v,omega\n0,0,-inf\n", "odometry.csv, row 2: omega is '-inf', not a fin"),
+    ("odometry.csv", b"t,v,omega\n0,1e999,0\n", "odometry.csv, row 2: v is '1e999', not a finite"),
+    ("odometry.csv", b"t,v,omega\n1_0,0,0\n", "odometry.csv, row 2: t is '1_0', not a finite"),
+    ("odometry.csv", b"t,v,omega\n0,0\n", "odometry.csv, row 2: 2 fields where 3 are due"),
+    ("odometry.csv", b"t,v,omega\n0,0,0\n\n1,0,0,0\n", "odometry.csv, row 4: 4 fields where 3"),
+    ("odometry.csv", b"t,v,omega\n1,0,0\n2,0,0\n1.5,0,0\n",
+     "odometry.csv, row 4: time runs backwards: 1.5 after 2.0"),
+    ("odometry.csv", b"t,v,omega\n0,0,0\n1,0\x00,0\n", "odometry.csv, row 3: v is '0\\x00', not"),
+    ("odometry.csv", b"t,v,omega\r\n0,0,0\r\n1,\xff,0\r\n", "odometry.csv, row 3: not UTF-8 text"),
+    ("odometry.csv", "t,v,omega\n0,0,0\n".encode("utf-16"), "odometry.csv, row 1: not UTF-8 text"),
+    ("odometry.csv", b"t,v,omega\n0,0,0\n1,\"0,0\n2,0,0\n", "odometry.csv, row 3: not CSV: "),
+    ("odometry.csv", b"t,v,omega\n0,0," + b"0" * 200_000, "odometry.csv, row 2: not CSV: field la"),
+    ("odometry.csv", b"t,v,omega\n0,0," + b"x" * 1000 + b"\n", "odometry.csv, row 2: omega is 'xx"),
+    ("bearings.csv", b"", "bearings.csv: empty file"),
+    ("bearings.csv", b"t,bearing\n", "bearings.csv, row 1: no column landmark in the header"),
+    ("bearings.csv", HEADER + b"0,,0.1,\n", "bearings.csv, row 2: landmark is empty"),
+    ("bearings.csv", HEADER + b"0,a,0,\n0,\" \",0.1,\n", "bearings.csv, row 3: landmark is empty"),
+    ("bearings.csv", HEADER + b"0,a\x00b,0.1,\n", "bearings.csv, row 2: landmark is 'a\\x00b', wi"),
+    ("bearings.csv", HEADER + b"0,\"a\nb\",0.1,\n", "bearings.csv, row 2: landmark is 'a\\nb', wi"),
+    ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,0\n",
+     "bearings.csv, row 3: sigma is '0.0', not greater than 0"),
+    ("bearings.csv", HEADER + b"0,a,0.1,-0.1\n", "bearings.csv, row 2: sigma is '-0.1', not grea"),
+    ("bearings.csv", HEADER + b"0,a,0.1,inf\n", "bearings.csv, row 2: sigma is 'inf', not a fini"),
+    ("bearings.csv", HEADER + b"0,a,0.1,nan\n", "bearings.csv, row 2: sigma is 'nan', not a fini"),
+    ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,?\n", "bearings.csv, row 3: sigma is '?', not a"),
+    ("bearings.csv", HEADER + b"0,a,1e300,\n", "bearings.csv, row 2: bearing is '1e+300', too lar"),
+    ("bearings.csv", HEADER + b"1,a,0,\n0,a,0,\n", "bearings.csv, row 3: time runs backwards: 0.0"),
+    ("home.csv", b"", "home.csv: empty file"),
+    ("home.csv", b"landmark\na\n", "home.csv, row 1: no column bearing in the header 'landmark'"),
+    ("home.csv", b"landmark,bearing\na,0\nb,0\n a,1\n",
+     "home.csv, row 4: landmark is 'a', which has a row already"),
+    ("home.csv", b"landmark,bearing,sigma\na,0,-1\n", "home.csv, row 2: sigma is '-1.0', not grea"),
+    ("truth.csv", b"t,x,y,heading\n", "truth.csv: no rows"),
+    ("truth.csv", b"t,x,y\n0,0,0\n", "truth.csv, row 1: no column heading"),
+    ("truth.csv", b"t,x,y,heading\n0,0,0,0\n1,0,NaN,0\n", "truth.csv, row 3: y is 'NaN', not a"),
+    ("truth.csv", b"t,x,y,heading\n1,0,0,0\n0,0,0,0\n", "truth.csv, row 3: time runs backwards"),
+    ("drive.yaml", b"sensor:\n  x: [1\n", "drive.yaml, row 3: not YAML: "),
+    ("drive.yaml", b"- 1\n", "drive.yaml: not a mapping of keys to values"),
+    ("drive.yaml", b"sensor: 5\n", "drive.yaml: 'sensor': Input should be a valid dict"),
+    ("drive.yaml", b"senor: {x: 1}\n", "drive.yaml: 'senor': Extra inputs are not permitted"),
+    ("drive.yaml", b"sensor: {z: 1}\n", "drive.yaml: 'sensor.z': Extra inputs are not permitted"),
+    ("drive.yaml", b"sensor: {x: yes}\n", "drive.yaml: 'sensor.x': Input should be a valid number"),
+    ("drive.yaml", b"sensor: {x: .nan}\n", "drive.yaml: 'sensor.x': Input should be a"),
+    ("drive.yaml", b"sensor: {yaw: 1:30}\n", "drive.yaml: 'sensor.yaw': Input should be a valid"),
+    ("drive.yaml", b"sensor: {bearing_sigma: 0}\n", "drive.yaml: 'sensor.bearing_sigma': Input"),
+    ("drive.yaml", b"start: {R: 1, theta: 0}\n", "drive.yaml: 'start.alpha': Field required"),
+    ("drive.yaml", b"\"a\\nb\": 1\n", "drive.yaml: 'a\\nb': Extra inputs are not permitted"),
+    ("drive.yaml", b"sensor: \xff\n", "drive.yaml: not YAML: "),
+    ("drive.yaml", b"[" * 5000, "drive.yaml: not YAML: "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "content", "message"), HOSTILE)
+def test_refuses(tmp_path, name, content, message):
+    folder = put(tmp_path / "run", **{name.replace(".", "_"): content})
+    assert refusal(folder).startswith(message)
+
+
+def test_a_fault_far_down_a_long_file_is_found(tmp_path):
+    rows = [b"%d,0,0" % i for i in range(5000)]
+    rows[4321] = b"4321,0,zero"
+    folder = put(tmp_path / "run", odometry_csv=b"t,v,omega\n" + b"\n".join(rows))
+    assert refusal(folder) == "odometry.csv, row 4323: omega is 'zero', not a finite number"
+
+
+def test_refuses_what_is_no_drive(tmp_path):
+    assert refusal(tmp_path / "absent") == ": no such folder"
+    (tmp_path / "empty").mkdir()
+    assert refusal(tmp_path / "empty").startswith(": not a drive folder: no odometry.csv, bear")
+    assert "no home.csv in it" in refusal(put(tmp_path / "lacks", home_csv=None))
+    (tmp_path / "file").write_text("t,v,omega\n")
+    assert refusal(tmp_path / "file") == ": not a folder"
+    folder = put(tmp_path / "nested", odometry_csv=None)
+    (folder / "odometry.csv").mkdir()
+    assert refusal(folder) == "odometry.csv: not a regular file"
+    folder = put(tmp_path / "yaml", drive_yaml=None)
+    (folder / "drive.yaml").mkdir()
+    assert refusal(folder).startswith("drive.yaml: cannot be read: ")
+
+
+def test_a_yaml_key_without_a_value_counts_as_absent(tmp_path):
+    content = (
+        b"# all of it is optional\nsensor:\n  # x: 1\nodometry: {speed_sigma: null}\nstart: ~\n"
+    )
+    drive = read_folder(put(tmp_path / "run", drive_yaml=content))
+    assert drive.settings == DriveSettings()
+
+
+def test_a_million_rows(tmp_path):
+    n = 10**6
+    rows = "".join(f"{i / 64},{i % 500},{i / n}\n" for i in range(n))
+    folder = put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode())
+    sightings = read_folder(folder).sightings
+    np.testing.assert_array_equal(sightings.t, np.arange(n) / 64)
+    np.testing.assert_array_equal(sightings.bearing, np.arange(n) / n)
+    assert sightings.landmark[-1] == str((n - 1) % 500)
+
+
+def test_memory_is_that_of_the_numbers(tmp_path):
+    n = 50_000
+    rows = "".join(f"{i / 64},landmark {i % 500},{i / n}\n" for i in range(n))
+    folder = put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode())
+    tracemalloc.start()
+    try:
+        read_folder(folder)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # Two numbers, an id and a row, once in pieces and once whole; rows of text would be 5 times it.
+    assert peak < 3 * n * 4 * 8
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+angles = st.floats(-math.pi, math.pi, exclude_min=True)
+sigmas = st.one_of(st.just(math.nan), st.floats(0, exclude_min=True, allow_infinity=False))
+ids = st.text(min_size=1, max_size=8).filter(is_identifier)
+positive = st.floats(1e-300, 1e300)
+
+
+def table(*columns, unique=False, min_size=0):
+    """Draw rows, sorted by their first column, as a tuple of columns."""
+    rows = st.lists(
+        st.tuples(*columns),
+        min_size=min_size,
+        max_size=8,
+        unique_by=(lambda row: row[0]) if unique else None,
+    )
+    return rows.map(
+        lambda drawn: [
+            np.array(column, object if column and isinstance(column[0], str) else None)
+            for column in (
+                zip(*sorted(drawn, key=lambda row: row[0]), strict=True)
+                if drawn
+                else [()] * len(columns)
+            )
+        ]
+    )
+
+
+drives = st.builds(
+    Drive,
+    name=st.just("run"),
+    odometry=table(finite, finite, finite, unique=True, min_size=1).map(lambda c: Odometry(*c)),
+    sightings=table(finite, ids, angles, sigmas).map(lambda c: Sightings(*c)),
+    home=st.dictionaries(ids, st.builds(HomeBearing, angles, sigmas), max_size=5),
+    settings=st.builds(
+        DriveSettings,
+        sensor=st.builds(Sensor, x=finite, yaw=finite, bearing_sigma=st.none() | positive),
+        home_sensor=st.none() | st.builds(Mount, y=finite),
+        odometry=st.builds(OdometryNoise, turn_sigma=st.none() | positive),
+        start=st.none() | st.builds(Start, R=positive, theta=finite, alpha=finite),
+    ),
+    truth=st.none()
+    | table(finite, finite, finite, angles, unique=True, min_size=1).map(lambda c: Truth(*c)),
+)
+
+
+def bits(columns):
+    """Return the columns of a dataclass of arrays as comparable bits."""
+    return {
+        name: values.tolist() if name == "landmark" else values.astype(float).tobytes()
+        for name, values in vars(columns).items()
+    }
+
+
+@settings(deadline=None, max_examples=60)
+@given(drive=drives)
+def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, drive):
+    folder = tmp_path_factory.mktemp("round") / "run"
+    write_folder(drive, folder)
+    back = read_folder(folder)
+    assert bits(back.odometry) == bits(drive.odometry)
+    assert bits(back.sightings) == bits(drive.sightings)
+    assert (back.truth is None) == (drive.truth is None)
+    if back.truth is not None:
+        assert bits(back.truth) == bits(drive.truth)
+    assert repr(back.home) == repr(drive.home)
+    assert repr(back.settings) == repr(drive.settings)
+
+
+def test_writes_only_what_is_known(tmp_path):
+    drive = read_folder(
+        put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n0,a,0\n", truth_csv=None)
+    )
+    write_folder(drive, tmp_path / "a" / "b" / "copy")
+    copy = tmp_path / "a" / "b" / "copy"
+    assert sorted(f.name for f in copy.iterdir()) == [
+        "bearings.csv", "drive.yaml", "home.csv", "odometry.csv"
+    ]  # fmt: skip
+    assert (copy / "bearings.csv").read_bytes() == b"t,landmark,bearing\n0.0,a,0.0\n"
+    assert (copy / "home.csv").read_bytes() == b"landmark,bearing\na,0.25\nc,-1.5\n"
+    assert (copy / "drive.yaml").read_text() == (
+        "sensor:\n  x: 0.2\n  bearing_sigma: 0.01\nstart:\n  R: 1.0\n  theta: 0.0\n  alpha: 0.0\n"
+    )
+
+
+def test_a_new_folder_is_as_open_as_any_other(tmp_path):
+    drive = read_folder(put(tmp_path / "run"))
+    write_folder(drive, tmp_path / "copy")
+    assert (tmp_path / "copy").stat().st_mode == (tmp_path / "run").stat().st_mode
+
+
+def test_an_existing_folder_keeps_what_is_not_of_a_drive(tmp_path):
+    folder = put(tmp_path / "old")
+    (folder / "command.txt").write_text("mine")
+    drive = read_folder(put(tmp_path / "run", drive_yaml=None, truth_csv=None))
+    write_folder(drive, folder)
+    assert (folder / "command.txt").read_text() == "mine"
+    assert not (folder / "truth.csv").exists()
+    assert not (folder / "drive.yaml").exists()
+    assert bits(read_folder(folder).odometry) == bits(drive.odometry)
+
+
+BAD = np.array([0.0, np.nan])
+GOOD = np.array([0.0, 1.0])
+NOTHING = Sightings(*(np.empty(0),) * 4)
+UNWRITABLE = [
+    (Drive("x", Odometry(GOOD, GOOD, BAD), NOTHING, {}), "odometry.csv: omega holds a number"),
+    (Drive("x", Odometry(*(np.empty(0),) * 3), NOTHING, {}), "odometry.csv: no rows"),
+    (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"": HomeBearing(0.0)}), "home.csv: landmark"),
+    (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"a ": HomeBearing(0.0)}), "home.csv: landm"),
+    (
+        Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {}, truth=Truth(GOOD, GOOD, BAD, GOOD)),
+        "truth.csv: y holds a number that is not finite",
+    ),
+]
+
+
+@pytest.mark.parametrize(("drive", "message"), UNWRITABLE)
+def test_a_failed_write_leaves_nothing_behind(tmp_path, drive, message):
+    with pytest.raises(InputError) as caught:
+        write_folder(drive, tmp_path / "new")
+    assert str(caught.value).startswith(f"{tmp_path / 'new'}/{message}")
+    assert list(tmp_path.iterdir()) == []
+    folder = put(tmp_path / "old")
+    with pytest.raises(InputError):
+        write_folder(drive, folder)
+    assert {f.name: f.read_bytes() for f in folder.iterdir()} == VALID
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_refuses_to_write_over_a_file(tmp_path):
+    drive = read_folder(put(tmp_path / "run"))
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="cannot be written"):
+            write_folder(drive, place)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@st.composite
+def mutated(draw):
+    """Draw one of the valid files, with some of its bytes cut, doubled or replaced."""
+    name = draw(st.sampled_from(sorted(VALID)))
+    content = VALID[name]
+    for _ in range(draw(st.integers(1, 4))):
+        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
+        filling = draw(st.sampled_from(FILLINGS) | st.binary(max_size=3))
+        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
+    return name, content
+
+
+FILLINGS = [
+    b"", b",", b'"', b"\n", b"\r", b"\0", b"\xff", b"nan", b"-", b"e", b"9" * 400, b"\xe2\x80\xa8",
+    b"\xef\xbb\xbf", b": ", b"&a ", b"*a", b"[", b"{", b"!!int ", b"%", b"? ", b"<<: ", b"\t", b"|",
+]  # fmt: skip
+
+
+@settings(deadline=None, max_examples=300)
+@given(case=mutated())
+def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
+    name, content = case
+    folder = put(tmp_path_factory.mktemp("fuzz") / "run", **{name.replace(".", "_"): content})
+    drive, message = outcome(folder)
+    if drive is None:
+        assert len(message.splitlines()) == 1
+        assert name in message
+    else:
+        assert np.isfinite(drive.odometry.t).all()
+        assert (np.abs(drive.sightings.bearing) <= math.pi).all()
+
+
+def outcome(folder):
+    """Return what is read, or the message with which it is refused."""
+    try:
+        return read_folder(folder), ""
+    except InputError as error:
+        return None, str(error)

@@ -1,0 +1,241 @@
+"""MRCLAM folders: small made-up ones, hostile ones, and the five real drives of set 6."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from homeward.angles import wrap
+from homeward.drives.mrclam import read_mrclam
+from homeward.errors import InputError
+from homeward.frames import Pose, bearing, between, compose
+
+VALID = {
+    "Barcodes.dat": b"# Subject #    Barcode #\n  1 \t   5\n  2 \t  14\n  6 \t  63\n  7 \t  81\n",
+    "Landmark_Groundtruth.dat": b"# Subject\n 7 \t 0.0 \t 2.0 \t 0.1 \t 0.1\n 6 2.0 0.0 0.1 0.1\n",
+    "Robot1_Odometry.dat": b"# t v omega\n10.0 \t 0.1 \t 0.0\n10.5 \t 0.2 \t 0.1\n10.5 0.3 0.1\n",
+    "Robot1_Measurement.dat": (
+        b"# t barcode range bearing\n"
+        b"10.1 \t 63 \t 1.0 \t 0.5\n10.1 \t 14 \t 1.0 \t 0.6\n"
+        b"10.2 \t 99 \t 1.0 \t 0.7\n10.3 \t 81 \t 1.0 \t -0.8\n"
+    ),
+    "Robot1_Groundtruth.dat": b"# t x y theta\n10.0 1.0 0.0 0.0\n11.0 1.0 1.0 1.57\n",
+}  # fmt: skip
+HOME = Pose(1.0, 0.0, math.pi / 2)
+
+
+def put(folder, changed=None):
+    """Write the valid folder, with some files changed or, None, left out."""
+    folder.mkdir()
+    for name, content in (VALID | (changed or {})).items():
+        if content is not None:
+            (folder / name).write_bytes(content)
+    return folder
+
+
+def refusal(folder, robot=1, home=HOME, **choices):
+    with pytest.raises(InputError) as caught:
+        read_mrclam(folder, robot, home, **choices)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message.removeprefix(str(folder)).removeprefix("/")
+
+
+def test_reads_every_file(tmp_path):
+    drive = read_mrclam(put(tmp_path / "set"), 1, HOME)
+    assert drive.name == "set-robot1"
+    np.testing.assert_array_equal(drive.odometry.t, [10.0, 10.5])
+    np.testing.assert_array_equal(drive.odometry.v, [0.1, 0.3])
+    np.testing.assert_array_equal(drive.odometry.omega, [0.0, 0.1])
+    np.testing.assert_array_equal(drive.sightings.t, [10.1, 10.3])
+    assert drive.sightings.landmark.tolist() == ["6", "7"]
+    np.testing.assert_array_equal(drive.sightings.bearing, [0.5, -0.8])
+    assert np.isnan(drive.sightings.sigma).all()
+    assert drive.remarks == {
+        "odometry rows with a repeated stamp": 1,
+        "sightings of other robots": 1,
+        "sightings of unknown barcodes": 1,
+    }
+
+
+def test_home_bearings_and_truth_are_in_the_home_frame(tmp_path):
+    drive = read_mrclam(put(tmp_path / "set"), 1, HOME)
+    assert list(drive.home) == ["6", "7"]
+    # Home at (1, 0) looks along +y: landmark 6 at (2, 0) is right of it, 7 at (0, 2) ahead left.
+    assert drive.home["6"].bearing == pytest.approx(-math.pi / 2)
+    assert drive.home["7"].bearing == pytest.approx(math.atan2(1, 2))
+    assert math.isnan(drive.home["6"].sigma)
+    np.testing.assert_allclose(drive.truth.x, [0.0, 1.0], atol=1e-15)
+    np.testing.assert_allclose(drive.truth.y, [0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(drive.truth.heading, [-math.pi / 2, 1.57 - math.pi / 2])
+
+
+def test_home_noise_repeats_with_its_seed(tmp_path):
+    folder = put(tmp_path / "set")
+    exact = read_mrclam(folder, 1, HOME)
+    noisy = read_mrclam(folder, 1, HOME, home_noise=0.1, seed=3)
+    assert noisy.home == read_mrclam(folder, 1, HOME, home_noise=0.1, seed=3).home
+    assert noisy.home != read_mrclam(folder, 1, HOME, home_noise=0.1, seed=4).home
+    expected = np.random.default_rng(3).normal(0.0, 0.1, 2)
+    for landmark, noise in zip(("6", "7"), expected, strict=True):
+        assert noisy.home[landmark].sigma == 0.1
+        error = noisy.home[landmark].bearing - exact.home[landmark].bearing
+        assert error == pytest.approx(noise)
+
+
+def test_home_bearings_stay_wrapped_with_noise(tmp_path):
+    behind = Pose(3.0, 0.0, 0.0)  # Landmark 6 lies straight behind.
+    for seed in range(20):
+        drive = read_mrclam(put(tmp_path / str(seed)), 1, behind, home_noise=0.5, seed=seed)
+        assert all(-math.pi < seen.bearing <= math.pi for seen in drive.home.values())
+
+
+def test_truth_may_be_absent(tmp_path):
+    folder = put(tmp_path / "set", {"Robot1_Groundtruth.dat": None})
+    assert read_mrclam(folder, 1, HOME).truth is None
+
+
+def test_no_sightings_are_legal(tmp_path):
+    folder = put(tmp_path / "set", {"Robot1_Measurement.dat": b"# nothing seen\n"})
+    assert read_mrclam(folder, 1, HOME).sightings.landmark.size == 0
+
+
+def test_windows_line_ends_and_blank_lines(tmp_path):
+    files = {n: b"\xef\xbb\xbf" + c.replace(b"\n", b"\r\n\r\n") for n, c in VALID.items()}
+    drive = read_mrclam(put(tmp_path / "set", files), 1, HOME)
+    plain = read_mrclam(put(tmp_path / "plain"), 1, HOME)
+    np.testing.assert_array_equal(drive.odometry.v, plain.odometry.v)
+    assert drive.home == plain.home
+
+
+LANDMARKS, ODOMETRY = "Landmark_Groundtruth.dat", "Robot1_Odometry.dat"
+MEASUREMENT, TRUTH = "Robot1_Measurement.dat", "Robot1_Groundtruth.dat"
+HOSTILE = [
+    ("Barcodes.dat", b"# nothing\n", "Barcodes.dat: no rows"),
+    ("Barcodes.dat", b"1 5\n2 x\n", "Barcodes.dat, row 2: barcode is 'x', not a finite number"),
+    ("Barcodes.dat", b"# a\n1 5.5\n", "Barcodes.dat, row 2: barcode is '5.5', not a whole number"),
+    ("Barcodes.dat", b"1 5\n2 5\n", "Barcodes.dat, row 2: barcode is '5.0', which has a row alre"),
+    ("Barcodes.dat", b"1 5\n1 6\n", "Barcodes.dat, row 2: subject is '1.0', which has a row alre"),
+    ("Barcodes.dat", b"1 1e300\n", "Barcodes.dat, row 1: barcode is '1e+300', not a whole number"),
+    (LANDMARKS, None, "Landmark_Groundtruth.dat: cannot be read: No such file"),
+    (LANDMARKS, b"", "Landmark_Groundtruth.dat: no rows"),
+    (LANDMARKS, b"6 1 2\n", "Landmark_Groundtruth.dat, row 1: 3 fields where 5 are due"),
+    (LANDMARKS, b"6 1 nan 0 0\n", "Landmark_Groundtruth.dat, row 1: y is 'nan', not a finite num"),
+    (LANDMARKS, b"6 1 2 0 0\n6 1 2 0 0\n", "Landmark_Groundtruth.dat, row 2: subject is '6.0', wh"),
+    (ODOMETRY, b"", "Robot1_Odometry.dat: no rows"),
+    (ODOMETRY, b"# c\n0 0 0\n1 0\n", "Robot1_Odometry.dat, row 3: 2 fields where 3 are due"),
+    (ODOMETRY, b"1 0 0\n0 0 0\n", "Robot1_Odometry.dat, row 2: time runs backwards: 0.0 after 1.0"),
+    (ODOMETRY, b"0 0 0\n1 inf 0\n", "Robot1_Odometry.dat, row 2: v is 'inf', not a finite number"),
+    (ODOMETRY, b"0 0 0\n1 \xfe 0\n", "Robot1_Odometry.dat, row 2: not UTF-8 text"),
+    (ODOMETRY, b"0 0 0\n1 0\x00 0\n", "Robot1_Odometry.dat, row 2: v is '0\\x00', not a finite"),
+    (MEASUREMENT, None, "Robot1_Measurement.dat: cannot be read: No such file"),
+    (MEASUREMENT, b"1 63 1 0\n0 63 1 0\n", "Robot1_Measurement.dat, row 2: time runs backwards"),
+    (MEASUREMENT, b"1 63 1 0,5\n", "Robot1_Measurement.dat, row 1: bearing is '0,5', not a finite"),
+    (MEASUREMENT, b"1 63 1 1e9\n", "Robot1_Measurement.dat, row 1: bearing is '1000000000.0', too"),
+    (TRUTH, b"# c\n", "Robot1_Groundtruth.dat: no rows"),
+    (TRUTH, b"1 0 0 0\n0 0 0 0\n", "Robot1_Groundtruth.dat, row 2: time runs backwards"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "content", "message"), HOSTILE)
+def test_refuses(tmp_path, name, content, message):
+    assert refusal(put(tmp_path / "set", {name: content})).startswith(message)
+
+
+def test_refuses_choices_that_make_no_sense(tmp_path):
+    folder = put(tmp_path / "set")
+    assert refusal(tmp_path / "absent") == ": no such folder"
+    assert refusal(folder, robot=2) == ": no robot 2 in it; there are: 1"
+    assert "home must be" in refusal(folder, home=Pose(math.nan, 0.0, 0.0))
+    assert "home noise is -0.1" in refusal(folder, home_noise=-0.1)
+    assert "home noise is inf" in refusal(folder, home_noise=math.inf)
+    assert "seed is -1" in refusal(folder, home_noise=0.1, seed=-1)
+
+
+@st.composite
+def mutated(draw):
+    """Draw one of the valid files, with some of its bytes cut or replaced."""
+    name = draw(st.sampled_from(sorted(VALID)))
+    content = VALID[name]
+    for _ in range(draw(st.integers(1, 4))):
+        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
+        filling = draw(
+            st.sampled_from([b"", b"#", b"\n", b"-", b"9" * 400]) | st.binary(max_size=3)
+        )
+        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
+    return name, content
+
+
+@settings(deadline=None, max_examples=200)
+@given(case=mutated())
+def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
+    drive, message = outcome(put(tmp_path_factory.mktemp("fuzz") / "set", dict([case])))
+    if drive is None:
+        assert len(message.splitlines()) == 1
+        assert case[0] in message
+    else:
+        assert np.isfinite([seen.bearing for seen in drive.home.values()]).all()
+
+
+def outcome(folder):
+    """Return what is read, or the message with which it is refused."""
+    try:
+        return read_mrclam(folder, 1, HOME), ""
+    except InputError as error:
+        return None, str(error)
+
+
+REAL_HOME = Pose(2.0, 0.0, 0.3)
+REAL_COUNTS = [
+    # Rows of odometry and of landmarks sighted; repeated stamps, other robots, unknown barcodes.
+    (1, 61785, 1534, 0, 407, 1),
+    (2, 65005, 3239, 1, 792, 0),
+    (3, 61158, 4348, 8, 1277, 2),
+    (4, 52916, 2023, 10, 373, 3),
+    (5, 60567, 4239, 4, 1139, 0),
+]
+
+
+@pytest.mark.parametrize(("robot", "rows", "sighted", "repeated", "others", "unknown"), REAL_COUNTS)
+def test_the_real_drives(data_dir, robot, rows, sighted, repeated, others, unknown):
+    folder = data_dir / "MRCLAM_Dataset6"
+    drive = read_mrclam(folder, robot, REAL_HOME)
+    assert drive.odometry.t.size == rows - repeated
+    assert drive.sightings.t.size == sighted
+    assert drive.remarks.get("odometry rows with a repeated stamp", 0) == repeated
+    assert drive.remarks.get("sightings of other robots", 0) == others
+    assert drive.remarks.get("sightings of unknown barcodes", 0) == unknown
+    assert list(drive.home) == [str(subject) for subject in range(6, 21)]
+    assert (np.diff(drive.odometry.t) > 0).all()
+    assert (np.diff(drive.sightings.t) >= 0).all()
+    assert (np.diff(drive.truth.t) > 0).all()
+
+
+@pytest.mark.parametrize("robot", range(1, 6))
+def test_the_real_bearings_fit_the_real_truth(data_dir, robot):
+    """Ids, frames and signs are right only if they do, to about half a degree."""
+    folder = data_dir / "MRCLAM_Dataset6"
+    drive = read_mrclam(folder, robot, REAL_HOME)
+    survey = np.loadtxt(folder / LANDMARKS)
+    places = {
+        str(int(subject)): between(REAL_HOME, Pose(x, y, 0.0)) for subject, x, y, *_ in survey
+    }
+    seen = drive.sightings
+    x = np.array([places[i].x for i in seen.landmark])
+    y = np.array([places[i].y for i in seen.landmark])
+    residual = wrap(seen.bearing - bearing(drive.truth.at(seen.t), x, y))
+    assert np.median(np.abs(residual)) < math.radians(1.0)
+    for landmark, stored in drive.home.items():
+        expected = bearing(Pose(0.0, 0.0, 0.0), places[landmark].x, places[landmark].y)
+        assert stored.bearing == pytest.approx(expected)
+
+
+def test_the_real_truth_goes_back_to_the_map_frame(data_dir):
+    folder = data_dir / "MRCLAM_Dataset6"
+    truth = read_mrclam(folder, 1, REAL_HOME).truth
+    raw = np.loadtxt(folder / "Robot1_Groundtruth.dat")
+    there = compose(REAL_HOME, Pose(truth.x, truth.y, truth.heading))
+    np.testing.assert_allclose(np.c_[there.x, there.y], raw[:, 1:3], atol=1e-12)
+    np.testing.assert_allclose(wrap(there.heading - raw[:, 3]), 0.0, atol=1e-12)

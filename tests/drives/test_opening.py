@@ -1,0 +1,82 @@
+"""Guessing the reader from what is there."""
+
+import math
+
+import pytest
+
+from homeward.drives.opening import open_drive
+from homeward.errors import InputError
+from homeward.frames import Pose
+
+HOME = Pose(2.0, 0.0, 0.3)
+
+
+@pytest.fixture
+def drive_folder(tmp_path):
+    folder = tmp_path / "plain"
+    folder.mkdir()
+    (folder / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
+    (folder / "bearings.csv").write_text("t,landmark,bearing\n0,a,0.5\n")
+    (folder / "home.csv").write_text("landmark,bearing\na,0.25\n")
+    return folder
+
+
+@pytest.fixture
+def mrclam_folder(tmp_path):
+    folder = tmp_path / "mrclam"
+    folder.mkdir()
+    (folder / "Barcodes.dat").write_text("1 5\n6 63\n")
+    (folder / "Landmark_Groundtruth.dat").write_text("6 3.0 0.0 0.1 0.1\n")
+    (folder / "Robot1_Odometry.dat").write_text("0 0.1 0\n")
+    (folder / "Robot1_Measurement.dat").write_text("0 63 1.0 0.5\n")
+    return folder
+
+
+def refusal(path, **choices):
+    with pytest.raises(InputError) as caught:
+        open_drive(path, **choices)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    assert message.startswith(f"{path}: ")
+    return message.removeprefix(f"{path}: ")
+
+
+def test_opens_a_drive_folder(drive_folder):
+    drive = open_drive(str(drive_folder))
+    assert drive.name == "plain"
+    assert drive.home["a"].bearing == 0.25
+
+
+def test_opens_an_mrclam_folder(mrclam_folder):
+    drive = open_drive(mrclam_folder, robot=1, home=HOME)
+    assert drive.name == "mrclam-robot1"
+    assert drive.home["6"].bearing == pytest.approx(-0.3)
+    noisy = open_drive(mrclam_folder, robot=1, home=HOME, home_noise=0.1, seed=1)
+    assert noisy.home["6"].sigma == 0.1
+    assert noisy.home["6"].bearing != drive.home["6"].bearing
+
+
+def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):
+    for choices in ({}, {"robot": 1}, {"home": HOME}):
+        assert refusal(mrclam_folder, **choices) == "an MRCLAM folder needs a robot and a home pose"
+
+
+def test_a_drive_folder_brings_its_own_home(drive_folder):
+    for choices in ({"robot": 1}, {"home": HOME}, {"home_noise": math.radians(0.5)}):
+        assert "cannot be chosen for a drive folder" in refusal(drive_folder, **choices)
+
+
+def test_refuses_what_no_reader_knows(tmp_path):
+    assert refusal(tmp_path / "absent") == "no such file or folder"
+    (tmp_path / "empty").mkdir()
+    assert refusal(tmp_path / "empty") == (
+        "neither an MRCLAM folder (Barcodes.dat) "
+        "nor a drive folder (odometry.csv, bearings.csv, home.csv)"
+    )
+    (tmp_path / "file.txt").write_text("hello")
+    assert refusal(tmp_path / "file.txt").startswith("neither an MRCLAM folder")
+
+
+def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
+    (drive_folder / "home.csv").unlink()
+    assert refusal(drive_folder) == "not a drive folder: no home.csv in it"
