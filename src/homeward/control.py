@@ -1,0 +1,45 @@
+"""The paper's homing law: turn towards home in proportion to the error, at constant speed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from homeward.angles import wrap
+from homeward.frames import Polar
+
+STOP_RADIUS = 0.05
+"""Home counts as reached within this distance [m]; the paper does not say."""
+
+
+class Twist(NamedTuple):
+    """A command to a unicycle: v [m/s] forward, omega [rad/s] anti-clockwise."""
+
+    v: Any
+    omega: Any
+
+
+def homing(polar: Polar, speed: Any) -> Twist:
+    """Return the paper's command, ``omega = pi - (alpha - theta)`` wrapped, at constant speed.
+
+    The gain is 1/s. Home is reached from any pose with R well above ``speed * 1 s``; closer than
+    that the law cannot turn fast enough, and the robot goes round once more.
+
+    Parameters
+    ----------
+    polar : Polar
+        Where the robot believes it is: R [m], theta [rad], alpha [rad]; floats, arrays or symbols.
+    speed : float or casadi.SX
+        [m/s]
+
+    References
+    ----------
+    Patil, Thakkar, Vachhani, "State Estimation for Vision-based Localization under Uncertain
+    Conditions".
+    """
+    return Twist(speed, wrap(math.pi - (polar.alpha - polar.theta)))
+
+
+def arrived(polar: Polar, stop_radius: float = STOP_RADIUS) -> Any:
+    """Say whether home is nearer than `stop_radius` [m]; floats, arrays or symbols."""
+    return polar.R < stop_radius  # noqa: SIM300

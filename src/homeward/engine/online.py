@@ -1,0 +1,215 @@
+"""A filter that runs: twists and sightings in by their stamps, an `Estimate` out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.engine.runner import Arrays, FilterRunner, Tuning
+from homeward.estimator import HOLD_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.frames import Polar, from_polar, polar_covariance_to_pose
+from homeward.model import POLAR, PolarModel, landmark_distance
+
+SEEN_RECENTLY_S = 2.0
+"""Without an accepted sighting for longer than this, the filter coasts."""
+DIVERGED = "filter steps that diverged"
+
+
+class OnlineFilter:
+    """One of the paper's filters as an `homeward.estimator.Estimator`.
+
+    Parameters
+    ----------
+    name : str
+        The word for it in commands and files.
+    kind : ExtendedKalmanFilter
+        Its symbolic steps.
+    landmarks : sequence of str, length q
+        Ids, in the order of the states; sightings of others are counted and left out.
+    camera_yaw : float
+        Added to every bearing to make it one from the robot's heading [rad].
+    tuning : Tuning
+        All its numbers.
+    notes : tuple of str
+        Assumptions that the user must know of.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: ExtendedKalmanFilter,
+        landmarks: Sequence[str],
+        camera_yaw: float,
+        tuning: Tuning,
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        self.name, self.notes, self.counts = name, notes, Counts()
+        self._ids = list(landmarks)
+        self._index = {landmark: i for i, landmark in enumerate(self._ids)}
+        self._camera_yaw = camera_yaw
+        self._runner = FilterRunner(kind, tuning)
+        self._belief = self._runner.start()
+        self._sightings = np.zeros(kind.model.q, dtype=int)
+        self._t = math.nan
+        self._twist: tuple[float, float] | None = None
+        self._twist_t = -math.inf
+        self._last_seen = -math.inf
+
+    def odometry(self, t: float, v: float, omega: float) -> None:
+        """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
+        if not self._in_order(t, "odometry samples"):
+            return
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            self.counts.reject("odometry samples that are not finite")
+            return
+        self._advance(t)
+        self._twist, self._twist_t = (v, omega), t
+
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Estimate:
+        """Take all sightings of stamp `t` [s] as one update; see `homeward.estimator`."""
+        if not self._in_order(t, "bearing stamps"):
+            return self.estimate(self._t)
+        self._advance(t)
+        seen = self._usable(sightings)
+        own = {self._index[k]: s for k, s in (sigmas or {}).items() if k in self._index and s > 0}
+        before = self._belief["active"]
+        self._belief, out = self._runner.update(self._belief, seen, own)
+        innovations = self._innovations(seen, before, out)
+        used = (out["accepted"] > 0) | (self._belief["active"] > before)
+        self._sightings += used
+        self.counts.used += int(used.sum())
+        if used.any():
+            self._last_seen = t
+        return self._estimate(t, self._belief, innovations)
+
+    def estimate(self, t: float) -> Estimate:
+        """Predict to `t` [s] and change nothing."""
+        if math.isnan(self._t):
+            return Estimate(t, Status.WAITING, "no odometry and no bearings yet")
+        return self._estimate(t, self._predicted(t), ())
+
+    def landmarks(self) -> list[LandmarkEstimate]:
+        """Return where each landmark must stand, by the paper's relation for D*_i."""
+        model, belief, stored = self._runner.kind.model, self._belief, self._runner.tuning.stored
+        distances = _distances(model, belief["state"], stored)
+        jacobian = _distance_jacobian(model, belief["state"], stored)
+        variances = np.einsum("ij,jk,ik->i", jacobian, belief["covariance"], jacobian)
+        home = wrap(_home_bearings(model, belief["state"], stored))
+        known = []
+        for i, landmark in enumerate(self._ids):
+            entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
+            if belief["active"][i]:
+                entry = LandmarkEstimate(
+                    landmark,
+                    x=float(distances[i] * np.cos(home[i])),
+                    y=float(distances[i] * np.sin(home[i])),
+                    distance=float(distances[i]),
+                    sigma_distance=math.sqrt(max(variances[i], 0.0)),
+                    home_bearing_stored=entry.home_bearing_stored,
+                    home_bearing_estimated=float(home[i]),
+                    sightings=int(self._sightings[i]),
+                )
+            known.append(entry)
+        return known
+
+    def _in_order(self, t: float, what: str) -> bool:
+        """Tell whether a stamp can be used, and count it if not."""
+        if not math.isfinite(t):
+            self.counts.reject(f"{what} whose time is not finite")
+            return False
+        if t < self._t:
+            self.counts.reject(f"{what} that came late")
+            return False
+        if math.isnan(self._t):
+            self._t = t
+        return True
+
+    def _advance(self, t: float) -> None:
+        before = self._runner.diverged
+        self._belief, self._t = self._predicted(t), t
+        self.counts.reject(DIVERGED, self._runner.diverged - before)
+
+    def _predicted(self, t: float) -> Arrays:
+        """Carry the belief to `t`: by the twist while it holds, then by its absence."""
+        held = min(max(self._twist_t + HOLD_S, self._t), t)
+        belief = self._runner.predict(self._belief, held - self._t, self._twist)
+        return self._runner.predict(belief, t - held, None)
+
+    def _usable(self, sightings: Mapping[str, float]) -> dict[int, float]:
+        """Return the sightings of known landmarks by index, from the robot's heading [rad]."""
+        usable = {}
+        for landmark, beta in sightings.items():
+            if landmark not in self._index:
+                self.counts.reject("sightings of landmarks without a home bearing")
+            elif not math.isfinite(beta):
+                self.counts.reject("sightings that are not finite")
+            else:
+                usable[self._index[landmark]] = float(wrap(beta + self._camera_yaw))
+        return usable
+
+    def _innovations(
+        self, seen: Mapping[int, float], active: np.ndarray, out: Mapping[str, np.ndarray]
+    ) -> tuple[Innovation, ...]:
+        """Return those of the landmarks that had been seen before, and count what was left out."""
+        if len(seen) < self._runner.tuning.minimum_visible:
+            self.counts.reject("sightings at stamps with too few landmarks in sight", len(seen))
+            return ()
+        innovations = tuple(
+            Innovation(
+                self._ids[i],
+                float(out["innovation"][i]),
+                math.sqrt(max(float(out["innovation_variance"][i]), 0.0)),
+                bool(out["accepted"][i]),
+            )
+            for i in seen
+            if active[i]
+        )
+        self.counts.reject("sightings outside the gate", sum(not i.accepted for i in innovations))
+        return innovations
+
+    def _estimate(self, t: float, belief: Arrays, innovations: tuple[Innovation, ...]) -> Estimate:
+        polar = Polar(*belief["state"][:POLAR].tolist())
+        covariance = polar_covariance_to_pose(polar, belief["covariance"][:POLAR, :POLAR])
+        status, reason = self._status(t)
+        return Estimate(t, status, reason, from_polar(polar), covariance, innovations)
+
+    def _status(self, t: float) -> tuple[Status, str]:
+        entered = int(self._belief["active"].sum())
+        age = t - self._last_seen
+        if math.isinf(age):
+            return Status.UNVERIFIED, "start prior and odometry alone: no landmark of home seen yet"
+        if age > SEEN_RECENTLY_S:
+            return Status.COASTING, f"no usable bearing for {age:.0f} s"
+        if entered < 4:
+            return Status.UNVERIFIED, f"{entered} of the landmarks that home saw are seen; 4 agree"
+        return Status.LOCALISED, f"{entered} of the landmarks that home saw are seen"
+
+
+def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Return beta* of all landmarks, from the state where they are estimated: (q,) [rad]."""
+    home = stored.astype(state.dtype)
+    home[list(model.estimated)] = state[POLAR + model.q :]
+    return home
+
+
+def _distances(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    home = _home_bearings(model, state, stored)
+    # The guard is far below any angle that a camera could resolve.
+    return np.asarray(landmark_distance(state[:POLAR], state[model.bearing_slice], home, 1e-6))
+
+
+def _distance_jacobian(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Differentiate D*_i by the state with complex steps: (q, n)."""
+    step = 1e-30
+    columns = []
+    for j in range(model.n):
+        shifted = state.astype(complex)
+        shifted[j] += 1j * step
+        columns.append(np.imag(_distances(model, shifted, stored)) / step)
+    return np.stack(columns, axis=1)

@@ -1,0 +1,153 @@
+"""A filter's belief carried through time by its kernels: numbers only, no ids and no answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.engine.generic import BELIEF
+from homeward.engine.kernels import filter_kernels
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.frames import Polar
+from homeward.model import POLAR
+
+LONGEST_STEP_S = 0.1
+"""A longer interval is predicted in several steps."""
+MOST_STEPS = 1000
+"""But in no more than these, however long the gap."""
+LOST_SIGMA = 0.5
+"""White noise of speed [m/s/sqrt(Hz)] and turn rate [rad/s/sqrt(Hz)] without odometry."""
+LARGEST = 1e9
+"""A belief with a larger number in it (m, rad, or their squares) has diverged."""
+
+Arrays = dict[str, np.ndarray]
+"""A belief: state, covariance, active, integral (see `homeward.filters.belief`)."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The numbers of a filter, as arrays in its own order of states (n) and landmarks (q)."""
+
+    polar: Polar
+    """Start prior: R [m], theta, alpha [rad]."""
+    variance: np.ndarray
+    """(n,), of the start prior: R, theta, alpha, bearings (any), parameters."""
+    stored: np.ndarray
+    """(q,), beta* in the robot's home frame [rad]."""
+    bearing_sigma: float
+    """Of a bearing that comes without one [rad]."""
+    input_density: np.ndarray
+    """(2,), variance density of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
+    state_density: np.ndarray
+    """(n,), variance per second added to the states."""
+    gate: float
+    """Largest innovation^2 / variance accepted."""
+    minimum_visible: int
+    """Fewer landmarks in sight, and a stamp is not used."""
+    proportional: np.ndarray
+    """Pi per second, (n, n); empty unless the filter has an integral."""
+    integral_gain: np.ndarray
+    """M, (n, q); empty unless the filter has an integral."""
+
+
+class FilterRunner:
+    """Carries beliefs over intervals and through updates, and keeps them finite.
+
+    Parameters
+    ----------
+    kind : ExtendedKalmanFilter
+        The filter's symbolic steps.
+    tuning : Tuning
+        All its numbers.
+    """
+
+    def __init__(self, kind: ExtendedKalmanFilter, tuning: Tuning) -> None:
+        self.kind, self.tuning = kind, tuning
+        self.diverged = 0
+        """Steps that were left out because their result had diverged."""
+        self._predict, self._update = filter_kernels(kind)
+        self._predict.inputs["stored"][:] = tuning.stored
+        self._update.inputs["gate"][:] = tuning.gate
+        self._update.inputs["minimum_visible"][:] = tuning.minimum_visible
+        self._update.inputs["integral_gain"][...] = tuning.integral_gain
+
+    def start(self) -> Arrays:
+        """Return the belief of the start prior, before any landmark is seen."""
+        model, tuning = self.kind.model, self.tuning
+        state = np.zeros(model.n)
+        state[:POLAR] = tuning.polar
+        state[POLAR + model.q :] = tuning.stored[list(model.estimated)]
+        return {
+            "state": state,
+            "covariance": np.diag(tuning.variance),
+            "active": np.zeros(model.q),
+            "integral": np.zeros(model.n if self.kind.integral else 0),
+        }
+
+    def predict(self, belief: Arrays, interval: float, twist: tuple[float, float] | None) -> Arrays:
+        """Return the belief `interval` [s] later.
+
+        Parameters
+        ----------
+        belief : dict of ndarray
+            Not changed.
+        interval : float
+            [s]; nothing happens unless it is positive.
+        twist : (float, float) or None
+            v [m/s] and omega [rad/s]; None without odometry: it stands, with large noise.
+        """
+        if interval <= 0.0:
+            return belief
+        steps = min(math.ceil(interval / LONGEST_STEP_S), MOST_STEPS)
+        dt = interval / steps
+        given, tuning = self._predict.inputs, self.tuning
+        density = np.full(2, LOST_SIGMA**2) if twist is None else tuning.input_density
+        given["control"][:] = twist or (0.0, 0.0)
+        given["dt"][:] = dt
+        given["input_covariance"][...] = np.diag(density / dt)
+        given["state_variance"][:] = tuning.state_density * dt
+        given["proportional"][...] = tuning.proportional * dt
+        for _ in range(steps):
+            for name in BELIEF:
+                given[name][...] = belief[name]
+            self._predict()
+            belief = self._sane(self._predict.outputs, belief)
+        return belief
+
+    def update(
+        self, belief: Arrays, seen: Mapping[int, float], sigmas: Mapping[int, float]
+    ) -> tuple[Arrays, Mapping[str, np.ndarray]]:
+        """Return the belief after the sightings of one stamp, and what the step said of them.
+
+        Parameters
+        ----------
+        belief : dict of ndarray
+            Not changed.
+        seen : mapping of landmark index to bearing
+            From the robot's heading [rad].
+        sigmas : mapping of landmark index to standard deviation
+            Of those that have one of their own [rad].
+        """
+        given = self._update.inputs
+        for name in BELIEF:
+            given[name][...] = belief[name]
+        given["mask"][:] = given["bearings"][:] = 0.0
+        given["variance"][:] = self.tuning.bearing_sigma**2
+        for i, beta in seen.items():
+            given["mask"][i], given["bearings"][i] = 1.0, beta
+        for i, sigma in sigmas.items():
+            given["variance"][i] = sigma**2
+        self._update()
+        return self._sane(self._update.outputs, belief), self._update.outputs
+
+    def _sane(self, after: Mapping[str, np.ndarray], before: Arrays) -> Arrays:
+        """Return a copy of the new belief, or the old one where the new one has diverged."""
+        # The largest entry of a covariance stands on its diagonal.
+        numbers = (after["state"], np.diag(after["covariance"]), after["integral"])
+        if all(np.all(np.abs(a) < LARGEST) for a in numbers):
+            return {name: np.array(after[name], order="F") for name in BELIEF}
+        self.diverged += 1
+        return before

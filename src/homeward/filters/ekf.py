@@ -1,0 +1,87 @@
+"""The multi-rate extended Kalman filter: predict at every sample, update with what is visible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+
+from homeward.angles import wrap
+from homeward.filters.belief import Belief, Measurement, Prediction, Updated
+from homeward.model import POLAR, Integration, PolarModel, Step, discretise
+
+
+@dataclass(frozen=True)
+class ExtendedKalmanFilter:
+    """The paper's EKF as two symbolic steps (MATH.md, section 3).
+
+    The augmented filter is the same on a model some of whose home bearings are states; the
+    proportional-integral filter adds its correction to both steps.
+    """
+
+    model: PolarModel
+    integration: Integration = "rk4"
+    integral: ClassVar[bool] = False
+    """Whether the belief carries an integral of innovations."""
+
+    def propagate(self, belief: Belief, prediction: Prediction) -> Step:
+        """Return the mean after a step and its Jacobians: F, G and Gu."""
+
+        def rates(state: ca.SX, control: ca.SX) -> ca.SX:
+            return self.model.rates(state, control, prediction.stored, belief.active)
+
+        return discretise(rates, belief.state, prediction.control, prediction.dt, self.integration)
+
+    def predict(self, belief: Belief, prediction: Prediction) -> Belief:
+        """Carry the belief over one step: P <- G P G' + Gu Q Gu' + diag(state_variance)."""
+        step = self.propagate(belief, prediction)
+        covariance = (
+            step.by_state @ belief.covariance @ step.by_state.T
+            + step.by_input @ prediction.input_covariance @ step.by_input.T
+            + ca.diag(prediction.state_variance)
+        )
+        return replace(belief, state=step.state, covariance=mirror(covariance))
+
+    def update(self, belief: Belief, seen: Measurement) -> Updated:
+        """Update with the visible bearings, one after the other.
+
+        Innovations and the gate are taken from the belief before any update of this stamp. A
+        landmark seen for the first time enters with beta = y and the variance of y.
+        """
+        q = self.model.q
+        state, covariance = belief.state, belief.covariance
+        visible = seen.mask * (ca.sum1(seen.mask) >= seen.minimum_visible)
+        entering = visible * (1 - belief.active)
+        compared = visible * belief.active
+
+        innovation = compared * wrap(seen.bearings - state[self.model.bearing_slice])
+        variance = ca.diag(covariance)[self.model.bearing_slice] + seen.variance
+        accepted = compared * (innovation**2 <= seen.gate * variance)
+
+        state, covariance = self._enter(state, covariance, entering, seen)
+        before = state
+        for i in range(q):
+            j = POLAR + i
+            # H only picks rows, so this is the remainder of the joint innovation.
+            remainder = innovation[i] - (state[j] - before[j])
+            gain = covariance[:, j] * (accepted[i] / (covariance[j, j] + seen.variance[i]))
+            state = state + gain * remainder
+            covariance = mirror(covariance - gain @ covariance[j, :])
+        after = replace(belief, state=state, covariance=covariance, active=belief.active + entering)
+        return Updated(after, innovation, variance, accepted)
+
+    def _enter(
+        self, state: ca.SX, covariance: ca.SX, entering: ca.SX, seen: Measurement
+    ) -> tuple[ca.SX, ca.SX]:
+        """Put landmarks seen for the first time into the state, uncorrelated with the rest."""
+        rest = self.model.n - POLAR - self.model.q
+        keep = 1 - ca.vertcat(ca.SX.zeros(POLAR), entering, ca.SX.zeros(rest))
+        fresh = ca.vertcat(ca.SX.zeros(POLAR), entering * seen.bearings, ca.SX.zeros(rest))
+        noise = ca.vertcat(ca.SX.zeros(POLAR), entering * seen.variance, ca.SX.zeros(rest))
+        return keep * state + fresh, covariance * (keep @ keep.T) + ca.diag(noise)
+
+
+def mirror(matrix: ca.SX) -> ca.SX:
+    """Return the matrix with its lower triangle mirrored: symmetric to the last bit."""
+    return ca.tril2symm(ca.tril(matrix))
