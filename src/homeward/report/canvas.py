@@ -1,0 +1,162 @@
+"""What all figures share: palette, type, thinning, and the way to SVG and PNG.
+
+Figures are made through matplotlib's objects alone, so nothing here touches pyplot's global state.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from homeward.estimator import Status
+
+# Okabe and Ito's palette, told apart by colour-blind readers too.
+INK = "#22262b"
+MUTED = "#8a9097"
+RULE = "#e3e6e9"
+BLUE = "#0072b2"
+SKY = "#56b4e9"
+ORANGE = "#e69f00"
+VERMILLION = "#d55e00"
+GREEN = "#009e73"
+
+STATUS_COLOURS = {
+    Status.WAITING: "#d5d9dd",
+    Status.MAPPING: "#aab1b8",
+    Status.UNVERIFIED: ORANGE,
+    Status.LOCALISED: BLUE,
+    Status.COASTING: SKY,
+}
+MOVED = VERMILLION
+WIDTH_IN = 7.2
+"""Width of every figure [inch]; the page scales it."""
+
+_STYLE: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.labelpad": 7.0,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.size": 0.0,
+    "ytick.major.size": 0.0,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 3.6,
+    "lines.solid_capstyle": "round",
+    "lines.linewidth": 1.2,
+    "svg.fonttype": "none",
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+}
+
+
+@contextmanager
+def style(salt: str = "homeward") -> Iterator[None]:
+    """Draw in homeward's style within this block; `salt` makes ids in the SVG unique to it."""
+    rc: Any = {**_STYLE, "svg.hashsalt": salt}
+    with matplotlib.rc_context(rc), warnings.catch_warnings():
+        # A landmark may have any name; a letter that matplotlib's font lacks, the browser has.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield
+
+
+def new_figure(height_in: float) -> Figure:
+    """Return an empty figure of the common width, to be made and drawn within `style`."""
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png(figure: Figure, dpi: float = 150) -> bytes:
+    """Return a figure as PNG."""
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+    return out.getvalue()
+
+
+def svg(figure: Figure, label: str) -> str:
+    """Return a figure as an SVG element to stand in a page, with nothing to fetch.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to draw.
+    label : str
+        What it shows, for those who hear the page; plain words of ours.
+    """
+    out = io.StringIO()
+    with style(label):
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, count=1, flags=re.DOTALL)
+    text = re.sub(r'<g id="[A-Za-z]+[\dA-Za-z.]*_\d+">', "<g>", text)
+    text = re.sub(r"(?<=\d\.\d\d)\d+", "", text)
+    head, body = text.split(">", 1)
+    box = re.search(r'viewBox="[^"]*"', head)
+    assert box is not None
+    return f'<svg {box[0]} role="img" aria-label="{label}">{body}'
+
+
+def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
+    """Return the rows that draw a line like `values`: its extremes and its breaks (NaN) stay.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        What is drawn.
+    most : int
+        How many rows may stay, roughly.
+    """
+    if values.size <= most:
+        return np.arange(values.size)
+    keep: set[int] = {0, values.size - 1}
+    for part in np.array_split(np.arange(values.size), most // 2):
+        known = part[np.isfinite(values[part])]
+        if known.size < part.size:
+            keep.add(int(part[~np.isfinite(values[part])][0]))
+        if known.size:
+            keep.add(int(known[np.argmin(values[known])]))
+            keep.add(int(known[np.argmax(values[known])]))
+    return np.array(sorted(keep))
+
+
+def runs(labels: list[Status]) -> Iterator[tuple[int, int, Status]]:
+    """Yield (first row, row after the last, label) of each run of equal labels."""
+    start = 0
+    for row in range(1, len(labels) + 1):
+        if row == len(labels) or labels[row] is not labels[start]:
+            yield start, row, labels[start]
+            start = row
+
+
+def bare(axes: Axes) -> None:
+    """Take grid, ticks and frame from axes."""
+    axes.grid(False)
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)

@@ -1,0 +1,104 @@
+"""The plain files of a run: estimate.csv, trajectory.tum, landmarks.csv and metrics.json."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from homeward.estimator import LandmarkEstimate
+from homeward.scoring import Metrics
+from homeward.track import Track
+
+ESTIMATE_HEADER = "t,x,y,heading,R,theta,alpha,sigma_x,sigma_y,sigma_heading,status"
+LANDMARKS_HEADER = (
+    "landmark,x,y,distance,sigma_distance,home_bearing_stored,home_bearing_estimated,"
+    "moved_probability,moved,sightings,moved_at"
+)
+
+
+def write_estimate(file: Path, track: Track) -> None:
+    """Write estimate.csv: a row per row of the track, empty fields where there is no pose.
+
+    Metres, radians, seconds; nine significant digits, and times to the last bit.
+    """
+    polar = np.column_stack([track.R, track.theta, track.heading])
+    poses = np.column_stack([track.x, track.y, track.heading, polar, track.sigmas])
+    rows = (
+        [repr(t), *map(number, pose), status.value]
+        for t, pose, status in zip(track.t.tolist(), poses.tolist(), track.status, strict=True)
+    )
+    _write_csv(file, ESTIMATE_HEADER, rows)
+
+
+def write_trajectory(file: Path, track: Track) -> None:
+    """Write trajectory.tum, rows with a pose only: t x y z qx qy qz qw in the home frame.
+
+    The format of the TUM RGB-D benchmark, which evo reads.
+    """
+    with file.open("w", encoding="utf-8", newline="\n") as out:
+        for row in np.flatnonzero(track.has_pose):
+            half = track.heading[row] / 2
+            values = (track.x[row], track.y[row], 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
+            out.write(" ".join([repr(float(track.t[row])), *map(number, values)]) + "\n")
+
+
+def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
+    """Write landmarks.csv; `moved` is yes, no or empty, `moved_at` a time of the drive [s]."""
+    rows = (
+        [
+            landmark.landmark,
+            *map(
+                number,
+                (
+                    landmark.x,
+                    landmark.y,
+                    landmark.distance,
+                    landmark.sigma_distance,
+                    landmark.home_bearing_stored,
+                    landmark.home_bearing_estimated,
+                    landmark.moved_probability,
+                ),
+            ),
+            {True: "yes", False: "no", None: ""}[landmark.moved],
+            landmark.sightings,
+            repr(landmark.moved_at) if math.isfinite(landmark.moved_at) else "",
+        ]
+        for landmark in landmarks
+    )
+    _write_csv(file, LANDMARKS_HEADER, rows)
+
+
+def write_metrics(file: Path, metrics: Metrics) -> None:
+    """Write metrics.json: plain numbers with units in the keys, absent where not known."""
+    text = json.dumps(metrics.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def number(value: float) -> str:
+    """Return a number to nine significant digits, or nothing where there is none."""
+    return f"{value:.9g}" if math.isfinite(value) else ""
+
+
+def _write_csv(file: Path, header: str, rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file as RFC 4180 has it, but with plain line ends."""
+    with file.open("w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(_PlainEnds(out))
+        writer.writerow(header.split(","))
+        writer.writerows(rows)
+
+
+class _PlainEnds:
+    """Turns the line end of each row; with its own, csv quotes a carriage return in a name."""
+
+    def __init__(self, out: TextIO) -> None:
+        self.out = out
+
+    def write(self, row: str) -> int:
+        """Take one whole row."""
+        return self.out.write(row.removesuffix("\r\n") + "\n")

@@ -1,0 +1,71 @@
+"""An output folder, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from homeward.errors import InputError
+
+_SCRATCH = ".writing-"
+
+
+def check_output(directory: Path, marker: str) -> None:
+    """Refuse an output folder that holds something other than earlier output of ours.
+
+    Parameters
+    ----------
+    directory : Path
+        May not exist yet.
+    marker : str
+        The file that tells earlier output.
+
+    Raises
+    ------
+    InputError
+        When it holds files without that one among them, or is no folder.
+    """
+    if not directory.exists():
+        return
+    if not directory.is_dir():
+        raise InputError("is not a folder; choose another output folder", directory)
+    names = {p.name for p in directory.iterdir() if not p.name.startswith(_SCRATCH)}
+    if names and marker not in names:
+        raise InputError(
+            f"holds files but no {marker}, so they are not ours to replace; "
+            "choose another output folder",
+            directory,
+        )
+
+
+@contextmanager
+def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
+    """Lend a scratch folder whose files enter `directory` together, once all are written.
+
+    `marker` enters last: a folder that holds it is whole.
+
+    Raises
+    ------
+    InputError
+        When `check_output` refuses the folder, or it cannot be written.
+    """
+    try:
+        check_output(directory, marker)
+        new = not directory.exists()
+        directory.mkdir(parents=True, exist_ok=True)
+        try:
+            # Inside, not beside: beside may be another file system, where a move is a copy.
+            with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=directory) as scratch:
+                yield Path(scratch)
+                for file in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
+                    os.replace(file, directory / file.name)
+        except BaseException:
+            if new:
+                with suppress(OSError):
+                    directory.rmdir()
+            raise
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", directory) from error

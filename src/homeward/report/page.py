@@ -1,0 +1,165 @@
+"""report.html: one self-contained page that says what happened on a run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from homeward.drives.drive import Drive
+from homeward.estimator import LandmarkEstimate, Status
+from homeward.report import words
+from homeward.report.canvas import STATUS_COLOURS, svg
+from homeward.report.map_figure import draw_map, undrawn
+from homeward.report.summary import summarise
+from homeward.report.time_figures import (
+    MOST_ROWS,
+    draw_errors,
+    draw_innovations,
+    draw_sightings,
+    draw_sigmas,
+)
+from homeward.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
+from homeward.track import Track
+
+
+def write_page(
+    file: Path, drive: Drive, track: Track, metrics: Metrics, run: Mapping[str, Any]
+) -> None:
+    """Write the page of a run.
+
+    Parameters
+    ----------
+    file : Path
+        Where to.
+    drive : Drive
+        What was fed.
+    track : Track
+        What came out.
+    metrics : Metrics
+        `score` of that track.
+    run : mapping
+        What run.yaml holds: every setting, and the versions.
+    """
+    environment = Environment(
+        loader=PackageLoader("homeward.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = environment.get_template("report.html.j2").render(
+        words=words,
+        colours=STATUS_COLOURS,
+        drive=drive,
+        track=track,
+        metrics=metrics,
+        summary=summarise(drive, track, metrics),
+        headline=_headline(track, metrics),
+        figures=_figures(drive, track),
+        undrawn=[words.name(i) for i in undrawn(track, drive.truth)],
+        error_rows=_error_rows(metrics.accuracy),
+        landmarks=sorted(track.landmarks, key=_rank),
+        consistency=_consistency(metrics),
+        unlisted=max(0, np.unique(drive.sightings.landmark).size - MOST_ROWS),
+        left_out=[*drive.remarks.items(), *metrics.rejected.items()],
+        stages=_stages(track),
+        timing=_timing(metrics),
+        settings=yaml.safe_dump(dict(run), sort_keys=False, allow_unicode=True),
+    )
+    file.write_text(html, encoding="utf-8")
+
+
+def _headline(track: Track, metrics: Metrics) -> list[tuple[str, str]]:
+    """Return the numbers that stand in large type, each with its name."""
+    rows = [("duration", words.quantity(metrics.duration_s, "s"))]
+    if metrics.pose_share is not None:
+        rows.append(("with a pose", words.percent(metrics.pose_share)))
+    if metrics.accuracy is not None:
+        rows.append(("position RMSE", words.quantity(metrics.accuracy.position.rmse, "m")))
+        rows.append(("heading RMSE", words.degrees(metrics.accuracy.heading.rmse)))
+    if any(m.moved is not None for m in track.landmarks):
+        moved = sum(bool(m.moved) for m in track.landmarks)
+        rows.append(("landmarks moved", f"{moved:,} of {len(track.landmarks):,}"))
+    return rows
+
+
+def _figures(drive: Drive, track: Track) -> dict[str, Markup]:
+    """Return the figures that this run has something for, as SVG by name."""
+    if not track.t.size:
+        return {}
+    figures = {"map": (draw_map(track, drive.truth), "Map of the path and the landmarks")}
+    if drive.truth is not None and track.has_pose.any():
+        figures["errors"] = (draw_errors(track, drive.truth), "Errors over time")
+    elif track.has_pose.any():
+        figures["sigmas"] = (draw_sigmas(track), "Standard deviations over time")
+    if track.innovations.t.size:
+        figures["innovations"] = (draw_innovations(track), "Innovations over time")
+    if drive.sightings.t.size:
+        figures["sightings"] = (draw_sightings(track, drive.sightings), "Who was seen when")
+    # matplotlib has escaped every text in them.
+    return {key: Markup(svg(figure, label)) for key, (figure, label) in figures.items()}
+
+
+def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]:
+    """Return label, error and whether it is an angle, for each row of the table of errors."""
+    if accuracy is None:
+        return []
+    return [
+        ("position", accuracy.position, False),
+        ("heading alpha", accuracy.heading, True),
+        ("distance from home R", accuracy.R, False),
+        ("direction from home theta", accuracy.theta, True),
+    ]
+
+
+def _rank(m: LandmarkEstimate) -> tuple[bool, list[str | int]]:
+    """Order landmarks: moved ones first, then by name, numbers in it by their size."""
+    parts = re.split(r"(\d+)", m.landmark)
+    return not m.moved, [int(part) if part.isdecimal() else part for part in parts]
+
+
+def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
+    """Return what consistent uncertainty would give beside what was found."""
+    rows: list[tuple[str, str, str]] = []
+    if metrics.accuracy is not None:
+        a = metrics.accuracy
+        rows.append(("mean NEES of (x, y, heading)", f"{a.nees_mean:.2f}", "3"))
+        rows.append(("time inside its 95 % region", words.percent(a.nees_inside_95_share), "95 %"))
+        shares = zip(a.position_inside_sigma_shares, ELLIPSE_SHARES, strict=True)
+        for k, (found, expected) in enumerate(shares, start=1):
+            row = f"time inside the {k}-sigma ellipse", words.percent(found), f"{expected:.0%}"
+            rows.append((row[0], row[1], row[2].replace("%", " %")))
+    if metrics.innovation_inside_95_share is not None:
+        share = words.percent(metrics.innovation_inside_95_share)
+        rows.append(("sightings inside their 95 % interval", share, "95 %"))
+    if metrics.innovation_nis_mean is not None:
+        rows.append(("mean NIS of the sightings used", f"{metrics.innovation_nis_mean:.2f}", "1"))
+    return rows
+
+
+def _stages(track: Track) -> list[tuple[float, str, str]]:
+    """Return time [s], status and reason of the first row of each status."""
+    first = [(track.status.index(s), s) for s in Status if s in track.status]
+    return [
+        (float(track.t[row] - track.t[0]), s.value, track.reason[row])
+        for row, s in sorted(first, key=lambda f: f[0])
+    ]
+
+
+def _timing(metrics: Metrics) -> str:
+    """Say in a sentence how long it took."""
+    text = f"The run took {words.quantity(metrics.run_s, 's')} of computing"
+    if metrics.update_median_s is None or metrics.update_p99_s is None:
+        return text + "."
+    median, p99 = (1e3 * s for s in (metrics.update_median_s, metrics.update_p99_s))
+    return (
+        f"{text}; an update with bearings {words.quantity(median, 'ms')} in the median, "
+        f"and 99 % of them at most {words.quantity(p99, 'ms')}."
+    )

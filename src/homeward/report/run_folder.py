@@ -1,0 +1,68 @@
+"""The output folder of a run, written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from homeward.drives.drive import Drive
+from homeward.report.files import (
+    write_estimate,
+    write_landmarks,
+    write_metrics,
+    write_trajectory,
+)
+from homeward.report.output import whole_folder
+from homeward.report.page import write_page
+from homeward.report.summary import summarise
+from homeward.report.versions import versions
+from homeward.scoring import score
+from homeward.track import Track
+
+SETTINGS_FILE = "run.yaml"
+"""Written last: a folder that holds it is a whole run of ours."""
+
+
+def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str, Any]) -> str:
+    """Write everything that a run leaves behind, and return its summary in words.
+
+    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, report.html and
+    run.yaml. They replace those of an earlier run; nothing else in the folder is touched.
+
+    Parameters
+    ----------
+    directory : Path
+        The output folder; made when it is not there.
+    drive : Drive
+        What was fed.
+    track : Track
+        What came out.
+    settings : mapping
+        Every setting used, as plain data (str, numbers, bool, None, lists and dicts of them);
+        run.yaml holds them, and the versions of everything under ``versions``.
+
+    Returns
+    -------
+    str
+        `summarise` of the run.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something that is not an earlier run, or cannot be written.
+    """
+    metrics = score(track, drive.truth)
+    summary = summarise(drive, track, metrics)
+    run = {**settings, "versions": versions()}
+    with whole_folder(directory, SETTINGS_FILE) as scratch:
+        write_estimate(scratch / "estimate.csv", track)
+        write_trajectory(scratch / "trajectory.tum", track)
+        write_landmarks(scratch / "landmarks.csv", track.landmarks)
+        write_metrics(scratch / "metrics.json", metrics)
+        write_page(scratch / "report.html", drive, track, metrics, run)
+        text = yaml.safe_dump(run, sort_keys=False, allow_unicode=True)
+        (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")
+    return summary

@@ -1,0 +1,112 @@
+"""What happened on a run, in a few plain sentences."""
+
+from __future__ import annotations
+
+from homeward.drives.drive import Drive
+from homeward.estimator import Status
+from homeward.report.words import count, degrees, listing, name, percent, quantity
+from homeward.scoring import Accuracy, Metrics
+from homeward.track import Track
+
+OUTSIDE_3_SIGMA = 0.05
+"""Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
+
+
+def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
+    """Say how long the robot was localised, how far off it was, and what had moved.
+
+    Parameters
+    ----------
+    drive : Drive
+        What was fed.
+    track : Track
+        What came out.
+    metrics : Metrics
+        `score` of that track.
+
+    Returns
+    -------
+    str
+        One paragraph, for the terminal and for the top of the page.
+    """
+    if not track.t.size:
+        return "The drive holds no samples, so there is nothing to say."
+    sentences = [
+        _localised(track, metrics),
+        _accuracy(metrics.accuracy, drive.truth is not None),
+        _moved(track),
+        _rejected(metrics),
+    ]
+    return " ".join(s for s in sentences if s)
+
+
+def _localised(track: Track, metrics: Metrics) -> str:
+    """Say how long there was a pose, and how good it claimed to be."""
+    duration = quantity(metrics.duration_s, "s")
+    if metrics.first_pose_after_s is None:
+        return f"No pose was found in {duration}: {track.reason[-1].rstrip('.')}."
+    shares = metrics.status_shares
+    coasting, unverified = (shares.get(s, 0.0) for s in (Status.COASTING, Status.UNVERIFIED))
+    share = shares.get(Status.LOCALISED, 0.0) + coasting
+    seconds = share * metrics.duration_s
+    text = f"Localised for {quantity(seconds, 's').removesuffix(' s')} of {duration}"
+    text += f" ({percent(share)})"
+    if coasting > 0.005:
+        text += f", {percent(coasting)} on odometry alone"
+    if unverified > 0.005:
+        text += f", with an unverified pose for another {percent(unverified)}"
+    if metrics.first_pose_after_s > 0.5:
+        text += f"; the first pose came after {quantity(metrics.first_pose_after_s, 's')}"
+    return text + "."
+
+
+def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
+    """Say how far off the poses were."""
+    if accuracy is None:
+        return "" if has_truth else "There is no truth to measure the error against."
+    p = accuracy.position
+    text = (
+        f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "
+        f"{quantity(p.max, 'm')} at worst; heading {degrees(accuracy.heading.rmse)} RMSE."
+    )
+    outside = 1.0 - accuracy.position_inside_sigma_shares[2]
+    if outside > OUTSIDE_3_SIGMA:
+        text += (
+            f" It was surer than it should be: for {percent(outside)} of the time the true "
+            "position lay outside its 3-sigma ellipse."
+        )
+    return text
+
+
+def _moved(track: Track) -> str:
+    """Say which landmarks had moved."""
+    judged = [m for m in track.landmarks if m.moved is not None]
+    if not judged:
+        return f"The estimator {track.estimator} does not judge which landmarks moved."
+    during = [m for m in judged if m.moved_at == m.moved_at]
+    before = [m for m in judged if m.moved and m not in during]
+    text = ""
+    if before:
+        were = "was" if len(before) == 1 else "were"
+        text = (
+            f"{count(len(before), 'landmark').capitalize()} {were} moved since home was stored: "
+            f"{listing([name(m.landmark) for m in before])}. "
+        )
+    if during:
+        when = [f"{name(m.landmark)} (at {_clock(track, m.moved_at)})" for m in during]
+        text += f"{count(len(during), 'landmark').capitalize()} moved during the drive: "
+        text += f"{listing(when)}."
+    return text.strip() or f"No landmark was found to have moved, of {len(judged):,} judged."
+
+
+def _clock(track: Track, t: float) -> str:
+    """Return a time of the drive counted from its first row."""
+    return quantity(t - float(track.t[0]), "s")
+
+
+def _rejected(metrics: Metrics) -> str:
+    """Say how much of the input was not used."""
+    rejected = sum(metrics.rejected.values())
+    if not rejected:
+        return ""
+    return f"{count(metrics.sightings_used, 'sighting').capitalize()} used, {rejected:,} rejected."

@@ -1,0 +1,66 @@
+"""What is said in words."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_up_run import START, made_up
+
+from homeward.report import words
+from homeward.report.summary import summarise
+from homeward.scoring import score
+
+
+def test_summary_of_the_usual_run():
+    drive, track = made_up(seconds=180.0)
+    assert summarise(drive, track, score(track, drive.truth)) == (
+        "Localised for 178 of 180 s (99 %), 1 % on odometry alone; the first pose came after "
+        "2.0 s. Position error 0.050 m RMSE, 0.050 m median, 0.050 m at worst; heading 0° RMSE. "
+        "One landmark was moved since home was stored: a. 7,197 sightings used, 3 rejected."
+    )
+
+
+def test_summary_says_when_the_claimed_uncertainty_is_too_small():
+    drive, track = made_up()
+    sure = dataclasses.replace(track, covariance=track.covariance / 100)
+    said = summarise(drive, sure, score(sure, drive.truth))
+    assert "for 100 % of the time the true position lay outside its 3-sigma ellipse" in said
+    assert "surer" not in summarise(drive, track, score(track, drive.truth))
+
+
+def test_summary_without_a_pose_gives_the_reason():
+    drive, track = made_up(truth=False)
+    none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
+    said = summarise(drive, none, score(none, None))
+    assert said.startswith(
+        "No pose was found in 20 s: 2 of the landmarks that home saw are mapped; 3 are needed."
+    )
+
+
+def test_summary_names_what_moved_during_the_drive():
+    drive, track = made_up()
+    moved = dataclasses.replace(track.landmarks[1], moved=True, moved_at=START + 7.0)
+    track = dataclasses.replace(track, landmarks=[*track.landmarks, moved])
+    said = summarise(drive, track, score(track, drive.truth))
+    assert "One landmark moved during the drive: b (at 7.0 s)." in said
+
+
+def test_no_claim_is_rounded_up():
+    assert words.percent(0.9999) == "over 99 %"
+    assert words.percent(1.0) == "100 %"
+    assert words.percent(0.001) == "under 1 %"
+    assert words.percent(0.0) == "0 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0832, "0.083 m"), (0.0996, "0.10 m"), (1.27, "1.3 m"), (9.96, "10 m"), (1234.5, "1,234 m")],
+)
+def test_quantities_have_two_digits(value, text):
+    assert words.quantity(value, "m") == text
+
+
+def test_lists_end():
+    assert words.listing(["a"]) == "a"
+    assert words.listing(["a", "b", "c"]) == "a, b and c"
+    assert words.listing([*"abcdefghij"], 3) == "a, b, c and 7 more"
