@@ -1,0 +1,1 @@
+"""Worlds, faults, visibility, and the closed loop."""

@@ -1,0 +1,103 @@
+"""Scenarios from presets, files and changes; simulations into folders."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from homeward.drives.folder import write_folder
+from homeward.drives.settings import read_settings, validated
+from homeward.errors import InputError
+from homeward.simulation.presets import PRESETS
+from homeward.simulation.scenario import Scenario
+from homeward.simulation.simulate import Simulation
+from homeward.simulation.world import World, quantise
+
+SCENARIO, WORLD = "scenario.yaml", "world.csv"
+
+
+def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """Return a scenario by the name of a preset or from a YAML file, perhaps changed.
+
+    Parameters
+    ----------
+    source : str
+        A key of `PRESETS`, or the path of a file.
+    changes : mapping of str to value, optional
+        Keys in dots ("noise.bearing_sigma") to what they become. Another `trajectory.kind` keeps
+        the speed and duration of the old one.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, a key that does not exist, or a value out of range.
+    """
+    scenario = PRESETS.get(source) or read_settings(_existing(source), Scenario)
+    if not changes:
+        return scenario
+    tree = scenario.model_dump(exclude_none=True)
+    for key, value in changes.items():
+        _change(tree, key, value)
+    return validated(Scenario, tree)
+
+
+def scenario_yaml(scenario: Scenario) -> str:
+    """Return the whole scenario as YAML text, defaults and all."""
+    tree = scenario.model_dump(mode="json", exclude_none=True)
+    return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+
+
+def write_simulation(simulation: Simulation, folder: Path) -> None:
+    """Write the drive folder, scenario.yaml, and world.csv: the truth about the landmarks.
+
+    world.csv has landmark, x, y [m, home frame], moved (0 or 1) and fault [rad]; no estimator
+    reads it.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written.
+    """
+    write_folder(simulation.drive, folder)
+    try:
+        (folder / SCENARIO).write_text(scenario_yaml(simulation.scenario), encoding="utf-8")
+        _write_world(simulation.world, folder / WORLD)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", folder) from error
+
+
+def _existing(source: str) -> Path:
+    path = Path(source)
+    if not path.exists():
+        raise InputError(f"neither a file nor one of the presets {', '.join(PRESETS)}", path)
+    return path
+
+
+def _change(tree: dict[str, Any], key: str, value: Any) -> None:
+    """Set one key, given in dots, in nested mappings."""
+    *sections, last = key.split(".")
+    branch = tree
+    for section in sections:
+        inner = branch.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise InputError(f"{key}: {section} has no keys")
+        branch = inner
+    if key == "trajectory.kind" and branch.get("kind") != value:
+        for other in branch.keys() - {"speed", "duration"}:
+            del branch[other]
+    branch[last] = value
+
+
+def _write_world(world: World, path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["landmark", "x", "y", "moved", "fault"])
+        for landmark, (x, y), fault in zip(
+            world.ids, world.in_home_frame, world.fault, strict=True
+        ):
+            moved = int(fault != 0.0)
+            writer.writerow([landmark, quantise(x, 4), quantise(y, 4), moved, quantise(fault, 5)])

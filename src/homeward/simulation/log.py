@@ -1,0 +1,97 @@
+"""When samples are taken, and the log that they go into."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.estimator import Estimate, Estimator
+from homeward.frames import Pose
+from homeward.simulation.scenario import Scenario
+from homeward.simulation.world import Stream, generator, quantise
+
+
+class Stamps:
+    """Increasing stamps [s], handed out once each as a drive goes on."""
+
+    def __init__(self, stamps: list[float]) -> None:
+        self._stamps, self._next = stamps, 0
+
+    def before(self, until: float) -> Iterator[float]:
+        """Yield those before `until` [s] that were not yet handed out."""
+        while self._next < len(self._stamps) and self._stamps[self._next] < until:
+            self._next += 1
+            yield self._stamps[self._next - 1]
+
+
+class Clock:
+    """The stamps of everything that is sampled in a drive."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        rates, duration = scenario.rates, scenario.trajectory.duration
+        rng = generator(scenario, Stream.TIMES)
+        self._odometry = _stamps(rates.odometry, duration, rates.jitter, rng)
+        self.bearings = Stamps(_stamps(rates.bearings, duration, rates.jitter, rng))
+        self.truth = Stamps(_stamps(rates.truth, duration, 0.0, rng))
+
+    def steps(self) -> Iterator[tuple[float, float | None]]:
+        """Yield each odometry stamp [s] with the one after it, None for the last."""
+        yield from zip(self._odometry, [*self._odometry[1:], None], strict=True)
+
+
+def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generator) -> list[float]:
+    """Return increasing stamps [s] from 0 to `duration`, whole milliseconds."""
+    regular = np.arange(int(duration * rate + 1e-9) + 1) / rate
+    off = rng.uniform(-jitter, jitter, regular.size)
+    off[0] = 0.0
+    return [quantise(t, 3) for t in (regular + off).tolist()]
+
+
+class Log:
+    """What a robot would log, told to the estimator in the loop as it is written."""
+
+    def __init__(self, estimator: Estimator | None) -> None:
+        self._estimator = estimator
+        self._odometry: list[tuple[float, float, float]] = []
+        self._sightings: list[tuple[float, str, float]] = []
+        self._truth: list[tuple[float, float, float, float]] = []
+        self.estimates: list[Estimate] = []
+
+    def believed(self, t: float, true: Pose) -> Pose | None:
+        """Return the pose that steers: the estimator's, or the truth."""
+        return true if self._estimator is None else self._estimator.estimate(t).pose
+
+    def odometry(self, t: float, twist: Twist) -> None:
+        """Log a measured twist."""
+        self._odometry.append((t, twist.v, twist.omega))
+        if self._estimator is not None:
+            self._estimator.odometry(t, twist.v, twist.omega)
+
+    def bearings(self, t: float, seen: dict[str, float]) -> None:
+        """Log id to bearing [rad]; a stamp at which nothing was seen leaves no trace."""
+        self._sightings.extend((t, landmark, value) for landmark, value in seen.items())
+        if self._estimator is not None and seen:
+            self.estimates.append(self._estimator.bearings(t, seen))
+
+    def truth(self, t: float, pose: Pose) -> None:
+        """Log the true pose in the home frame."""
+        heading = float(wrap(pose.heading))
+        self._truth.append((t, quantise(pose.x, 4), quantise(pose.y, 4), quantise(heading, 4)))
+
+    def fill(self, drive: Drive) -> Drive:
+        """Return the drive with everything that was logged."""
+        landmarks = np.empty(len(self._sightings), object)
+        landmarks[:] = [landmark for _, landmark, _ in self._sightings]
+        stamps = np.array([t for t, _, _ in self._sightings], float)
+        values = np.array([value for _, _, value in self._sightings], float)
+        return replace(
+            drive,
+            odometry=Odometry(*np.array(self._odometry, float).T),
+            sightings=Sightings(stamps, landmarks, values, np.full(stamps.size, np.nan)),
+            truth=Truth(*np.array(self._truth, float).T),
+        )

@@ -1,0 +1,169 @@
+"""Ways to drive: from the time and the pose believed to a command, until the drive is done."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol, assert_never
+
+import numpy as np
+
+from homeward.control import Twist, arrived, homing
+from homeward.frames import Pose, bearing, between, to_polar
+from homeward.simulation.scenario import Circle, Homing, Scenario, Waypoints
+
+SEARCH_RADIUS = 0.5
+"""Without a pose the robot drives an arc of this radius [m], for the parallax."""
+LOOKAHEAD = 0.4
+"""The point on the line that the robot steers at is so far ahead [m]."""
+TURN_ACCELERATION = 1.0
+"""Between way points the turn rate changes at most so fast [rad/s^2]."""
+LINE_STEP = 0.01
+"""The line through the way points is taken as points this far apart [m]."""
+
+
+class Control(Protocol):
+    """Steers one drive."""
+
+    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+        """Return the command, or None when the drive is done.
+
+        Parameters
+        ----------
+        t : float
+            Now [s], later than at the call before.
+        pose : Pose or None
+            Where the robot believes it is in the home frame; None when it does not know.
+        """
+
+
+def make_control(scenario: Scenario, start: Pose) -> Control:
+    """Return what steers the drive of a scenario that begins at `start` in the home frame."""
+    match scenario.trajectory:
+        case Homing() as trajectory:
+            return HomingControl(trajectory)
+        case Circle() as trajectory:
+            return CircleControl(trajectory)
+        case Waypoints() as trajectory:
+            return WaypointControl(trajectory, _line(trajectory, scenario.home.pose, start))
+        case other:
+            assert_never(other)
+
+
+class HomingControl:
+    """The paper's homing law, until the robot believes itself at home."""
+
+    def __init__(self, trajectory: Homing) -> None:
+        self._trajectory = trajectory
+
+    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+        """Return the command; see `Control`."""
+        if pose is None:
+            return _search_arc(self._trajectory.speed)
+        polar = to_polar(pose)
+        if arrived(polar, self._trajectory.stop_radius):
+            return None
+        return Twist(*map(float, homing(polar, self._trajectory.speed)))
+
+
+class CircleControl:
+    """Constant speed and turn rate."""
+
+    def __init__(self, trajectory: Circle) -> None:
+        self._twist = Twist(trajectory.speed, trajectory.omega)
+
+    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+        """Return the command; see `Control`."""
+        return self._twist
+
+
+class WaypointControl:
+    """Pure pursuit of a line: the arc through a point on it that runs ahead of the robot.
+
+    References
+    ----------
+    Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm", CMU-RI-TR-92-01.
+    """
+
+    def __init__(self, trajectory: Waypoints, line: np.ndarray) -> None:
+        self._trajectory, self._line, self._aim = trajectory, line, 0
+        self._last_t, self._last_omega = 0.0, 0.0
+
+    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+        """Return the command; see `Control`."""
+        if pose is None:
+            wanted = _search_arc(self._trajectory.speed).omega
+        else:
+            distance = self._aim_ahead_of(pose)
+            error = float(bearing(pose, *self._line[self._aim]))
+            if self._is_done(error, distance):
+                return None
+            wanted = self._turn_rate(error, distance)
+        change = TURN_ACCELERATION * (t - self._last_t)
+        omega = max(self._last_omega - change, min(self._last_omega + change, wanted))
+        self._last_t, self._last_omega = t, omega
+        return Twist(self._trajectory.speed, omega)
+
+    def _is_done(self, error: float, distance: float) -> bool:
+        """Say whether the last point is reached, or passed by."""
+        if self._aim < len(self._line) - 1:
+            return False
+        passed = distance < LOOKAHEAD and abs(error) > math.pi / 2
+        return passed or distance < self._trajectory.stop_radius
+
+    def _aim_ahead_of(self, pose: Pose) -> float:
+        """Let the aim run along the line until it is far enough ahead; return its distance."""
+        while True:
+            x, y = self._line[self._aim]
+            distance = math.hypot(x - pose.x, y - pose.y)
+            if distance >= LOOKAHEAD or self._aim == len(self._line) - 1:
+                return distance
+            self._aim += 1
+
+    def _turn_rate(self, error: float, distance: float) -> float:
+        """Return the turn rate of the arc to a point at bearing `error`; behind, turn hard."""
+        most = self._trajectory.max_turn_rate
+        if abs(error) > math.pi / 2:
+            return math.copysign(most, error)
+        return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
+
+
+def _search_arc(speed: float) -> Twist:
+    return Twist(speed, speed / SEARCH_RADIUS)
+
+
+def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
+    """Return the line from `start` through the way points, shape (n, 2), in the home frame [m]."""
+    corners = [(start.x, start.y)]
+    for x, y in trajectory.points:
+        local = between(home, Pose(x, y, 0.0))
+        corners.append((local.x, local.y))
+    if trajectory.end_at_home:
+        corners.append((0.0, 0.0))
+    knots = np.array(corners, float)
+    lengths = np.hypot(*np.diff(knots, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
+    return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)
+
+
+def advance(pose: Pose, twist: Twist, dt: float) -> Pose:
+    """Return where a unicycle gets to in `dt` [s]: exactly, on an arc.
+
+    Parameters
+    ----------
+    pose : Pose
+        Where it begins; heading [rad] is not wrapped here.
+    twist : Twist
+        Constant v [m/s] and omega [rad/s].
+    dt : float
+        [s]
+    """
+    half = 0.5 * twist.omega * dt
+    # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
+    shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
+    chord = twist.v * dt * shrink
+    return Pose(
+        pose.x + chord * math.cos(pose.heading + half),
+        pose.y + chord * math.sin(pose.heading + half),
+        pose.heading + 2.0 * half,
+    )

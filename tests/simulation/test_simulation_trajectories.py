@@ -1,0 +1,118 @@
+"""Ways to drive, and the exact arc."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.control import Twist
+from homeward.frames import Pose
+from homeward.simulation.files import load_scenario
+from homeward.simulation.presets import WAREHOUSE
+from homeward.simulation.scenario import Room
+from homeward.simulation.simulate import Ending, simulate
+from homeward.simulation.trajectories import (
+    LOOKAHEAD,
+    SEARCH_RADIUS,
+    TURN_ACCELERATION,
+    advance,
+    make_control,
+)
+
+
+@pytest.mark.parametrize("omega", [0.0, 1e-9, -1e-7, 1e-3, 0.7, -2.5])
+def test_the_arc_is_what_fine_euler_steps_come_to(omega):
+    begin, v, dt, n = Pose(0.3, -0.7, 2.0), 0.4, 1.7, 200_000
+    heading = begin.heading + omega * dt * (np.arange(n) + 0.5) / n  # midpoints: second order
+    x = begin.x + v * dt / n * np.cos(heading).sum()
+    y = begin.y + v * dt / n * np.sin(heading).sum()
+    end = advance(begin, Twist(v, omega), dt)
+    assert end == pytest.approx((x, y, begin.heading + omega * dt), abs=1e-10)
+
+
+def test_two_half_arcs_are_a_whole_one():
+    begin, twist = Pose(1.0, 2.0, 0.4), Twist(0.5, 0.8)
+    halfway = advance(begin, twist, 0.6)
+    assert advance(halfway, twist, 0.6) == pytest.approx(advance(begin, twist, 1.2), abs=1e-14)
+
+
+def test_a_circle_closes():
+    changes = {"trajectory.omega": 0.5, "trajectory.duration": 12.57, "rates.odometry": 100}
+    simulation = simulate(load_scenario("circle", changes))
+    truth = simulation.drive.truth
+    assert simulation.ending is Ending.TIME_UP
+    # 12.57 s is 4 pi / 1000 beyond one turn: 3.6 ms at 0.125 m/s.
+    assert math.hypot(truth.x[-1] - truth.x[0], truth.y[-1] - truth.y[0]) < 1e-3
+    np.testing.assert_allclose(np.ptp(truth.x), 0.5, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_homing_on_the_truth_arrives(seed):
+    simulation = simulate(load_scenario("paper-homing", {"seed": seed}))
+    assert simulation.ending is Ending.DONE
+    assert 0.05 - 0.125 * 0.05 <= simulation.final_distance < 0.05
+
+
+def test_homing_arrives_from_all_round():
+    for theta in np.linspace(-3, 3, 5).tolist():
+        for alpha in np.linspace(-3, 3, 5).tolist():
+            changes = {"start.theta": theta, "start.alpha": alpha, "rates.bearings": 1}
+            simulation = simulate(load_scenario("paper-homing", changes))
+            assert simulation.ending is Ending.DONE
+            assert simulation.final_distance < 0.05
+
+
+def test_way_points_are_passed_in_order_and_corners_are_cut_a_little():
+    simulation = simulate(WAREHOUSE)
+    x, y = simulation.world.home.x, simulation.world.home.y
+    c, s = math.cos(simulation.world.home.heading), math.sin(simulation.world.home.heading)
+    truth = simulation.drive.truth
+    path = np.stack([x + c * truth.x - s * truth.y, y + s * truth.x + c * truth.y], axis=-1)
+    for point in WAREHOUSE.trajectory.points:
+        # The chord of a right-angled corner cut at LOOKAHEAD passes it at LOOKAHEAD / sqrt(2).
+        near = np.hypot(*(path - point).T) < LOOKAHEAD / math.sqrt(2)
+        assert near.any()
+        path = path[near.argmax() :]
+    assert simulation.ending is Ending.DONE
+    assert simulation.final_distance < 0.05
+
+
+def test_way_points_keep_speed_and_turn_smoothly():
+    odometry = {"odometry.speed_sigma": 0, "odometry.turn_sigma": 0, "odometry.turn_bias": 0}
+    scales = {"odometry.speed_scale": 0, "odometry.turn_scale": 0}
+    driven = simulate(load_scenario("warehouse", odometry | scales)).drive.odometry
+    assert (driven.v[:-1] == 0.21).all()
+    assert driven.v[-1] == driven.omega[-1] == 0.0
+    assert np.abs(driven.omega).max() <= 1.0
+    # The last command is to stop; the one before need not be slow.
+    assert np.abs(np.diff(driven.omega[:-1])).max() <= 0.05 * TURN_ACCELERATION + 1.01e-4
+
+
+def test_the_warehouse_robot_keeps_off_the_shelves():
+    simulation, room = simulate(WAREHOUSE), WAREHOUSE.room
+    home, truth = simulation.world.home, simulation.drive.truth
+    c, s = math.cos(home.heading), math.sin(home.heading)
+    fat = [(x0 - 0.4, y0 - 0.4, x1 + 0.4, y1 + 0.4) for x0, y0, x1, y1 in room.shelves]
+    roomy = Room(bounds=(0.4, 0.4, 9.6, 5.6), shelves=fat)
+    for x, y in zip(truth.x, truth.y, strict=True):
+        assert roomy.free(home.x + c * x - s * y, home.y + s * x + c * y)
+
+
+def test_without_a_pose_the_robot_drives_an_arc():
+    control = make_control(load_scenario("paper-homing"), Pose(1.0, 0.0, 0.0))
+    twist = control.twist(0.0, None)
+    assert twist.v == 0.125
+    assert twist.v / twist.omega == pytest.approx(SEARCH_RADIUS)
+    control = make_control(WAREHOUSE, Pose(1.0, 0.0, 0.0))
+    twist = [control.twist(t, None) for t in (0.0, 0.1, 2.0)][-1]
+    assert twist.v / twist.omega == pytest.approx(SEARCH_RADIUS)
+
+
+def test_a_point_behind_is_turned_to_as_hard_as_allowed():
+    changes = {"trajectory.points": [[5.0, 3.0]], "trajectory.end_at_home": False}
+    scenario = load_scenario("warehouse", changes | {"trajectory.max_turn_rate": 0.7})
+    start = scenario.start.in_home_frame(scenario.home.pose)
+    away = Pose(start.x, start.y, start.heading + math.pi)
+    control = make_control(scenario, start)
+    assert abs(control.twist(0.1, away).omega) == pytest.approx(0.1 * TURN_ACCELERATION)
+    assert abs(control.twist(5.0, away).omega) == 0.7
