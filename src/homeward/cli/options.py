@@ -1,0 +1,81 @@
+"""What the commands share: values from text, and a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import yaml
+
+from homeward.errors import InputError
+
+
+def key_values(changes: list[str]) -> dict[str, Any]:
+    """Return {key: value} of ``--set KEY=VALUE`` options; values are YAML.
+
+    Raises
+    ------
+    InputError
+        When one has another form.
+    """
+    chosen: dict[str, Any] = {}
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not key or not equals:
+            raise InputError(f"--set {change}: must be KEY=VALUE")
+        try:
+            chosen[key] = yaml.safe_load(text)
+        except yaml.YAMLError:
+            raise InputError(f"--set {change}: the value is not YAML") from None
+    return chosen
+
+
+def nested(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
+
+    Raises
+    ------
+    InputError
+        When a key is used both as a value and as the head of others.
+    """
+    tree: dict[str, Any] = {}
+    for key, value in values.items():
+        *heads, last = key.split(".")
+        branch = tree
+        for head in heads:
+            branch = branch.setdefault(head, {})
+            if not isinstance(branch, dict):
+                raise InputError(f"--set {key}: {head} is a value already")
+        branch[last] = value
+    return tree
+
+
+def three_numbers(text: str, what: str) -> tuple[float, float, float]:
+    """Return three finite numbers written with commas between them.
+
+    Raises
+    ------
+    InputError
+        When `text` is something else; `what` says what it should be.
+    """
+    try:
+        a, b, c = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"{what} must be three numbers with commas, not {text!r}") from None
+    return a, b, c
+
+
+@contextmanager
+def progress(words: str) -> Iterator[Callable[[float], None]]:
+    """Show a bar on a terminal's standard error while the block runs; yield its teller."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(words, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)

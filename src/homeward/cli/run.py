@@ -1,0 +1,96 @@
+"""`homeward run`: a drive in, a pose with its uncertainty out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from homeward.cli.options import key_values, nested, progress, three_numbers
+from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.studies.single_run import RunSettings
+
+
+def run(
+    drive: Annotated[
+        str,
+        typer.Argument(
+            help="A drive folder, an MRCLAM folder, the run.yaml of an earlier run, or: sample."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out"),
+    estimator: Annotated[str | None, typer.Option(help="ekf (default), a-ekf, pi-ekf.")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth; default: drive.yaml's."
+        ),
+    ] = None,
+    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
+    home: Annotated[
+        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
+    ] = None,
+    home_noise_deg: Annotated[
+        float | None, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="KEY=VALUE, a setting of the estimator; repeatable."),
+    ] = None,
+) -> None:
+    """Localise a robot along a drive, and write what came out.
+
+    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, report.html and
+    run.yaml, from which the run repeats.
+    """
+    options = {
+        "estimator": estimator,
+        "start": _start(start),
+        "robot": robot,
+        "home": None if home is None else three_numbers(home, "--home"),
+        "home_noise_deg": home_noise_deg,
+        "seed": seed,
+        "settings": nested(key_values(changes)) if changes else None,
+    }
+    given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    _run(_settings(drive, given), out)
+
+
+def _start(text: str | None) -> str | tuple[float, float, float] | None:
+    return text if text in (None, "truth") else three_numbers(text, "--start")
+
+
+def _settings(drive: str, given: dict[str, Any]) -> RunSettings:
+    """Return the settings of a new run, or those of an earlier one."""
+    from homeward.drives.settings import validated
+    from homeward.studies.single_run import SAMPLE, RunSettings, load_run
+
+    file = Path(drive)
+    if file.suffix in (".yaml", ".yml") and file.is_file():
+        if given:
+            option = "--" + ("set" if "settings" in given else min(given).replace("_", "-"))
+            raise InputError(f"{option} cannot be changed: the run repeats as it was", file)
+        return load_run(file)
+    if drive != SAMPLE or file.exists():
+        drive = str(file.resolve())
+    return validated(RunSettings, {"drive": drive, **given})
+
+
+def _run(settings: RunSettings, out: Path) -> None:
+    from homeward.report.output import check_output
+    from homeward.report.run_folder import SETTINGS_FILE, write_run
+    from homeward.studies.single_run import prepare
+    from homeward.track import run as follow
+
+    check_output(out, SETTINGS_FILE)
+    drive, estimator, complete = prepare(settings)
+    with progress(f"{drive.name}, {estimator.name}") as tell:
+        track = follow(drive, estimator, tell)
+    typer.echo(write_run(out, drive, track, complete.model_dump(mode="json")))
+    for note in estimator.notes:
+        typer.echo(note)
+    typer.echo(f"Report: {out / 'report.html'}")

@@ -1,0 +1,84 @@
+"""`homeward simulate`: make a drive folder."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from homeward.cli.options import key_values, progress
+
+if TYPE_CHECKING:
+    from homeward.estimator import Estimator
+    from homeward.simulation.scenario import Scenario
+    from homeward.simulation.simulate import Simulation
+
+
+class Kind(StrEnum):
+    """Trajectories."""
+
+    HOMING = "homing"
+    CIRCLE = "circle"
+    WAYPOINTS = "waypoints"
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="A preset (warehouse, paper-homing, circle) or a YAML file.")
+    ],
+    out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+    seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
+    trajectory: Annotated[
+        Kind | None, typer.Option(help="Another trajectory than the scenario's.")
+    ] = None,
+    estimator: Annotated[
+        str | None, typer.Option(help="Whose pose steers: truth, ekf, a-ekf, pi-ekf.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="KEY=VALUE, as in noise.bearing_sigma=0.01; repeatable."),
+    ] = None,
+) -> None:
+    """Simulate a drive and write it as a drive folder.
+
+    Beside the drive it writes scenario.yaml, which repeats the drive to the last bit, and
+    world.csv, the truth about the landmarks.
+    """
+    from homeward.simulation.files import load_scenario, write_simulation
+    from homeward.simulation.simulate import simulate as run_simulation
+
+    options = {
+        "seed": seed,
+        "trajectory.kind": trajectory and trajectory.value,
+        "estimator": estimator,
+    }
+    given = {key: value for key, value in options.items() if value is not None}
+    chosen = load_scenario(scenario, given | key_values(changes or []))
+    with progress(f"simulating {chosen.name}") as tell:
+        simulation = run_simulation(chosen, _estimator(chosen), tell)
+    write_simulation(simulation, out)
+    typer.echo(_summary(simulation, out))
+
+
+def _estimator(scenario: Scenario) -> Estimator | None:
+    """Return the estimator that steers, or None when the truth does."""
+    if scenario.estimator == "truth":
+        return None
+    from homeward.registry import make_estimator
+    from homeward.simulation.simulate import prepare
+
+    return make_estimator(scenario.estimator, prepare(scenario))
+
+
+def _summary(simulation: Simulation, out: Path) -> str:
+    """Say in one line what was made."""
+    drive, world = simulation.drive, simulation.world
+    sightings, stamps = drive.sightings.t.size, len(set(drive.sightings.t.tolist()))
+    return (
+        f"{simulation.scenario.name}: {drive.span[1]:.1f} s, {drive.odometry.t.size} twists,"
+        f" {sightings} sightings of {len(world.ids)} landmarks at {stamps} stamps,"
+        f" {len(world.moved)} moved; ended ({simulation.ending.value})"
+        f" {simulation.final_distance:.3f} m from home; written to {out}"
+    )

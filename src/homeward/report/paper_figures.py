@@ -1,0 +1,233 @@
+"""The paper's figures, redrawn from a reproduction of its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc
+
+from homeward.angles import wrap
+from homeward.report.canvas import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    VERMILLION,
+    new_figure,
+    style,
+)
+from homeward.report.map_figure import HOUSE
+from homeward.studies.paper.cases import FILTERS, Reproduction
+from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS
+from homeward.studies.paper.world import CaseName, World
+
+COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE), strict=True))
+QUANTITIES = ("R [cm]", "theta [rad]", "alpha [rad]")
+
+
+def draw_geometry(_: Reproduction) -> Figure:
+    """Draw home, robot and one landmark, with the angles and distances of the model."""
+    robot, mark, heading = np.array([2.2, 1.0]), np.array([1.3, 3.0]), 0.35
+    with style():
+        figure = new_figure(4.6)
+        axes = figure.add_subplot(aspect="equal")
+        axes.set_axis_off()
+        for tip in ((3.6, 0.0), (0.0, 3.4)):
+            axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": MUTED})
+        ahead = 2.2 + 1.3 * np.cos(heading), 1.0 + 1.3 * np.sin(heading)
+        axes.annotate("", ahead, (2.2, 1.0), arrowprops={"arrowstyle": "-|>", "color": INK})
+        axes.plot(*zip(robot, (3.3, 1.0), strict=True), color=MUTED, lw=0.7, ls=":")
+        for a, b, label, colour in (
+            ((0, 0), robot, "$R$", BLUE),
+            ((0, 0), mark, "$D^*_i$", GREEN),
+            (robot, mark, "$d_i$", VERMILLION),
+        ):
+            axes.plot(*zip(a, b, strict=True), color=colour, lw=1.4)
+            middle = (np.array(a) + b) / 2
+            at = float(middle[0]), float(middle[1])
+            axes.annotate(label, at, xytext=(5, 5), textcoords="offset points", color=colour)
+        to_mark = float(np.arctan2(*(mark - robot)[::-1]))
+        theta = float(np.arctan2(robot[1], robot[0]))
+        _arc(axes, (0, 0), 1.0, 0.0, theta, r"$\theta$", BLUE)
+        _arc(axes, (0, 0), 0.6, 0.0, float(np.arctan2(mark[1], mark[0])), r"$\beta^*_i$", GREEN)
+        _arc(axes, robot, 0.8, 0.0, heading, r"$\alpha$", INK)
+        _arc(axes, robot, 0.55, heading, to_mark, r"$\beta_i$", VERMILLION)
+        axes.plot(0, 0, marker=HOUSE, ms=13, color=INK, mec="white")
+        axes.plot(*robot, "o", ms=9, color=BLUE)
+        axes.plot(*mark, "*", ms=14, color=GREEN)
+        for words, x, y in (("home O", 0, 0), ("robot P", *robot), ("landmark i", *mark)):
+            axes.annotate(words, (x, y), xytext=(-6, -16), textcoords="offset points", ha="center")
+        axes.set(xlim=(-0.6, 3.9), ylim=(-0.5, 3.5))
+    return figure
+
+
+def _arc(
+    axes: Axes,
+    centre: tuple[float, float] | np.ndarray,
+    radius: float,
+    start: float,
+    end: float,
+    label: str,
+    colour: str,
+) -> None:
+    """Draw an angle [rad] with its letter."""
+    x, y = float(centre[0]), float(centre[1])
+    arc = Arc((x, y), 2 * radius, 2 * radius, theta1=np.degrees(start), theta2=np.degrees(end))
+    arc.set_color(colour)
+    axes.add_patch(arc)
+    middle, reach = (start + end) / 2, radius + 0.14
+    where = x + reach * np.cos(middle), y + reach * np.sin(middle)
+    axes.text(*where, label, color=colour, ha="center", va="center")
+
+
+def draw_errors(result: Reproduction, case: CaseName) -> Figure:
+    """Draw the estimation errors of all filters over time in the first run of a case."""
+    with style():
+        figure = new_figure(5.4)
+        panels = figure.subplots(3, 1, sharex=True)
+        for name, run in result.shown[case].items():
+            for k, axes in enumerate(panels):
+                error = run.errors[:, k] * TO_PAPER_UNITS[k]
+                axes.plot(run.t, error, color=COLOURS[name], label=name)
+        for axes, quantity in zip(panels, QUANTITIES, strict=True):
+            axes.axhline(0, color=MUTED, lw=0.6)
+            axes.set_ylabel(f"error of {quantity}")
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the way home in the plane as one filter saw it, and as it was."""
+    run, world = result.shown[case][name], result.worlds[case]
+    with style():
+        figure = new_figure(5.6)
+        axes = figure.add_subplot(aspect="equal")
+        _draw_landmarks(axes, world)
+        axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="truth")
+        R, theta = run.state[:, 0], run.state[:, 1]
+        axes.plot(R * np.cos(theta), R * np.sin(theta), color=COLOURS[name], label=name)
+        axes.plot(*run.pose[0, :2], "o", mfc="white", mec=INK, label="start")
+        axes.plot(0, 0, marker=HOUSE, ms=11, color=INK, mec="white", ls="none", label="home")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def _draw_landmarks(axes: Axes, world: World) -> None:
+    """Draw where landmarks stand, and in which direction home stored the wrong ones."""
+    wrong = world.faults != 0
+    axes.plot(*world.landmarks[~wrong].T, "*", ms=9, color=GREEN, ls="none", label="landmark")
+    if wrong.any():
+        axes.plot(*world.landmarks[wrong].T, "*", ms=9, color=VERMILLION, ls="none", label="moved")
+    far = np.hypot(*world.landmarks.T)
+    for i in np.flatnonzero(wrong):
+        old = far[i] * np.array([np.cos(world.stored[i]), np.sin(world.stored[i])])
+        axes.plot(*zip((0, 0), old, strict=True), color=VERMILLION, lw=0.8, ls="--")
+
+
+def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the estimated home bearings that were wrong over time, with 3 sigma."""
+    run, world = result.shown[case][name], result.worlds[case]
+    n = run.state.shape[1] - len(run.estimated)
+    wrong = [k for k, i in enumerate(run.estimated) if world.faults[i]]
+    with style():
+        figure = new_figure(1.4 + 1.5 * len(wrong))
+        panels = figure.subplots(len(wrong), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, k in zip(panels, wrong, strict=True):
+            i = run.estimated[k]
+            truth = world.true_home_bearings[i]
+            error = wrap(run.state[:, n + k] - truth)
+            band = 3 * np.sqrt(np.maximum(run.variance[:, n + k], 0))
+            axes.fill_between(run.t, error - band, error + band, color=COLOURS[name], alpha=0.12)
+            axes.plot(run.t, error, color=COLOURS[name], label=f"{name}, with 3 sigma")
+            axes.axhline(0.0, color=INK, lw=0.8, label="truth")
+            axes.axhline(world.faults[i], color=MUTED, ls="--", label="as home stored it")
+            reach = 1.6 * abs(world.faults[i])
+            axes.set(ylim=(-reach, reach), ylabel=rf"error of $\beta^*_{i + 1}$ [rad]")
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the pose over time as one filter saw it, and as it was."""
+    run = result.shown[case][name]
+    truth = run.state[:, :3] - run.errors
+    truth[:, 1:] = np.unwrap(truth[:, 1:], axis=0)
+    with style():
+        figure = new_figure(5.4)
+        panels = figure.subplots(3, 1, sharex=True)
+        for k, axes in enumerate(panels):
+            axes.plot(run.t, truth[:, k] * TO_PAPER_UNITS[k], color=INK, lw=1.0, label="truth")
+            estimate = run.state[:, k] * TO_PAPER_UNITS[k]
+            axes.plot(run.t, estimate, color=COLOURS[name], label=name)
+            axes.set_ylabel(QUANTITIES[k])
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def draw_distribution(result: Reproduction, case: CaseName) -> Figure:
+    """Draw the RMSE of every run, with the printed figures as crosses."""
+    with style():
+        figure = new_figure(3.0)
+        for k, axes in enumerate(figure.subplots(1, 3)):
+            for row, name in enumerate(reversed(FILTERS)):
+                rmse = result.rmse[case][name][:, k] * TO_PAPER_UNITS[k]
+                rmse = rmse[np.isfinite(rmse)]
+                spread = row + 0.16 * np.sin(np.arange(rmse.size) * 2.4)
+                axes.plot(rmse, spread, "o", ms=2.2, mew=0, alpha=0.5, color=COLOURS[name])
+                axes.plot([np.median(rmse)] * 2, [row - 0.3, row + 0.3], color=COLOURS[name], lw=2)
+                printed = PRINTED.get(case, {}).get(name.split(" ")[0])
+                if printed is not None:
+                    axes.plot(printed[k], row, "x", ms=7, mew=1.6, color=GREEN)
+            axes.set(xscale="log", xlabel=f"RMSE of {QUANTITIES[k]}")
+            axes.set_yticks(range(len(FILTERS)), tuple(reversed(FILTERS)) if k == 0 else [""] * 4)
+    return figure
+
+
+FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {
+    "geometry": ("Geometry of the problem: home, robot, one landmark", draw_geometry),
+    "errors_case_1": (
+        "Case 1, homing with exact landmark information: estimation errors",
+        lambda r: draw_errors(r, "1"),
+    ),
+    "errors_case_2": (
+        "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
+        lambda r: draw_errors(r, "2"),
+    ),
+    "pose_pi_ekf_case_2": (
+        "Case 2: the pose against time, as the PI-EKF sees it",
+        lambda r: draw_pose(r, "2", "PI-EKF"),
+    ),
+    "rmse_case_2": (
+        "Case 2: RMSE of every run; bars: medians, crosses: as printed",
+        lambda r: draw_distribution(r, "2"),
+    ),
+    "path_case_3": (
+        "Case 3: the way home of the A-EKF with one wrong home bearing",
+        lambda r: draw_path(r, "3 (one fault)", "A-EKF (one)"),
+    ),
+    "parameter_case_3": (
+        "Case 3: the wrong home bearing as the A-EKF estimates it",
+        lambda r: draw_parameter(r, "3 (one fault)", "A-EKF (one)"),
+    ),
+    "parameters_case_3": (
+        "Case 3, several wrong home bearings, all of them parameters",
+        lambda r: draw_parameter(r, "3 (several)", "A-EKF (all)"),
+    ),
+    "errors_case_4": (
+        "Case 4, open loop on a circle: estimation errors",
+        lambda r: draw_errors(r, "4"),
+    ),
+    "rmse_case_4": (
+        "Case 4: RMSE of every run; bars: medians, crosses: as printed",
+        lambda r: draw_distribution(r, "4"),
+    ),
+}
+"""File name to caption and figure, in the order of the page."""

@@ -1,0 +1,1 @@
+"""Runs and studies: what is computed, never how it is shown."""

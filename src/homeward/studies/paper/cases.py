@@ -1,0 +1,191 @@
+"""The paper's filters run through its cases, and the errors that its tables print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.control import Twist, homing
+from homeward.engine.interpreter import Interpreter
+from homeward.filters.augmented import augmented_ekf
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.frames import Polar
+from homeward.model import POLAR, PolarModel
+from homeward.simulation.closed_loop import Law, closed_loop_function
+from homeward.studies.paper.settings import PaperSettings
+from homeward.studies.paper.world import CASES, CaseName, World, draw_world
+
+FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF")
+"""A-EKF with the first wrong home bearing as its one parameter (beta*_1 if none is wrong), and
+with all of them."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One filter in one world, k samples long; sample 0 is the start."""
+
+    t: np.ndarray
+    """(k,) [s]"""
+    pose: np.ndarray
+    """(k, 3), the true x [m], y [m], heading [rad]."""
+    state: np.ndarray
+    """(k, n), the estimate: R [m], theta, alpha, bearings, parameters [rad]."""
+    variance: np.ndarray
+    """(k, n), diagonal of P."""
+    estimated: tuple[int, ...]
+    """Landmarks whose home bearings are the parameters."""
+    arrived: bool
+    """Whether the estimated R came below the stop radius."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3)."""
+        x, y, heading = self.pose.T
+        return np.column_stack(
+            [
+                self.state[:, 0] - np.hypot(x, y),
+                wrap(self.state[:, 1] - np.arctan2(y, x)),
+                wrap(self.state[:, 2] - heading),
+            ]
+        )
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """RMSE of R [m], theta, alpha [rad]: (3,); infinite when the filter diverged."""
+        mean = np.mean(np.square(self.errors), axis=0)
+        return np.where(np.isfinite(mean), np.sqrt(mean), np.inf)
+
+    @property
+    def final_distance(self) -> float:
+        """True distance from home at the end [m]."""
+        return float(np.hypot(self.pose[-1, 0], self.pose[-1, 1]))
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All cases, all filters, all runs."""
+
+    settings: PaperSettings
+    rmse: dict[CaseName, dict[str, np.ndarray]]
+    """(runs, 3) by case and filter: R [m], theta, alpha [rad]."""
+    final_distance: dict[CaseName, dict[str, np.ndarray]]
+    """(runs,) by case and filter [m]."""
+    shown: dict[CaseName, dict[str, Run]]
+    """The first run of each, for figures."""
+    worlds: dict[CaseName, World]
+    """Its world."""
+
+
+def reproduce(
+    settings: PaperSettings, progress: Callable[[float], None] | None = None
+) -> Reproduction:
+    """Run the paper's Cases 1 to 4 with its filters over random layouts.
+
+    Parameters
+    ----------
+    settings : PaperSettings
+        Printed parameters, assumptions, runs, seed.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+    """
+    rmse: dict[CaseName, dict[str, np.ndarray]] = {}
+    distance: dict[CaseName, dict[str, np.ndarray]] = {}
+    shown: dict[CaseName, dict[str, Run]] = {}
+    worlds: dict[CaseName, World] = {}
+    for c, case in enumerate(CASES):
+        rmse[case] = {name: np.zeros((settings.runs, 3)) for name in FILTERS}
+        distance[case] = {name: np.zeros(settings.runs) for name in FILTERS}
+        shown[case] = {}
+        for k in range(settings.runs):
+            world = draw_world(case, settings, k)
+            for name in FILTERS:
+                run = run_filter(name, case, world, settings)
+                rmse[case][name][k] = run.rmse
+                distance[case][name][k] = run.final_distance
+                if k == 0:
+                    shown[case][name], worlds[case] = run, world
+            if progress is not None:
+                progress((c + (k + 1) / settings.runs) / len(CASES))
+    return Reproduction(settings, rmse, distance, shown, worlds)
+
+
+def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings) -> Run:
+    """Run one of `FILTERS` through a world, closing the loop in Cases 1 to 3."""
+    kind = _kind(name, world, settings)
+    law = _circle_law(settings.assumed.circle_turn_rate) if case == "4" else homing
+    loop = Interpreter(closed_loop_function(kind, law))
+    _fill(loop.inputs, kind, world, settings)
+    steps = len(world.visible)
+    pose, state, variance = np.zeros((steps, 3)), np.zeros((steps, kind.model.n)), []
+    arrived, given = False, loop.inputs
+    for k in range(steps):
+        pose[k], state[k] = given["pose"], given["state"]
+        variance.append(np.diag(given["covariance"]).copy())
+        arrived = case != "4" and abs(state[k, 0]) < settings.assumed.stop_radius
+        if arrived or not np.all(np.isfinite(state[k])):
+            break
+        given["mask"][:] = world.visible[k]
+        given["noise"][:], given["disturbance"][:] = world.noise[k], world.disturbance[k]
+        loop()
+        for field in ("pose", "state", "covariance", "active", "integral"):
+            given[field][...] = loop.outputs[field]
+    n = len(variance)
+    t = np.arange(n) * settings.printed.sample_time
+    return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
+
+
+def _kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:
+    q, assumed = settings.printed.landmarks, settings.assumed
+    if name.startswith("A-EKF"):
+        wrong = np.flatnonzero(world.faults)
+        one = (int(wrong[0]) if wrong.size else 0,)
+        estimated = one if name == "A-EKF (one)" else None
+        return augmented_ekf(q, estimated, assumed.integration, assumed.guard)
+    model = PolarModel(q, guard=assumed.guard)
+    kind = ProportionalIntegralFilter if name == "PI-EKF" else ExtendedKalmanFilter
+    return kind(model, assumed.integration)
+
+
+def _fill(
+    given: dict[str, np.ndarray], kind: ExtendedKalmanFilter, world: World, settings: PaperSettings
+) -> None:
+    """Put everything that does not change from sample to sample into the loop's inputs."""
+    printed, assumed, model = settings.printed, settings.assumed, kind.model
+    unit = np.ones(model.n)
+    unit[0] = 0.01  # the paper counts R in cm
+    parameters = slice(POLAR + model.q, model.n)
+
+    given["pose"][:] = world.start
+    given["landmarks"][...] = world.landmarks
+    given["speed"][:], given["dt"][:] = printed.speed_cm / 100, printed.sample_time
+    given["stored"][:] = world.stored
+    given["state"][:POLAR] = world.guess
+    given["state"][parameters] = world.stored[list(model.estimated)]
+    given["covariance"][...] = np.diag(printed.P0 * unit**2)
+    given["state_variance"][parameters] = printed.Qd
+    if assumed.meaning_of_Q == "input":
+        given["input_covariance"][...] = printed.Q * np.diag([0.01**2, 1.0])
+    else:
+        given["state_variance"][: POLAR + model.q] = printed.Q * unit[: POLAR + model.q] ** 2
+    given["variance"][:] = printed.R if assumed.meaning_of_R == "variance" else printed.R**2
+    given["gate"][:], given["minimum_visible"][:] = np.inf, assumed.minimum_visible
+    if kind.integral:
+        given["proportional"][...] = printed.Pi * np.diag(unit)
+        given["integral_gain"][...] = printed.M
+
+
+_LAWS: dict[float, Law] = {}
+
+
+def _circle_law(turn_rate: float) -> Law:
+    """Return the open-loop law of Case 4; the same object for the same turn rate."""
+
+    def law(polar: Polar, speed: ca.SX) -> Twist:
+        return Twist(speed, ca.SX(turn_rate))
+
+    return _LAWS.setdefault(turn_rate, law)

@@ -1,0 +1,105 @@
+"""One random world of the paper's cases: where landmarks stand, what is wrong, what is noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Polar, Pose, from_polar
+from homeward.studies.paper.settings import PaperSettings
+
+CaseName = Literal["1", "2", "3 (one fault)", "3 (several)", "4"]
+CASES: tuple[CaseName, ...] = ("1", "2", "3 (one fault)", "3 (several)", "4")
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything random of one run; the same for every filter."""
+
+    landmarks: np.ndarray
+    """(q, 2), in the home frame [m]."""
+    faults: np.ndarray
+    """(q,), stored minus true home bearing [rad]."""
+    start: Pose
+    """Of the robot."""
+    guess: Polar
+    """First estimate of it."""
+    visible: np.ndarray
+    """(k, q), 1 where a landmark is in sight."""
+    noise: np.ndarray
+    """(k, q), of the bearings [rad]."""
+    disturbance: np.ndarray
+    """(k, 2), of the twist [m/s, rad/s]."""
+
+    @property
+    def stored(self) -> np.ndarray:
+        """beta* as home stored them, (q,) [rad]."""
+        return np.asarray(wrap(self.true_home_bearings + self.faults))
+
+    @property
+    def true_home_bearings(self) -> np.ndarray:
+        """Where the landmarks stand, (q,) [rad]."""
+        return np.asarray(np.arctan2(self.landmarks[:, 1], self.landmarks[:, 0]))
+
+
+def duration(case: CaseName, settings: PaperSettings) -> float:
+    """Return the longest time of a case [s]."""
+    return settings.assumed.circle_time if case == "4" else settings.assumed.longest
+
+
+def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
+    """Draw run number `run` of a case; its layout and noise do not depend on the case.
+
+    Parameters
+    ----------
+    case : one of `CASES`
+        Decides faults and visibility.
+    settings : PaperSettings
+        What is drawn from.
+    run : int
+        From 0 on; the first one is drawn in the figures.
+    """
+    printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
+    steps = round(duration(case, settings) / printed.sample_time)
+    layout, wrong, sight, noise, prior = (
+        np.random.default_rng([settings.seed, run, stream]) for stream in range(5)
+    )
+    angles = 2 * np.pi * np.arange(q) / q + layout.uniform(-1, 1, q) * assumed.layout_jitter
+    distances = layout.uniform(*assumed.layout_distance, q)
+    R, theta, alpha = printed.start_cm
+    start = Polar(R / 100, theta, alpha)
+    guess = np.array(start) + prior.normal(size=3) * assumed.initial_error
+    return World(
+        landmarks=np.column_stack([distances * np.cos(angles), distances * np.sin(angles)]),
+        faults=_faults(case, settings, wrong),
+        start=from_polar(start),
+        guess=Polar(*guess.tolist()),
+        visible=_visible(case, settings, sight, steps),
+        noise=noise.normal(size=(steps, q)) * assumed.bearing_sigma,
+        disturbance=noise.normal(size=(steps, 2)) * assumed.disturbance,
+    )
+
+
+def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -> np.ndarray:
+    assumed, q = settings.assumed, settings.printed.landmarks
+    faults = np.zeros(q)
+    if case == "2":
+        which = rng.choice(q, size=min(assumed.faults, q), replace=False)
+        faults[which] = rng.uniform(*assumed.fault, which.size) * rng.choice([-1, 1], which.size)
+    elif case == "3 (one fault)":
+        faults[0] = assumed.single_fault
+    elif case == "3 (several)":
+        given = assumed.several_faults[:q]
+        faults[: len(given)] = given
+    return faults
+
+
+def _visible(
+    case: CaseName, settings: PaperSettings, rng: np.random.Generator, steps: int
+) -> np.ndarray:
+    q = settings.printed.landmarks
+    share = settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
+    return (rng.random((steps, q)) < share).astype(float)

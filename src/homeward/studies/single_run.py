@@ -1,0 +1,142 @@
+"""One run as validated settings: a drive, an estimator, and where it starts."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
+from homeward.drives.opening import open_drive
+from homeward.drives.settings import validated
+from homeward.errors import InputError
+from homeward.estimator import Estimator
+from homeward.frames import Pose, to_polar
+from homeward.registry import ESTIMATORS, make_estimator
+
+SAMPLE = "sample"
+"""The word for the drive that ships inside the package."""
+TRUTH_SIGMA = 0.05
+"""Of a start prior taken from the truth [m and rad]."""
+TRUTH_NOTE = "The start prior was taken from the truth: this run was told where it began."
+TRUTH_NEAR_S = 1.0
+"""The truth must know the start at least this nearly [s]."""
+
+
+class RunSettings(Strict):
+    """Everything that a run depends on; run.yaml holds it, and a run repeats from it."""
+
+    drive: str
+    """A path, or `SAMPLE`."""
+    robot: int | None = None
+    """For an MRCLAM folder: which robot."""
+    home: tuple[Finite, Finite, Finite] | None = None
+    """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
+    home_noise_deg: NonNegative = 0.0
+    """For an MRCLAM folder: standard deviation of the home bearings [deg]."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """For an MRCLAM folder: of that noise."""
+    estimator: str = "ekf"
+    start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
+    """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
+    drive's settings, or where these say nothing, from its truth."""
+    settings: dict[str, Any] = {}
+    """Of the estimator, by name."""
+
+
+def load_run(file: Path) -> RunSettings:
+    """Read the run.yaml of an earlier run.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or is no run.yaml.
+    """
+    try:
+        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file) from None
+    except (yaml.YAMLError, UnicodeError):
+        raise InputError("not YAML", file) from None
+    if not isinstance(tree, dict):
+        raise InputError("not a mapping of keys to values", file)
+    tree.pop("versions", None)
+    return validated(RunSettings, tree, file)
+
+
+def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
+    """Open the drive and make the estimator of a run.
+
+    Returns
+    -------
+    drive : Drive
+        What to feed.
+    estimator : Estimator
+        A fresh one.
+    complete : RunSettings
+        The same run with every setting of the estimator spelt out.
+
+    Raises
+    ------
+    InputError
+        When the drive cannot be read, or the settings do not fit.
+    """
+    if run.estimator not in ESTIMATORS:
+        raise InputError(f"no estimator {run.estimator!r}: there are {', '.join(ESTIMATORS)}")
+    drive = open_drive(
+        sample_drive() if run.drive == SAMPLE else run.drive,
+        robot=run.robot,
+        home=None if run.home is None else Pose(*run.home),
+        home_noise=float(np.radians(run.home_noise_deg)),
+        seed=run.seed,
+    )
+    start = run.start or _default_start(run, drive)
+    values = dict(run.settings)
+    if start is not None:
+        values["start"] = _start_prior(start, drive)
+    model = ESTIMATORS[run.estimator][0]
+    settings = validated(model, values)
+    estimator = make_estimator(run.estimator, drive, settings)
+    if start == "truth":
+        estimator.notes += (TRUTH_NOTE,)
+    update = {"start": start, "settings": settings.model_dump(mode="json")}
+    complete = run.model_copy(update=update)
+    return drive, estimator, complete
+
+
+def sample_drive() -> Path:
+    """Return the folder of the sample drive that ships inside the package."""
+    return Path(str(files("homeward").joinpath("data", SAMPLE)))
+
+
+def _default_start(run: RunSettings, drive: Drive) -> Literal["truth"] | None:
+    """Fall back on the truth where nothing else says where the drive starts."""
+    told = run.settings.get("start") is not None or drive.settings.start is not None
+    return None if told or drive.truth is None else "truth"
+
+
+def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:
+    """Return the start prior that was asked for."""
+    if isinstance(start, tuple):
+        R, theta, alpha = start
+        return validated(Start, {"R": R, "theta": theta, "alpha": alpha})
+    if drive.truth is None:
+        raise InputError(f"{drive.name}: it has no truth to take the start from")
+    first = drive.span[0]
+    late = max(float(drive.truth.t[0]) - first, first - float(drive.truth.t[-1]))
+    if late > TRUTH_NEAR_S:
+        raise InputError(f"{drive.name}: its truth is {late:.1f} s away from the start")
+    x, y, heading = (float(a[0]) for a in drive.truth.at(np.array([first])))
+    polar = to_polar(Pose(x, y, heading))
+    return Start(
+        R=float(polar.R),
+        theta=float(polar.theta),
+        alpha=float(polar.alpha),
+        sigma_R=TRUTH_SIGMA,
+        sigma_theta=TRUTH_SIGMA,
+        sigma_alpha=TRUTH_SIGMA,
+    )

@@ -1,0 +1,178 @@
+"""`homeward run` as a user would call it."""
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.studies.single_run import sample_drive
+
+WRITTEN = {
+    "estimate.csv",
+    "trajectory.tum",
+    "landmarks.csv",
+    "metrics.json",
+    "report.html",
+    "run.yaml",
+}
+
+
+def call(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def refused(result):
+    """A single line on standard error, exit status 2, no traceback."""
+    assert result.exit_code == 2, result.output
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert "Traceback" not in result.output
+    return lines[0]
+
+
+@pytest.fixture
+def short(tmp_path):
+    """The first ten seconds of the sample drive."""
+    folder = tmp_path / "short"
+    shutil.copytree(sample_drive(), folder)
+    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
+        head, *rows = (folder / name).read_text().splitlines()
+        kept = [row for row in rows if float(row.split(",")[0]) <= 10.0]
+        (folder / name).write_text("\n".join([head, *kept]) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["ekf", "a-ekf", "pi-ekf"])
+def test_run_writes_everything_and_all_of_it_is_finite(short, tmp_path, name):
+    out = tmp_path / "out"
+    result = call("run", short, "--estimator", name, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "Position error" in result.stdout
+    assert str(out / "report.html") in result.stdout
+    assert {p.name for p in out.iterdir()} == WRITTEN
+    with (out / "estimate.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) >= 100
+    for row in rows:
+        assert all(math.isfinite(float(v)) for k, v in row.items() if k != "status")
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert 0 < metrics["position_rmse_m"] < 5
+
+
+def test_run_repeats_bit_for_bit_from_its_run_yaml(short, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    options = ["--estimator", "a-ekf", "--start", "1.2,-0.45,-1.0", "--set", "gate=null"]
+    assert call("run", short, *options, "--out", first).exit_code == 0
+    assert call("run", first / "run.yaml", "--out", second).exit_code == 0
+    for name in ("estimate.csv", "trajectory.tum", "landmarks.csv", "run.yaml"):
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+    assert yaml.safe_load((first / "run.yaml").read_text())["settings"]["gate"] is None
+
+
+def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
+    out = tmp_path / "out"
+    assert call("run", short, "--out", out).exit_code == 0
+    assert call("run", short, "--out", out, "--set", "gate=null").exit_code == 0
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("irreplaceable")
+    assert str(foreign) in refused(call("run", short, "--out", foreign))
+    assert [p.name for p in foreign.iterdir()] == ["thesis.tex"]
+
+
+def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
+    out = tmp_path / "out"
+    result = call("run", short, "--start", "truth", "--out", out)
+    assert "taken from the truth" in result.stdout
+    assert "taken from the truth" in (out / "report.html").read_text()
+    # Without a prior in drive.yaml the truth is all there is to start from.
+    settings = yaml.safe_load((short / "drive.yaml").read_text())
+    del settings["start"]
+    (short / "drive.yaml").write_text(yaml.safe_dump(settings))
+    assert "taken from the truth" in call("run", short, "--out", out).stdout
+    (short / "truth.csv").unlink()
+    assert "start prior" in refused(call("run", short, "--out", out))
+    assert "no truth" in refused(call("run", short, "--out", out, "--start", "truth"))
+
+
+def test_run_without_truth_has_no_errors_to_tell(short, tmp_path):
+    (short / "truth.csv").unlink()
+    out = tmp_path / "out"
+    assert call("run", short, "--out", out).exit_code == 0
+    assert "position_rmse_m" not in json.loads((out / "metrics.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("words", "fragment"),
+    [
+        (["nowhere"], "nowhere"),
+        (["sample", "--estimator", "kalman"], "kalman"),
+        (["sample", "--start", "1,2"], "--start"),
+        (["sample", "--start", "1,2,x"], "--start"),
+        (["sample", "--start", "-1,0,0"], "R"),
+        (["sample", "--start", "nan,0,0"], "start"),
+        (["sample", "--set", "gate"], "--set gate"),
+        (["sample", "--set", "gate=7"], "gate"),
+        (["sample", "--set", "colour=red"], "colour"),
+        (["sample", "--set", "gate=[1"], "YAML"),
+        (["sample", "--robot", "2"], "robot"),
+        (["sample", "--seed", "-1"], "seed"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(tmp_path, words, fragment):
+    out = tmp_path / "out"
+    assert fragment in refused(call("run", *words, "--out", out))
+    assert not out.exists()
+
+
+def test_a_bad_file_is_named_with_its_row_and_nothing_is_written(short, tmp_path):
+    lines = (short / "bearings.csv").read_text().splitlines()
+    lines[4] = lines[4].rsplit(",", 1)[0] + ",north"
+    (short / "bearings.csv").write_text("\n".join(lines) + "\n")
+    line = refused(call("run", short, "--out", tmp_path / "out"))
+    assert "bearings.csv, row 5" in line
+    assert "north" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_yaml_takes_no_changes_and_must_be_one(short, tmp_path):
+    out = tmp_path / "out"
+    assert call("run", short, "--out", out).exit_code == 0
+    assert "--seed" in refused(call("run", out / "run.yaml", "--seed", "3", "--out", out))
+    (tmp_path / "other.yaml").write_text("- 1\n")
+    assert "other.yaml" in refused(call("run", tmp_path / "other.yaml", "--out", out))
+
+
+def test_real_drive_runs_to_the_end(data_dir, tmp_path):
+    out = tmp_path / "out"
+    drive = data_dir / "MRCLAM_Dataset6"
+    if not drive.is_dir():
+        pytest.skip("no MRCLAM_Dataset6 in the data folder")
+    home = ["--home", "2.0,0.0,0.3", "--home-noise-deg", "0.5"]
+    result = call("run", drive, "--robot", "2", *home, "--estimator", "ekf", "--out", out)
+    assert result.exit_code == 0, result.output
+    with (out / "estimate.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert all(math.isfinite(float(v)) for r in rows for k, v in r.items() if k != "status")
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["duration_s"] == pytest.approx(886, abs=1)
+    # Dead reckoning from the true start is off by metres in the end.
+    assert metrics["position_rmse_m"] < 2.0
+    assert call("run", drive, "--out", tmp_path / "b").exit_code == 2
+
+
+def test_help_names_every_command():
+    result = call("--help")
+    assert all(word in result.stdout for word in ("run", "simulate", "reproduce"))
+
+
+def test_sample_ships_with_its_command():
+    folder = Path(sample_drive())
+    assert (folder / "COMMAND.txt").read_text().startswith("homeward simulate ")
+    assert sum(p.stat().st_size for p in folder.iterdir()) < 500_000
