@@ -1,0 +1,42 @@
+"""What the README shows must run as it stands there."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from homeward.drives.drive import DriveSettings
+from homeward.studies.single_run import sample_drive
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def block(language):
+    (found,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    return found
+
+
+def test_python_example_runs(tmp_path, monkeypatch, capsys):
+    shutil.copytree(sample_drive(), tmp_path / "out" / "drive")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block("python"), "README.md", "exec"), {})
+    assert "Status." in capsys.readouterr().out
+
+
+def test_drive_yaml_example_is_valid():
+    settings = DriveSettings.model_validate(yaml.safe_load(block("yaml")))
+    assert settings.start is not None
+
+
+def test_links_and_pictures_exist():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_make_targets_exist(target):
+    assert f"make {target}" in README
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
