@@ -45,7 +45,7 @@ def reproduce(
     check_output(out, SETTINGS_FILE)
     with progress("the paper's cases") as tell:
         result = run_cases(settings, tell)
-    write_reproduction(out, result)
+        write_reproduction(out, result)
 
     table = Table("case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha")
     for row in rows(result):

@@ -90,7 +90,8 @@ def _run(settings: RunSettings, out: Path) -> None:
     drive, estimator, complete = prepare(settings)
     with progress(f"{drive.name}, {estimator.name}") as tell:
         track = follow(drive, estimator, tell)
-    typer.echo(write_run(out, drive, track, complete.model_dump(mode="json")))
+        summary = write_run(out, drive, track, complete.model_dump(mode="json"))
+    typer.echo(summary)
     for note in estimator.notes:
         typer.echo(note)
     typer.echo(f"Report: {out / 'report.html'}")
