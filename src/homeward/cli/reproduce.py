@@ -29,9 +29,6 @@ def reproduce(
     The folder gets paper.html, with both RMSE tables beside the printed ones, what the paper
     leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from homeward.drives.settings import validated
     from homeward.report.output import check_output
     from homeward.report.paper_page import PAGE, SETTINGS_FILE, write_reproduction
@@ -47,11 +44,11 @@ def reproduce(
         result = run_cases(settings, tell)
         write_reproduction(out, result)
 
-    table = Table("case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha")
+    typer.echo(f"{'case':14} {'filter':11}       R  theta  alpha   printed: R  theta  alpha")
     for row in rows(result):
-        numbers = [*row.median, *(row.printed or ())]
-        table.add_row(row.case, row.filter, *(f"{v:.4f}" for v in numbers))
-    Console().print(table)
+        ours = "{:8.4f} {:.4f} {:.4f}".format(*row.median)
+        printed = "     {:8.4f} {:.4f} {:.4f}".format(*row.printed) if row.printed else ""
+        typer.echo(f"{row.case:14} {row.filter:11}{ours}{printed}")
     typer.echo(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
         f"Page: {out / PAGE}"
