@@ -76,6 +76,17 @@ def test_a_drive_over_a_file_is_refused(tmp_path):
     assert (tmp_path / "d").read_text() == "mine"
 
 
+def test_a_drive_over_somebody_elses_log_is_refused(tmp_path):
+    log = tmp_path / "d" / "odometry.csv"
+    log.parent.mkdir()
+    log.write_text("t,v,omega\n0,0,0\n")
+    result = simulate("paper-homing", "--out", tmp_path / "d")
+    assert result.exit_code == 2
+    assert "not ours to replace" in result.stderr
+    assert log.read_text() == "t,v,omega\n0,0,0\n"
+    assert [path.name for path in log.parent.iterdir()] == ["odometry.csv"]
+
+
 def test_the_sample_drive_is_what_its_command_makes(tmp_path):
     program, *arguments = shlex.split((SAMPLE / "COMMAND.txt").read_text())
     assert program == "homeward"

@@ -1,6 +1,7 @@
 """`homeward reproduce` as a user would call it; the studies behind it."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from homeward.cli.main import app
 from homeward.report.paper_figures import FIGURES
 from homeward.studies.paper.cases import FILTERS, reproduce, run_filter
 from homeward.studies.paper.settings import Assumed, PaperSettings
-from homeward.studies.paper.tables import PRINTED, ordering_share, rows
+from homeward.studies.paper.tables import PRINTED, ordering_share, printed_order, rows
 from homeward.studies.paper.world import CASES, draw_world
 
 
@@ -41,7 +42,14 @@ def test_page_and_figures_are_written(tmp_path):
 
 @pytest.mark.parametrize(
     ("option", "word"),
-    [("assumed.speed=1", "speed"), ("assumed.fault=x", "fault"), ("assumed.meaning_of_Q=z", "Q")],
+    [
+        ("assumed.speed=1", "speed"),
+        ("assumed.fault=x", "fault"),
+        ("assumed.fault=[0.5,0.2]", "least"),
+        ("assumed.layout_distance=[2,1]", "least"),
+        ("assumed.longest=0.01", "sample_time"),
+        ("assumed.meaning_of_Q=z", "Q"),
+    ],
 )
 def test_wrong_options_are_one_line(tmp_path, option, word):
     answer = call("reproduce", "--out", tmp_path / "x", "--set", option)
@@ -58,7 +66,17 @@ def test_every_case_and_filter_has_a_row(result):
     for row in table:
         assert np.all(row.low <= row.median)
         assert np.all(row.median <= row.high)
-    assert 0 <= ordering_share(result, "2", 0) <= 1
+
+
+def test_the_order_is_the_one_that_the_paper_prints(result):
+    assert printed_order("2", 0) == ("PI-EKF", "A-EKF", "EKF")
+    assert printed_order("2", 2) == ("PI-EKF", "EKF", "A-EKF")
+    assert printed_order("4", 0) == ("PI-EKF", "EKF", "A-EKF")
+    assert printed_order("4", 1) == ("EKF", "PI-EKF", "A-EKF")
+    rmse = {name: np.full((4, 3), value) for name, value in (("EKF", 1.0), ("PI-EKF", 2.0))}
+    rmse["A-EKF (all)"] = np.array([[3.0, 3.0, 3.0]] * 3 + [[1.5, 1.5, 1.5]])
+    made_up = replace(result, rmse={"4": rmse})
+    assert [ordering_share(made_up, "4", k) for k in range(3)] == [0.0, 0.75, 0.0]
 
 
 def test_runs_are_the_same_whatever_else_is_run(result):
@@ -110,3 +128,13 @@ def test_one_parameter_finds_the_single_fault():
         found = run.state[-1, -1] - world.true_home_bearings[0]
         better += abs(np.angle(np.exp(1j * found))) < abs(world.faults[0]) / 2
     assert better >= 7
+
+
+def test_a_reproduction_without_faults_has_all_its_figures(tmp_path):
+    changes = ("faults=0", "single_fault=0", "several_faults=[]", "stop_radius=0.1", "longest=1")
+    words = [word for change in changes for word in ("--set", f"assumed.{change}")]
+    answer = call("reproduce", "--out", tmp_path / "paper", "--runs", "1", *words)
+    assert answer.exit_code == 0, answer.output
+    page = (tmp_path / "paper" / "paper.html").read_text()
+    assert "home within 20 cm" in page
+    assert "0.99 % at the stop radius" in page

@@ -116,7 +116,7 @@ def test_run_without_truth_has_no_errors_to_tell(short, tmp_path):
         (["sample", "--start", "1,2"], "--start"),
         (["sample", "--start", "1,2,x"], "--start"),
         (["sample", "--start", "-1,0,0"], "R"),
-        (["sample", "--start", "nan,0,0"], "start"),
+        (["sample", "--start", "nan,0,0"], "must be finite"),
         (["sample", "--set", "gate"], "--set gate"),
         (["sample", "--set", "gate=7"], "gate"),
         (["sample", "--set", "colour=red"], "colour"),

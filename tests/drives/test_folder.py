@@ -20,7 +20,12 @@ from homeward.drives.drive import (
     Start,
     Truth,
 )
-from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.folder import (
+    BEYOND_A_TURN,
+    REPEATED_SIGHTINGS,
+    read_folder,
+    write_folder,
+)
 from homeward.drives.table import is_identifier
 from homeward.errors import InputError
 
@@ -142,6 +147,14 @@ def test_bearings_are_wrapped(tmp_path):
     np.testing.assert_allclose(np.exp(1j * bearing), np.exp(1j * np.array(given)), atol=1e-12)
     assert bearing[0] == math.pi
     assert bearing[-1] == 0.1
+    assert drive.remarks == {BEYOND_A_TURN: 3, REPEATED_SIGHTINGS: 6}
+
+
+def test_of_sightings_of_one_landmark_at_one_stamp_the_last_counts(tmp_path):
+    content = b"t,landmark,bearing\n0,a,1\n0,b,2\n0,a,3\n1,a,1\n"
+    drive = read_folder(put(tmp_path / "run", bearings_csv=content))
+    assert [seen for _, seen, _ in drive.sightings.stamps()] == [{"a": 3.0, "b": 2.0}, {"a": 1.0}]
+    assert drive.remarks == {REPEATED_SIGHTINGS: 1}
 
 
 HEADER = b"t,landmark,bearing,sigma\n"

@@ -250,3 +250,45 @@ def test_filters_ask_for_a_start_prior_and_for_landmarks():
     blind = Drive(drive.name, drive.odometry, drive.sightings, {}, drive.settings)
     with pytest.raises(InputError, match="saw no landmark"):
         make_estimator("ekf", blind)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_landmark_is_enough_to_run(name):
+    drive, landmarks, pose = make_drive(q=1)
+    estimate, _ = follow(make_estimator(name, drive), landmarks, pose, 2.0)
+    assert np.all(np.isfinite(estimate.pose))
+    assert estimate.status is Status.UNVERIFIED
+
+
+def test_a_sigma_that_is_no_number_leaves_the_usual_one():
+    drive, landmarks, pose = make_drive()
+    told, left = make_estimator("ekf", drive), make_estimator("ekf", drive)
+    for estimator, sigmas in ((told, {"L0": math.inf, "L1": math.nan, "L2": -1.0}), (left, None)):
+        for t in (0.0, 0.1):
+            estimate = estimator.bearings(t, look(pose, landmarks), sigmas)
+        assert estimator.counts.used == 14
+    assert told.estimate(0.1).pose == left.estimate(0.1).pose == estimate.pose
+
+
+def test_an_update_that_diverges_is_counted_and_not_used():
+    drive, _, _ = make_drive()
+    estimator = make_estimator("ekf", drive)
+    estimator.odometry(0.0, 0.1, 0.0)
+    before = estimator.estimate(0.0).pose
+    estimator.bearings(0.0, {"L0": 1.0}, {"L0": 1e200})
+    assert estimator.counts.rejected == {"filter steps that diverged": 1}
+    assert (estimator.counts.used, estimator.estimate(0.0).pose) == (0, before)
+
+
+def test_a_landmark_behind_home_has_no_place():
+    drive, landmarks, pose = make_drive()
+    estimator = make_estimator("ekf", drive)
+    # On the other side of the robot than where home saw it, so that the rays meet behind home.
+    seen = look(pose, landmarks)
+    estimator.bearings(0.0, {name: beta + math.pi / 2 for name, beta in seen.items()})
+    known = estimator.landmarks()
+    assert any(math.isnan(k.distance) for k in known)
+    for k in known:
+        assert k.sightings == 1
+        assert math.isnan(k.x) == math.isnan(k.distance)
+        assert math.isnan(k.distance) or k.distance > 0

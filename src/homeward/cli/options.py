@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -63,6 +64,8 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
         a, b, c = (float(part) for part in text.split(","))
     except ValueError:
         raise InputError(f"{what} must be three numbers with commas, not {text!r}") from None
+    if not all(map(math.isfinite, (a, b, c))):
+        raise InputError(f"{what} must be finite, not {text!r}")
     return a, b, c
 
 

@@ -46,7 +46,8 @@ def simulate(
     Beside the drive it writes scenario.yaml, which repeats the drive to the last bit, and
     world.csv, the truth about the landmarks.
     """
-    from homeward.simulation.files import load_scenario, write_simulation
+    from homeward.report.output import check_output
+    from homeward.simulation.files import SCENARIO, load_scenario, write_simulation
     from homeward.simulation.simulate import simulate as run_simulation
 
     options = {
@@ -56,6 +57,7 @@ def simulate(
     }
     given = {key: value for key, value in options.items() if value is not None}
     chosen = load_scenario(scenario, given | key_values(changes or []))
+    check_output(out, SCENARIO)
     with progress(f"simulating {chosen.name}") as tell:
         simulation = run_simulation(chosen, _estimator(chosen), tell)
     write_simulation(simulation, out)

@@ -38,6 +38,8 @@ SETTINGS, TRUTH = "drive.yaml", "truth.csv"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH)
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
+REPEATED_SIGHTINGS = "sightings of a landmark already seen at the same stamp; the last counts"
+BEYOND_A_TURN = "bearings beyond a full turn, wrapped (are they in degrees?)"
 
 
 def is_drive_folder(path: Path) -> bool:
@@ -58,8 +60,9 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     Returns
     -------
     Drive
-        Bearings are wrapped; of equal stamps in odometry and truth the last counts, and they are
-        counted in its remarks. Landmark ids lose the white space around them.
+        Bearings are wrapped; of equal stamps in odometry and truth the last counts, and so it does
+        of sightings of one landmark at one stamp; they are counted in its remarks. Landmark ids
+        lose the white space around them.
 
     Raises
     ------
@@ -75,8 +78,8 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     return Drive(
         name=folder.resolve().name,
         odometry=_read_odometry(folder / ODOMETRY, remarks),
-        sightings=_read_sightings(folder / BEARINGS),
-        home=_read_home(folder / HOME),
+        sightings=_read_sightings(folder / BEARINGS, remarks),
+        home=_read_home(folder / HOME, remarks),
         settings=_read_settings(folder / SETTINGS),
         truth=_read_truth(folder / TRUTH, remarks),
         remarks=remarks,
@@ -134,13 +137,29 @@ def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table
     return kept
 
 
-def wrapped(table: Table, name: str) -> np.ndarray:
-    """Return column `name` [rad] in (-pi, pi]; what is inside stays as it is, to the last bit."""
+def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
+    """Return column `name` [rad] in (-pi, pi]; what is inside stays as it is, to the last bit.
+
+    Angles beyond a full turn are legal, but counted in `remarks`: they may be degrees.
+    """
     table.require_angle(name)
     angle = table[name]
+    if beyond := int((np.abs(angle) > math.tau).sum()):
+        remarks[BEYOND_A_TURN] = remarks.get(BEYOND_A_TURN, 0) + beyond
     inside = (angle > -math.pi) & (angle <= math.pi)
     # Rounding can leave a multiple of the half turn one bit outside.
     return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
+
+
+def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
+    """Count in `remarks` the sightings that a later one of the same landmark and stamp replaces."""
+    t, landmark = sightings.t, sightings.landmark
+    starts = np.flatnonzero(np.diff(t, prepend=np.nan) != 0)
+    sizes = np.diff(starts, append=t.size)
+    several = sizes > 1
+    stamps = zip(starts[several].tolist(), sizes[several].tolist(), strict=True)
+    if repeats := sum(n - len(set(landmark[a : a + n].tolist())) for a, n in stamps):
+        remarks[REPEATED_SIGHTINGS] = repeats
 
 
 def _read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
@@ -149,18 +168,22 @@ def _read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     return Odometry(table["t"], table["v"], table["omega"])
 
 
-def _read_sightings(path: Path) -> Sightings:
+def _read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
     table = read_csv(path, columns, {"sigma": numbers_or_nothing})
     table.require_order()
-    return Sightings(table["t"], table["landmark"], wrapped(table, "bearing"), _sigma(table))
+    bearings = wrapped(table, "bearing", remarks)
+    sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table))
+    count_repeats(sightings, remarks)
+    return sightings
 
 
-def _read_home(path: Path) -> dict[str, HomeBearing]:
+def _read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     columns = {"landmark": identifiers, "bearing": numbers}
     table = read_csv(path, columns, {"sigma": numbers_or_nothing})
     table.require_unique("landmark")
-    rows = zip(wrapped(table, "bearing").tolist(), _sigma(table).tolist(), strict=True)
+    bearings = wrapped(table, "bearing", remarks)
+    rows = zip(bearings.tolist(), _sigma(table).tolist(), strict=True)
     return dict(zip(table["landmark"].tolist(), (HomeBearing(*row) for row in rows), strict=True))
 
 

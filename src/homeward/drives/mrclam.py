@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
-from homeward.drives.folder import REPEATED_ODOMETRY, REPEATED_TRUTH, without_repeats, wrapped
+from homeward.drives.folder import (
+    REPEATED_ODOMETRY,
+    REPEATED_TRUTH,
+    count_repeats,
+    without_repeats,
+    wrapped,
+)
 from homeward.drives.table import Table, read_columns, require_folder
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, between
@@ -134,8 +140,10 @@ def _read_sightings(
     robots = len(seen) - unknown - int(of_landmark.sum())
     remarks |= {r: n for r, n in ((OTHER_ROBOTS, robots), (UNKNOWN_BARCODES, unknown)) if n}
     ids = np.array([str(subject) for subject in seen], object)[of_landmark]
-    bearings = wrapped(table, "bearing")[of_landmark]
-    return Sightings(table["t"][of_landmark], ids, bearings, np.full(ids.size, np.nan))
+    bearings = wrapped(table, "bearing", remarks)[of_landmark]
+    sightings = Sightings(table["t"][of_landmark], ids, bearings, np.full(ids.size, np.nan))
+    count_repeats(sightings, remarks)
+    return sightings
 
 
 def _home_bearings(

@@ -25,8 +25,8 @@ class Choices:
 
     def refuse(self, kind: str, path: Path) -> None:
         """Raise InputError when any was made: a drive of this kind brings its own home."""
-        if self.robot is not None or self.home is not None or self.home_noise:
-            raise InputError(f"robot, home and home noise cannot be chosen for a {kind}", path)
+        if self.robot is not None or self.home is not None or self.home_noise or self.seed:
+            raise InputError(f"robot, home, its noise and seed cannot be chosen for a {kind}", path)
 
 
 @dataclass(frozen=True)

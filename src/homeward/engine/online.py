@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -77,11 +78,17 @@ class OnlineFilter:
             return self.estimate(self._t)
         self._advance(t)
         seen = self._usable(sightings)
-        own = {self._index[k]: s for k, s in (sigmas or {}).items() if k in self._index and s > 0}
-        before = self._belief["active"]
+        own = {
+            self._index[k]: s
+            for k, s in (sigmas or {}).items()
+            if k in self._index and 0 < s < math.inf
+        }
+        before, diverged = self._belief["active"], self._runner.diverged
         self._belief, out = self._runner.update(self._belief, seen, own)
+        lost = self._runner.diverged - diverged
+        self.counts.reject(DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
-        used = (out["accepted"] > 0) | (self._belief["active"] > before)
+        used = ((out["accepted"] > 0) | (self._belief["active"] > before)) & (not lost)
         self._sightings += used
         self.counts.used += int(used.sum())
         if used.any():
@@ -95,7 +102,11 @@ class OnlineFilter:
         return self._estimate(t, self._predicted(t), ())
 
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Return where each landmark must stand, by the paper's relation for D*_i."""
+        """Return where each landmark must stand, by the paper's relation for D*_i.
+
+        Where that comes out negative, as it can for bearings nearly in line with home, it says
+        nothing of place and distance.
+        """
         model, belief, stored = self._runner.kind.model, self._belief, self._runner.tuning.stored
         distances = _distances(model, belief["state"], stored)
         jacobian = _distance_jacobian(model, belief["state"], stored)
@@ -105,16 +116,19 @@ class OnlineFilter:
         for i, landmark in enumerate(self._ids):
             entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
             if belief["active"][i]:
-                entry = LandmarkEstimate(
-                    landmark,
-                    x=float(distances[i] * np.cos(home[i])),
-                    y=float(distances[i] * np.sin(home[i])),
-                    distance=float(distances[i]),
-                    sigma_distance=math.sqrt(max(variances[i], 0.0)),
-                    home_bearing_stored=entry.home_bearing_stored,
+                entry = replace(
+                    entry,
                     home_bearing_estimated=float(home[i]),
                     sightings=int(self._sightings[i]),
                 )
+                if distances[i] > 0:
+                    entry = replace(
+                        entry,
+                        x=float(distances[i] * np.cos(home[i])),
+                        y=float(distances[i] * np.sin(home[i])),
+                        distance=float(distances[i]),
+                        sigma_distance=math.sqrt(max(variances[i], 0.0)),
+                    )
             known.append(entry)
         return known
 
@@ -187,7 +201,10 @@ class OnlineFilter:
         if age > SEEN_RECENTLY_S:
             return Status.COASTING, f"no usable bearing for {age:.0f} s"
         if entered < 4:
-            return Status.UNVERIFIED, f"{entered} of the landmarks that home saw are seen; 4 agree"
+            return (
+                Status.UNVERIFIED,
+                f"{entered} of the landmarks that home saw are seen; fewer than 4",
+            )
         return Status.LOCALISED, f"{entered} of the landmarks that home saw are seen"
 
 

@@ -72,7 +72,9 @@ class FilterRunner:
         self._predict.inputs["stored"][:] = tuning.stored
         self._update.inputs["gate"][:] = tuning.gate
         self._update.inputs["minimum_visible"][:] = tuning.minimum_visible
-        self._update.inputs["integral_gain"][...] = tuning.integral_gain
+        gain = self._update.inputs["integral_gain"]
+        # Of one landmark, CasADi's column is a flat vector.
+        gain[...] = tuning.integral_gain.reshape(gain.shape)
 
     def start(self) -> Arrays:
         """Return the belief of the start prior, before any landmark is seen."""
@@ -139,7 +141,7 @@ class FilterRunner:
         for i, beta in seen.items():
             given["mask"][i], given["bearings"][i] = 1.0, beta
         for i, sigma in sigmas.items():
-            given["variance"][i] = sigma**2
+            given["variance"][i] = sigma * sigma  # infinite where ** would raise
         self._update()
         return self._sane(self._update.outputs, belief), self._update.outputs
 

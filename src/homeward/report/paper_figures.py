@@ -131,10 +131,14 @@ def _draw_landmarks(axes: Axes, world: World) -> None:
 
 
 def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
-    """Draw the estimated home bearings that were wrong over time, with 3 sigma."""
+    """Draw the estimated home bearings that were wrong over time, with 3 sigma.
+
+    Where none was wrong, all that were estimated.
+    """
     run, world = result.shown[case][name], result.worlds[case]
     n = run.state.shape[1] - len(run.estimated)
     wrong = [k for k, i in enumerate(run.estimated) if world.faults[i]]
+    wrong = wrong or list(range(len(run.estimated)))
     with style():
         figure = new_figure(1.4 + 1.5 * len(wrong))
         panels = figure.subplots(len(wrong), 1, sharex=True, squeeze=False)[:, 0]
@@ -147,7 +151,7 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
             axes.plot(run.t, error, color=COLOURS[name], label=f"{name}, with 3 sigma")
             axes.axhline(0.0, color=INK, lw=0.8, label="truth")
             axes.axhline(world.faults[i], color=MUTED, ls="--", label="as home stored it")
-            reach = 1.6 * abs(world.faults[i])
+            reach = 1.6 * abs(world.faults[i]) or 0.5
             axes.set(ylim=(-reach, reach), ylabel=rf"error of $\beta^*_{i + 1}$ [rad]")
         panels[-1].set_xlabel("time [s]")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -13,7 +13,13 @@ from homeward.report.output import whole_folder
 from homeward.report.paper_figures import FIGURES, QUANTITIES
 from homeward.report.versions import versions
 from homeward.studies.paper.cases import Reproduction
-from homeward.studies.paper.tables import TO_PAPER_UNITS, ordering_share, rows
+from homeward.studies.paper.tables import (
+    PRINTED,
+    TO_PAPER_UNITS,
+    ordering_share,
+    printed_order,
+    rows,
+)
 
 SETTINGS_FILE = "reproduce.yaml"
 """Written last: a folder that holds it is a whole reproduction of ours."""
@@ -55,7 +61,11 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
         figures=figures,
         printed_rows=[row for row in table if row.case in ("2", "4")],
         other_rows=[row for row in table if row.case not in ("2", "4")],
-        shares={case: [ordering_share(result, case, k) for k in range(3)] for case in ("2", "4")},
+        shares=[
+            (case, quantity.split(" ")[0], printed_order(case, k), ordering_share(result, case, k))
+            for case in PRINTED
+            for k, quantity in enumerate(QUANTITIES)
+        ],
         quantities=QUANTITIES,
         printed=result.settings.printed,
         assumed=result.settings.assumed,

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.model import Integration
+
+
+def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] > interval[1]:
+        raise ValueError("must be [least, most]")
+    return interval
+
+
+Interval = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
+"""Least and most."""
 
 
 class Printed(Strict):
@@ -41,11 +51,11 @@ class Assumed(Strict):
 
     layout_jitter: NonNegative = 0.3
     """Landmarks stand at angles 2 pi i / q, each off by at most this [rad] ..."""
-    layout_distance: tuple[Positive, Positive] = (1.0, 2.0)
+    layout_distance: Interval = (1.0, 2.0)
     """... and at distances from home drawn from this interval [m]."""
     faults: Annotated[int, Field(ge=0)] = 2
     """Home bearings that are wrong in Case 2."""
-    fault: tuple[Positive, Positive] = (0.2, 0.5)
+    fault: Interval = (0.2, 0.5)
     """By how much, of either sign [rad]."""
     single_fault: Finite = 0.3
     """Of beta*_1 in Case 3, printed as 30 % of an angle that is not printed [rad]."""
@@ -88,3 +98,9 @@ class PaperSettings(Strict):
     """Random layouts, faults and noises per case."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of the first of them, which is the one drawn in the figures."""
+
+    @model_validator(mode="after")
+    def _at_least_one_sample(self) -> Self:
+        if min(self.assumed.longest, self.assumed.circle_time) < self.printed.sample_time:
+            raise ValueError("assumed.longest and circle_time: shorter than printed.sample_time")
+        return self
