@@ -135,7 +135,7 @@ def test_drives_without_odometry(bearings):
 
 
 def test_a_wrong_epoch_is_an_error_and_not_a_full_memory():
-    with pytest.raises(InputError, match="days: one of them must be wrong"):
+    with pytest.raises(InputError, match="days: one of them is wrong"):
         follow([0.0, 1.7e9])
 
 

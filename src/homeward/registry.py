@@ -125,7 +125,7 @@ def _online(
     if not drive.home:
         raise InputError(f"{drive.name}: home saw no landmark, so {name} has nothing to go by")
     model, known = kind.model, drive.settings
-    start = settings.start or known.start
+    start = known.start
     if start is None:
         raise InputError(f"{name} needs a start prior: in drive.yaml, or --start R,THETA,ALPHA")
     speed = _first(settings.speed_sigma, known.odometry.speed_sigma, DEFAULT_SPEED_SIGMA)

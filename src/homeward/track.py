@@ -159,7 +159,8 @@ def _grid(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
     if last - first > LONGEST_S:
         raise InputError(
             f"the stamps run from {first!r} to {last!r} s, which is "
-            f"{(last - first) / 86400:.0f} days: one of them must be wrong"
+            f"{(last - first) / 86400:.0f} days: one of them is wrong, or their unit is not the "
+            "second"
         )
     grid = first + GRID_S * np.arange(int(np.floor((last - first) / GRID_S + 1e-9)) + 1)
     if not stamps.size:

@@ -29,9 +29,9 @@ NOTHING = np.empty(0)
 CENTRE = Pose(0.0, 0.0, 0.0)
 
 
-def make_drive(q=7, seed=1, **settings):
+def make_drive(q=7, seed=1, start=None, **settings):
     landmarks, polar, _, stored = scene(q, seed)
-    start = Start(R=polar.R, theta=polar.theta, alpha=polar.alpha)
+    start = start or Start(R=polar.R, theta=polar.theta, alpha=polar.alpha)
     drive = Drive(
         name="test",
         odometry=Odometry(NOTHING, NOTHING, NOTHING),
@@ -73,14 +73,14 @@ def test_a_filter_stays_on_the_truth_without_noise(name):
 
 
 def test_bearings_correct_a_wrong_start():
-    drive, landmarks, pose = make_drive()
     off = Start(R=0.85, theta=-0.8, alpha=0.25, sigma_R=0.1)
-    estimator = make_estimator("ekf", drive, {"start": off})
+    drive, landmarks, pose = make_drive(start=off)
+    estimator = make_estimator("ekf", drive)
     before = estimator.estimate(0.0)
     assert before.status is Status.WAITING
     follow(estimator, landmarks, pose, 20.0)
     # A straight look at dead reckoning from the same start shows what the bearings are worth.
-    blind = make_estimator("ekf", drive, {"start": off})
+    blind = make_estimator("ekf", drive)
     _, truth = follow(blind, landmarks[:0], pose, 20.0)
     errors = [
         math.hypot(e.estimate(20.0).pose.x - truth.x, e.estimate(20.0).pose.y - truth.y)
@@ -110,7 +110,10 @@ def test_uncertainty_grows_in_a_gap_and_more_without_odometry():
     sigmas = [np.linalg.norm(estimator.estimate(t).sigmas[:2]) for t in (5.0, 5.9, 10.0, 60.0)]
     assert sigmas == sorted(sigmas)
     assert sigmas[2] > sigmas[1] + 0.5
-    assert estimator.estimate(60.0).status is Status.COASTING
+    assert estimator.estimate(5.9).status is Status.LOCALISED
+    silent = estimator.estimate(60.0)
+    assert silent.status is Status.UNVERIFIED
+    assert "no odometry" in silent.reason
     # The twist holds for a second, then the robot counts as standing: it does not drive on.
     assert estimator.estimate(10.0).pose == pytest.approx(estimator.estimate(60.0).pose)
 
@@ -165,9 +168,9 @@ def test_minimum_visible_leaves_poor_stamps_out():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_filter_is_finite_whatever_comes(name):
-    drive, _, _ = make_drive()
+    drive, _, _ = make_drive(start=Start(R=0.0, theta=0.0, alpha=0.0))
     rng = np.random.default_rng(5)
-    estimator = make_estimator(name, drive, {"start": Start(R=0.0, theta=0.0, alpha=0.0)})
+    estimator = make_estimator(name, drive)
     t = 0.0
     for _ in range(400):
         t += float(rng.choice([0.0, 0.05, 1.0, 300.0], p=[0.1, 0.8, 0.08, 0.02]))
@@ -292,3 +295,26 @@ def test_a_landmark_behind_home_has_no_place():
         assert k.sightings == 1
         assert math.isnan(k.x) == math.isnan(k.distance)
         assert math.isnan(k.distance) or k.distance > 0
+
+
+def test_a_pose_that_the_landmarks_do_not_bear_out_is_not_relied_on():
+    drive, landmarks, pose = make_drive()
+    estimator = make_estimator("ekf", drive)
+    estimate, there = follow(estimator, landmarks, pose, 6.0)
+    assert estimate.status is Status.LOCALISED
+    rng = np.random.default_rng(3)
+    for k in range(10):
+        t = 6.0 + 0.2 * k
+        estimator.odometry(t, 0.0, 0.0)
+        wrong = {i: b + rng.uniform(0.8, 2.0) for i, b in look(there, landmarks).items()}
+        estimate = estimator.bearings(t, wrong)
+    assert estimate.status is Status.UNVERIFIED
+
+
+def test_without_sightings_but_with_odometry_it_coasts():
+    drive, landmarks, pose = make_drive()
+    estimator = make_estimator("ekf", drive)
+    follow(estimator, landmarks, pose, 6.0)
+    for k in range(40):
+        estimator.odometry(6.0 + 0.1 * k, 0.1, 0.0)
+    assert estimator.estimate(9.9).status is Status.COASTING

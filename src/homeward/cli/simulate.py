@@ -46,7 +46,7 @@ def simulate(
     Beside the drive it writes scenario.yaml, which repeats the drive to the last bit, and
     world.csv, the truth about the landmarks.
     """
-    from homeward.report.output import check_output
+    from homeward.report.output import check_output, whole_folder
     from homeward.simulation.files import SCENARIO, load_scenario, write_simulation
     from homeward.simulation.simulate import simulate as run_simulation
 
@@ -60,7 +60,8 @@ def simulate(
     check_output(out, SCENARIO)
     with progress(f"simulating {chosen.name}") as tell:
         simulation = run_simulation(chosen, _estimator(chosen), tell)
-    write_simulation(simulation, out)
+    with whole_folder(out, SCENARIO) as scratch:
+        write_simulation(simulation, scratch)
     typer.echo(_summary(simulation, out))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 class Kernel(Protocol):
     """A function with arrays of its own for what goes in and what comes out.
 
-    Fill `inputs` in place, call, read `outputs`; nothing is allocated on the way.
+    Fill `inputs` in place, call, read `outputs`.
     """
 
     inputs: dict[str, np.ndarray]

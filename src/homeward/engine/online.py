@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -17,6 +18,10 @@ from homeward.model import POLAR, PolarModel, landmark_distance
 
 SEEN_RECENTLY_S = 2.0
 """Without an accepted sighting for longer than this, the filter coasts."""
+RECENT_SIGHTINGS = 20
+"""Whether most sightings are rejected is judged by so many of the last ones."""
+AGREEING = 4
+"""Landmarks that must agree before a pose is one to rely on."""
 DIVERGED = "filter steps that diverged"
 
 
@@ -59,6 +64,8 @@ class OnlineFilter:
         self._twist: tuple[float, float] | None = None
         self._twist_t = -math.inf
         self._last_seen = -math.inf
+        self._agrees = np.zeros(kind.model.q, dtype=bool)
+        self._recent: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
@@ -90,6 +97,8 @@ class OnlineFilter:
         innovations = self._innovations(seen, before, out)
         used = ((out["accepted"] > 0) | (self._belief["active"] > before)) & (not lost)
         self._sightings += used
+        self._agrees[list(seen)] = used[list(seen)]
+        self._recent.extend(i.accepted for i in innovations)
         self.counts.used += int(used.sum())
         if used.any():
             self._last_seen = t
@@ -194,18 +203,22 @@ class OnlineFilter:
         return Estimate(t, status, reason, from_polar(polar), covariance, innovations)
 
     def _status(self, t: float) -> tuple[Status, str]:
-        entered = int(self._belief["active"].sum())
-        age = t - self._last_seen
+        agreeing = int(self._agrees.sum())
+        age, silent = t - self._last_seen, t - self._twist_t
         if math.isinf(age):
             return Status.UNVERIFIED, "start prior and odometry alone: no landmark of home seen yet"
-        if age > SEEN_RECENTLY_S:
-            return Status.COASTING, f"no usable bearing for {age:.0f} s"
-        if entered < 4:
+        if silent > HOLD_S:
+            return Status.UNVERIFIED, "no odometry: only its uncertainty grows"
+        if 2 * sum(self._recent) < len(self._recent):
+            return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"
+        if agreeing < AGREEING:
             return (
                 Status.UNVERIFIED,
-                f"{entered} of the landmarks that home saw are seen; fewer than 4",
+                f"{agreeing} of the landmarks that home saw agree; {AGREEING} are needed",
             )
-        return Status.LOCALISED, f"{entered} of the landmarks that home saw are seen"
+        if age > SEEN_RECENTLY_S:
+            return Status.COASTING, f"no usable bearing for {age:.0f} s"
+        return Status.LOCALISED, f"{agreeing} of the landmarks that home saw agree"
 
 
 def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:

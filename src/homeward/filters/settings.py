@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from homeward.drives.drive import Finite, NonNegative, Positive, Start, Strict
+from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.model import Integration
 
 Matrix = tuple[tuple[Finite, ...], ...]
@@ -16,8 +16,6 @@ Matrix = tuple[tuple[Finite, ...], ...]
 class FilterSettings(Strict):
     """What all three filters take; None where the drive's own figure (or a default) counts."""
 
-    start: Start | None = None
-    """Start prior; None: the drive's own."""
     bearing_sigma: Positive | None = None
     """Of a bearing without a sigma of its own [rad]; None: the drive's, else 0.02."""
     speed_sigma: Positive | None = None

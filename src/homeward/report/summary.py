@@ -49,12 +49,15 @@ def _localised(track: Track, metrics: Metrics) -> str:
     coasting, unverified = (shares.get(s, 0.0) for s in (Status.COASTING, Status.UNVERIFIED))
     share = shares.get(Status.LOCALISED, 0.0) + coasting
     seconds = share * metrics.duration_s
-    text = f"Localised for {quantity(seconds, 's').removesuffix(' s')} of {duration}"
-    text += f" ({percent(share)})"
+    if share == 0.0:
+        text = f"Never localised in {duration}"
+    else:
+        text = f"Localised for {quantity(seconds, 's').removesuffix(' s')} of {duration}"
+        text += f" ({percent(share)})"
     if coasting > 0.005:
         text += f", {percent(coasting)} on odometry alone"
     if unverified > 0.005:
-        text += f", with an unverified pose for another {percent(unverified)}"
+        text += f", with an unverified pose for {percent(unverified)}"
     if metrics.first_pose_after_s > 0.5:
         text += f"; the first pose came after {quantity(metrics.first_pose_after_s, 's')}"
     return text + "."

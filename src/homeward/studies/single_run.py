@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -94,12 +95,12 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
         home_noise=float(np.radians(run.home_noise_deg)),
         seed=run.seed,
     )
-    start = run.start or _default_start(run, drive)
-    values = dict(run.settings)
+    start = run.start or _default_start(drive)
     if start is not None:
-        values["start"] = _start_prior(start, drive)
+        told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
+        drive = replace(drive, settings=told)
     model = ESTIMATORS[run.estimator][0]
-    settings = validated(model, values)
+    settings = validated(model, run.settings)
     estimator = make_estimator(run.estimator, drive, settings)
     if start == "truth":
         estimator.notes += (TRUTH_NOTE,)
@@ -113,10 +114,9 @@ def sample_drive() -> Path:
     return Path(str(files("homeward").joinpath("data", SAMPLE)))
 
 
-def _default_start(run: RunSettings, drive: Drive) -> Literal["truth"] | None:
+def _default_start(drive: Drive) -> Literal["truth"] | None:
     """Fall back on the truth where nothing else says where the drive starts."""
-    told = run.settings.get("start") is not None or drive.settings.start is not None
-    return None if told or drive.truth is None else "truth"
+    return None if drive.settings.start is not None or drive.truth is None else "truth"
 
 
 def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:

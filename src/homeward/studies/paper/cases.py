@@ -44,12 +44,16 @@ class Run:
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3)."""
+        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3).
+
+        An estimate with R below zero counts as the same place said with a positive R.
+        """
         x, y, heading = self.pose.T
+        R, theta = self.state[:, 0], self.state[:, 1]
         return np.column_stack(
             [
-                self.state[:, 0] - np.hypot(x, y),
-                wrap(self.state[:, 1] - np.arctan2(y, x)),
+                np.abs(R) - np.hypot(x, y),
+                wrap(theta + np.pi * (R < 0) - np.arctan2(y, x)),
                 wrap(self.state[:, 2] - heading),
             ]
         )

@@ -55,8 +55,7 @@ def rows(result: Reproduction) -> list[Row]:
     for case, by_filter in result.rmse.items():
         for name, rmse in by_filter.items():
             scaled = rmse * TO_PAPER_UNITS
-            # Runs that diverged are infinite: quantiles must not interpolate towards them.
-            low, median, high = np.quantile(scaled, [0.05, 0.5, 0.95], axis=0, method="lower")
+            low, median, high = _quantiles(scaled)
             distance = result.final_distance[case][name]
             within = distance < 2 * result.settings.assumed.stop_radius
             table.append(
@@ -73,6 +72,14 @@ def rows(result: Reproduction) -> list[Row]:
                 )
             )
     return table
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """Return the 5, 50 and 95 % quantiles over axis 0; infinite where runs diverged."""
+    with np.errstate(invalid="ignore"):
+        found = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
+    # Between two infinite runs NumPy makes a NaN.
+    return np.where(np.isnan(found), np.inf, found)
 
 
 def printed_order(case: CaseName, column: int) -> tuple[str, ...]:
