@@ -116,3 +116,15 @@ def test_a_point_behind_is_turned_to_as_hard_as_allowed():
     control = make_control(scenario, start)
     assert abs(control.twist(0.1, away).omega) == pytest.approx(0.1 * TURN_ACCELERATION)
     assert abs(control.twist(5.0, away).omega) == 0.7
+
+
+def test_homing_by_an_estimate_goes_on_to_the_nearest_point_and_stops_only_when_sure():
+    start = Pose(1.0, 0.0, math.pi)
+    by_estimate = make_control(load_scenario("paper-homing", {"estimator": "ekf"}), start)
+    distances = [0.2, 0.04, 0.03, 0.02, 0.022, 0.04]
+    stopped = [by_estimate.twist(t, Pose(d, 0.0, math.pi)) is None for t, d in enumerate(distances)]
+    assert stopped == [False, False, False, False, False, True]
+    unsure = by_estimate.twist(9.0, Pose(0.03, 0.0, math.pi), sure=False)
+    assert unsure.v / unsure.omega == pytest.approx(SEARCH_RADIUS)
+    by_truth = make_control(load_scenario("paper-homing"), start)
+    assert by_truth.twist(0.0, Pose(0.04, 0.0, math.pi)) is None

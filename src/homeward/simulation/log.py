@@ -10,7 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control import Twist
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
-from homeward.estimator import Estimate, Estimator
+from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.world import Stream, generator, quantise
@@ -62,9 +62,12 @@ class Log:
         self._truth: list[tuple[float, float, float, float]] = []
         self.estimates: list[Estimate] = []
 
-    def believed(self, t: float, true: Pose) -> Pose | None:
-        """Return the pose that steers: the estimator's, or the truth."""
-        return true if self._estimator is None else self._estimator.estimate(t).pose
+    def believed(self, t: float, true: Pose) -> tuple[Pose | None, bool]:
+        """Return the pose that steers, the estimator's or the truth, and whether it is sure."""
+        if self._estimator is None:
+            return true, True
+        estimate = self._estimator.estimate(t)
+        return estimate.pose, estimate.status in (Status.LOCALISED, Status.COASTING)
 
     def odometry(self, t: float, twist: Twist) -> None:
         """Log a measured twist."""

@@ -228,7 +228,8 @@ class Homing(Trajectory):
 
     kind: Literal["homing"] = "homing"
     stop_radius: Positive = STOP_RADIUS
-    """The drive ends where the robot believes itself within this distance of home [m]."""
+    """The drive ends where the robot believes itself within this distance of home [m], and, steered
+    by an estimator, surely so and as near as it gets."""
 
 
 class Circle(Trajectory):

@@ -119,7 +119,7 @@ def simulate(
     for step, (t, until) in enumerate(clock.steps()):
         if progress is not None and step % STEPS_PER_TELLING == 0:
             progress(t / scenario.trajectory.duration)
-        twist = control.twist(t, log.believed(t, pose))
+        twist = control.twist(t, *log.believed(t, pose))
         if twist is None or until is None:
             break
         log.odometry(t, wheels.measure(twist))

@@ -13,6 +13,8 @@ from homeward.simulation.scenario import Circle, Homing, Scenario, Waypoints
 
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m], for the parallax."""
+PAST_NEAREST = 0.005
+"""So much farther from home than at its nearest, an estimated pose has passed it [m]."""
 LOOKAHEAD = 0.4
 """The point on the line that the robot steers at is so far ahead [m]."""
 TURN_ACCELERATION = 1.0
@@ -24,7 +26,7 @@ LINE_STEP = 0.01
 class Control(Protocol):
     """Steers one drive."""
 
-    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command, or None when the drive is done.
 
         Parameters
@@ -33,6 +35,8 @@ class Control(Protocol):
             Now [s], later than at the call before.
         pose : Pose or None
             Where the robot believes it is in the home frame; None when it does not know.
+        sure : bool
+            Whether that pose is one to rely on.
         """
 
 
@@ -40,7 +44,7 @@ def make_control(scenario: Scenario, start: Pose) -> Control:
     """Return what steers the drive of a scenario that begins at `start` in the home frame."""
     match scenario.trajectory:
         case Homing() as trajectory:
-            return HomingControl(trajectory)
+            return HomingControl(trajectory, exact=scenario.estimator == "truth")
         case Circle() as trajectory:
             return CircleControl(trajectory)
         case Waypoints() as trajectory:
@@ -50,18 +54,29 @@ def make_control(scenario: Scenario, start: Pose) -> Control:
 
 
 class HomingControl:
-    """The paper's homing law, until the robot believes itself at home."""
+    """The paper's homing law, until the robot believes itself at home.
 
-    def __init__(self, trajectory: Homing) -> None:
-        self._trajectory = trajectory
+    A pose that is estimated is off by something like the stop radius: with one the robot goes on
+    inside that radius for as long as it gets nearer, and it stops only when it is sure.
+    """
 
-    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+    def __init__(self, trajectory: Homing, exact: bool) -> None:
+        self._trajectory, self._exact = trajectory, exact
+        self._nearest = math.inf
+
+    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
             return _search_arc(self._trajectory.speed)
         polar = to_polar(pose)
-        if arrived(polar, self._trajectory.stop_radius):
+        if not arrived(polar, self._trajectory.stop_radius):
+            self._nearest = math.inf
+        elif not sure:
+            return _search_arc(self._trajectory.speed)
+        elif self._exact or polar.R > self._nearest + PAST_NEAREST:
             return None
+        else:
+            self._nearest = min(self._nearest, float(polar.R))
         return Twist(*map(float, homing(polar, self._trajectory.speed)))
 
 
@@ -71,7 +86,7 @@ class CircleControl:
     def __init__(self, trajectory: Circle) -> None:
         self._twist = Twist(trajectory.speed, trajectory.omega)
 
-    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command; see `Control`."""
         return self._twist
 
@@ -88,7 +103,7 @@ class WaypointControl:
         self._trajectory, self._line, self._aim = trajectory, line, 0
         self._last_t, self._last_omega = 0.0, 0.0
 
-    def twist(self, t: float, pose: Pose | None) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
             wanted = _search_arc(self._trajectory.speed).omega
