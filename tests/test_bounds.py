@@ -1,0 +1,76 @@
+"""The bound against dense information, and against what it must do."""
+
+import math
+
+import numpy as np
+
+from homeward.bounds import posterior_bound
+from homeward.frames import Pose, compose
+
+SIGMAS = {"bearing_sigma": 0.05, "home_sigma": 0.01, "speed_sigma": 0.02, "turn_sigma": 0.05}
+
+
+def scene(n=30, q=5):
+    poses, pose = [], Pose(0.7, -0.5, 0.3)
+    for _ in range(n):
+        poses.append(pose)
+        pose = compose(pose, Pose(0.02, 0.0, 0.05))
+    angles = 2 * math.pi * np.arange(q) / q
+    marks = 1.5 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    twists = np.tile([0.2, 0.5], (n - 1, 1))
+    visible = np.random.default_rng(0).random((n, q)) < 0.7
+    return np.array(poses), twists, np.full(n - 1, 0.1), marks, visible
+
+
+def test_without_noise_of_the_odometry_it_is_the_static_bound():
+    poses, twists, dt, marks, visible = scene()
+    sigmas = {**SIGMAS, "speed_sigma": 0.0, "turn_sigma": 0.0}
+    bound = posterior_bound(
+        poses, twists, dt, marks, visible, start_covariance=0.01 * np.eye(3), **sigmas
+    )[-1]
+    # dense: the last pose and the landmarks are all that is unknown
+    q = len(marks)
+    information = np.zeros((3 + 2 * q, 3 + 2 * q))
+    end = poses[-1]
+
+    def all_bearings(x):
+        rows = []
+        for pose in poses:
+            home = np.array(end)
+            c, s = np.cos(x[2] - home[2]), np.sin(x[2] - home[2])
+            d = pose[:2] - home[:2]
+            here = x[:2] + np.array([c * d[0] - s * d[1], s * d[0] + c * d[1]])
+            m = x[3:].reshape(-1, 2) - here
+            rows.append(np.arctan2(m[:, 1], m[:, 0]) - x[2])
+        return np.array(rows)
+
+    x = np.r_[end, marks.ravel()]
+    for i in range(x.size):
+        for j in range(i + 1):
+            ji, jj = (
+                (all_bearings(x + e) - all_bearings(x - e)) / 2e-6
+                for e in (1e-6 * np.eye(x.size)[i], 1e-6 * np.eye(x.size)[j])
+            )
+            information[i, j] = information[j, i] = (ji * jj)[visible].sum() / 0.05**2
+    for k, (mx, my) in enumerate(marks):
+        g = np.array([-my, mx]) / (mx * mx + my * my) / 0.01
+        information[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] += np.outer(g, g)
+    back = np.eye(3)
+    back[0, 2], back[1, 2] = end[1] - poses[0, 1], poses[0, 0] - end[0]
+    information[:3, :3] += back.T @ back / 0.01
+    assert np.allclose(bound, np.linalg.inv(information)[:3, :3], rtol=1e-4)
+
+
+def test_less_information_is_never_better():
+    poses, twists, dt, marks, visible = scene()
+    start = 0.01 * np.eye(3)
+    full = posterior_bound(poses, twists, dt, marks, visible, start_covariance=start, **SIGMAS)
+    moved = np.array([True, False, False, False, False])
+    less = posterior_bound(
+        poses, twists, dt, marks, visible, start_covariance=start, moved=moved, **SIGMAS
+    )
+    assert np.linalg.eigvalsh(less[-1] - full[-1])[0] > -1e-12
+    none = posterior_bound(poses, twists, dt, marks, visible, **SIGMAS)
+    assert np.isinf(none[0]).all()
+    assert np.isfinite(none[-1]).all()
+    assert np.linalg.eigvalsh(none[-1] - full[-1])[0] > -1e-9
