@@ -1,0 +1,109 @@
+"""Real drives: MRCLAM set 6 without a map or a prior, home at (2.0, 0.0, 0.3), noise 0.5 deg.
+
+`python -m benchmarks.mrclam [--falsify 3] [--seeds 5] [--robots 1 2 ...] [--smooth]` prints
+time-weighted figures after 300 s, causal ones unless smoothed. The data are looked for in
+HOMEWARD_DATA, else in ../shared/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.mrclam import read_mrclam
+from homeward.frames import Pose
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.smoothing import smooth
+from homeward.scoring import Errors, errors, statistics
+from homeward.track import Track, run
+
+AFTER_S, POSE_AFTER_S = 300.0, 240.0
+HOME = Pose(2.0, 0.0, 0.3)
+
+
+def data() -> Path:
+    """Return the folder of data sets."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("HOMEWARD_DATA", beside))
+
+
+def falsified(drive: Drive, number: int, seed: int) -> tuple[Drive, set[str]]:
+    """Return the drive with some home bearings off by 0.2 to 0.6 rad, and which ones."""
+    draw = np.random.default_rng(seed)
+    wrong = {str(n) for n in draw.choice(sorted(drive.home), number, replace=False)}
+    home = {
+        n: HomeBearing(
+            float(wrap(b.bearing + draw.choice([-1, 1]) * draw.uniform(0.2, 0.6))), b.sigma
+        )
+        if n in wrong
+        else b
+        for n, b in drive.home.items()
+    }
+    return dataclasses.replace(drive, home=home), wrong
+
+
+def rmse_of(e: Errors, use: np.ndarray) -> float:
+    """Return the time-weighted RMSE of position over some rows [m]."""
+    return statistics(e.position[use], e.weight[use]).rmse if use.any() else math.nan
+
+
+def last_bearing_age(track: Track, e: Errors, drive: Drive) -> np.ndarray:
+    """Return the age of the last bearing at each judged row [s]."""
+    stamps = np.unique(drive.sightings.t)
+    return np.asarray(e.t - stamps[np.maximum(np.searchsorted(stamps, e.t, side="right") - 1, 0)])
+
+
+def row(drive: Drive, wrong: set[str], final: bool) -> tuple[float, str]:
+    """Run one drive, and smooth it perhaps; return its RMSE and a line of figures."""
+    track = smooth(drive) if final else run(drive, Localizer(drive.home, drive.settings))
+    start = track.t[0]
+    e = errors(track, drive.truth)
+    late = e.t > start + AFTER_S
+    age = last_bearing_age(track, e, drive)
+    seconds = np.diff(track.t, append=track.t[-1])
+    span = track.t > start + POSE_AFTER_S
+    share = seconds[span & track.has_pose].sum() / seconds[span].sum()
+    first = track.t[track.has_pose][0] - start if track.has_pose.any() else math.nan
+    named = {m.landmark for m in track.landmarks if m.moved}
+    heading = statistics(e.heading[late], e.weight[late]).rmse
+    inside = [np.average(e.nees_position[late] < k * k, weights=e.weight[late]) for k in (1, 2, 3)]
+    rmse = rmse_of(e, late)
+    return rmse, (
+        f"{rmse:.3f} {rmse_of(e, late & (age < 2)):.3f} {rmse_of(e, late & (age > 5)):.3f} "
+        f"{heading:.3f}  {share:.3f} {first:5.0f}  "
+        + " ".join(f"{i:.2f}" for i in inside)
+        + f"  {1e3 * np.median(track.update_seconds):.2f} "
+        f"{1e3 * np.quantile(track.update_seconds, 0.99):.1f} {track.run_seconds:.0f}s  "
+        f"{'exact' if named == wrong else f'named {sorted(named)} for {sorted(wrong)}'}"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--falsify", type=int, default=0, help="home bearings made wrong")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--smooth", action="store_true", help="with the final pass; not causal")
+    options = parser.parse_args()
+    print("robot seed  rmse <2s >5s [m] heading [rad]  pose first[s]  in 1 2 3 sigma  ms p50 p99")
+    total = []
+    for robot in options.robots:
+        for seed in range(options.seeds):
+            drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, HOME, math.radians(0.5), seed)
+            drive, wrong = falsified(drive, options.falsify, seed)
+            rmse, line = row(drive, wrong, options.smooth)
+            total.append(rmse)
+            print(robot, seed, line, flush=True)
+    print(f"mean {np.mean(total):.3f} m")
+
+
+if __name__ == "__main__":
+    main()

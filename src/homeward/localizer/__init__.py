@@ -1,0 +1,1 @@
+"""The robust localiser: a map in the odometry frame, and home found in it."""

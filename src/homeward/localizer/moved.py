@@ -1,0 +1,178 @@
+"""Which home bearings are right: a search over sets, and what competes with the best one.
+
+Sets come from poses made of triples of landmarks and, once there is a fit, from its neighbours. A
+set climbs by single flips, each chosen by the odds of one bearing given the others, which are exact
+for the linearised problem; pairs are tried too while q is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Pose, compose, inverse
+from homeward.localizer.home import HomeFit, HomeProblem, fit
+from homeward.localizer.resection import mixture_scores, poses_from_triples
+
+STARTS = 8
+"""Different sets that are climbed from."""
+CLIMBS = 12
+"""Flips at most from one start."""
+PAIRS_UP_TO = 10
+"""Pairs of landmarks are flipped together when home saw no more than this."""
+NEGLIGIBLE = 1e-4
+"""A hypothesis less probable than this is dropped."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Sets of right home bearings, the best first, with their posterior probabilities."""
+
+    fits: tuple[HomeFit, ...]
+    weights: np.ndarray
+    """(k,), sum to one."""
+
+    @property
+    def best(self) -> HomeFit:
+        """The most probable."""
+        return self.fits[0]
+
+    def moved_probabilities(self) -> np.ndarray:
+        """Return the probability that each home bearing is wrong, shape (q,)."""
+        wrong = [1.0 / (1.0 + np.exp(np.clip(f.odds, -500, 500))) for f in self.fits]
+        return np.asarray(self.weights @ np.array(wrong))
+
+    def rivals(self, deviations: float) -> float:
+        """Return the probability of those that put home elsewhere than the best one does."""
+        best = self.best
+        spread = np.linalg.inv(best.covariance[:3, :3] + 1e-12 * np.eye(3))
+        total = 0.0
+        for other, weight in zip(self.fits[1:], self.weights[1:], strict=True):
+            d = other.home - best.home
+            d[2] = wrap(d[2])
+            if d @ spread @ d > deviations**2:
+                total += float(weight)
+        return total
+
+
+def search(problem: HomeProblem, known: HomeFit | None) -> Hypotheses | None:
+    """Return the most probable sets, or None when home cannot be fixed.
+
+    Parameters
+    ----------
+    problem : HomeProblem
+        What is known.
+    known : HomeFit, optional
+        A fit from before, of the same landmarks, to begin with too.
+    """
+    found: dict[bytes, HomeFit] = {}
+    for home, right in _starts(problem, known):
+        _climb(problem, home, right, found)
+    if not found:
+        return None
+    best = max(found.values(), key=lambda f: f.evidence)
+    if problem.bearings.size <= PAIRS_UP_TO:
+        for pair in combinations(range(problem.bearings.size), 2):
+            right = best.right.copy()
+            right[list(pair)] ^= True
+            if right.tobytes() not in found:
+                tried = fit(problem, best.home, right, steps=2)
+                if tried is not None and tried.evidence > best.evidence - 6.0:
+                    _climb(problem, tried.home, right, found)
+    return _weigh(list(found.values()))
+
+
+def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Return the same sets, flipped where that is better, after the map has changed a little."""
+    found: dict[bytes, HomeFit] = {}
+    for hypothesis in hypotheses.fits:
+        again = fit(problem, hypothesis.home, hypothesis.right, steps=3)
+        if again is None:
+            continue
+        found[again.right.tobytes()] = again
+        flip = _best_flip(problem, again)
+        if flip is not None:
+            _climb(problem, again.home, flip, found)
+    return _weigh(list(found.values())) if found else None
+
+
+def _starts(problem: HomeProblem, known: HomeFit | None) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return pairs of home and set to climb from, the sets all different."""
+    starts: list[tuple[np.ndarray, np.ndarray]] = []
+    if known is not None:
+        starts.append((known.home, known.right))
+    if problem.prior is not None:
+        starts.append((problem.prior, np.ones(problem.bearings.size, bool)))
+    if problem.bearings.size >= 3:
+        starts.extend(_from_triples(problem))
+    unique = {right.tobytes(): (home, right) for home, right in reversed(starts)}
+    return list(unique.values())[::-1][: STARTS + 2]
+
+
+def _from_triples(problem: HomeProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the best poses of home made of triples, with the set that each one makes right."""
+    points = problem.landmarks
+    cameras = poses_from_triples(points, problem.bearings)
+    if not len(cameras):
+        return []
+    q = len(points)
+    marginals = problem.covariance[4:, 4:].reshape(q, 2, q, 2)[np.arange(q), :, np.arange(q)]
+    scores, right = mixture_scores(
+        cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
+    )
+    starts: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    unmount = inverse(Pose(*problem.mount))
+    for i in np.argsort(-scores)[: 6 * STARTS]:
+        if right[i].sum() >= 3 and right[i].tobytes() not in starts:
+            home = np.array(compose(Pose(*cameras[i]), unmount))
+            starts[right[i].tobytes()] = (home, right[i])
+        if len(starts) == STARTS:
+            break
+    return list(starts.values())
+
+
+def _climb(
+    problem: HomeProblem, home: np.ndarray, right: np.ndarray, found: dict[bytes, HomeFit]
+) -> None:
+    """Flip one bearing at a time while the evidence grows; keep every set met on the way."""
+    best: HomeFit | None = None
+    for _ in range(CLIMBS):
+        known = found.get(right.tobytes())
+        now = fit(problem, home, right) if known is None else known
+        if now is None:
+            return
+        found[right.tobytes()] = now
+        if known is not None or (best is not None and now.evidence <= best.evidence):
+            return
+        best = now
+        flip = _best_flip(problem, now)
+        if flip is None:
+            return
+        home, right = now.home, flip
+
+
+def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
+    """Return the set with the one flip that gains most, or None when none gains."""
+    if not now.right.size:
+        return None
+    gain = np.where(now.right, -now.odds, now.odds)
+    if now.right.sum() <= problem.fewest:
+        gain[now.right] = -np.inf
+    i = int(np.argmax(gain))
+    if not gain[i] > 0.0:
+        return None
+    flipped = now.right.copy()
+    flipped[i] ^= True
+    return flipped
+
+
+def _weigh(fits: list[HomeFit]) -> Hypotheses:
+    """Return the fits as hypotheses, without the negligible ones."""
+    fits = sorted(fits, key=lambda f: -f.evidence)
+    weights = np.exp(np.array([f.evidence for f in fits]) - fits[0].evidence)
+    keep = weights > NEGLIGIBLE
+    weights = weights[keep] / weights[keep].sum()
+    return Hypotheses(tuple(f for f, k in zip(fits, keep, strict=True) if k), weights)

@@ -1,0 +1,151 @@
+"""Finding a lost robot in its own map: a pose from bearings that were taken along a short way.
+
+Unlike home's bearings these come from several places, which odometry ties together. For a fixed
+heading every sight line is a line for the position too, and two of them meet in one point; so the
+headings are gone through, pairs of lines are intersected, and the best poses are refined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import TWO_PI, wrap
+
+HEADINGS = 120
+MOST_LINES = 14
+"""The newest so many sight lines are used."""
+MOST_PAIRS = 40
+TRIED = 6
+"""Poses that are refined."""
+FEWEST_LINES, FEWEST_LANDMARKS, SHARE = 5, 3, 0.7
+"""Sight lines, and landmarks, that must agree; and their share of all lines [1]."""
+AGREES = 3.0
+"""A line agrees within this many standard deviations."""
+APART_M, APART_RAD = 0.3, 0.3
+"""Poses farther apart than this are different answers."""
+LARGEST_SIGMA_M = 0.3
+"""A pose less certain than this waits for more sight lines."""
+STEPS = 8
+
+
+@dataclass(frozen=True)
+class SightLines:
+    """What a lost robot saw of landmarks in the map. Arrays of m rows, the newest last."""
+
+    cameras: np.ndarray
+    """(m, 3): poses of the camera in the frame of the place where the robot was lost."""
+    bearings: np.ndarray
+    """[rad]"""
+    sigmas: np.ndarray
+    """[rad]"""
+    names: np.ndarray
+    """Which landmark (int)."""
+    positions: np.ndarray
+    """(m, 2): of the landmarks in the map [m]."""
+    covariances: np.ndarray
+    """(m, 2, 2)"""
+
+
+def relocate(lines: SightLines) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return where the robot was lost, in the map, and the covariance of that.
+
+    Returns
+    -------
+    pose : ndarray, shape (3,)
+        x [m], y [m], heading [rad].
+    covariance : ndarray, shape (3, 3)
+        None instead of both when the lines do not tell, or tell two places.
+    """
+    lines = SightLines(*(getattr(lines, f)[-MOST_LINES:] for f in SightLines.__dataclass_fields__))
+    if len(lines.names) < FEWEST_LINES or np.unique(lines.names).size < FEWEST_LANDMARKS:
+        return None
+    found: list[tuple[int, np.ndarray, np.ndarray]] = []
+    for start in _candidates(lines):
+        refined = _refine(start, lines)
+        if refined is not None and not any(_same(refined[1], f[1]) for f in found):
+            found.append(refined)
+    found.sort(key=lambda f: -f[0])
+    if not found or found[0][0] < max(FEWEST_LINES, SHARE * len(lines.names)):
+        return None
+    if len(found) > 1 and found[1][0] >= found[0][0] - 1:
+        return None
+    pose, covariance = found[0][1:]
+    return (pose, covariance) if np.diag(covariance)[:2].max() < LARGEST_SIGMA_M**2 else None
+
+
+def _candidates(lines: SightLines) -> np.ndarray:
+    """Return the most promising poses, shape (k, 3), all different."""
+    i, j = np.triu_indices(len(lines.names), 1)
+    other = lines.names[i] != lines.names[j]
+    i, j = i[other][-MOST_PAIRS:], j[other][-MOST_PAIRS:]
+    heading = np.arange(HEADINGS)[:, None] * TWO_PI / HEADINGS
+    c, s = np.cos(heading), np.sin(heading)
+    dx, dy = lines.cameras[:, 0], lines.cameras[:, 1]
+    x = lines.positions[:, 0] - (c * dx - s * dy)  # (headings, m)
+    y = lines.positions[:, 1] - (s * dx + c * dy)
+    direction = heading + lines.cameras[:, 2] + lines.bearings
+    nx, ny = -np.sin(direction), np.cos(direction)
+    offset = nx * x + ny * y
+    det = nx[:, i] * ny[:, j] - ny[:, i] * nx[:, j]
+    det = np.where(np.abs(det) < 0.05, np.nan, det)
+    px = (offset[:, i] * ny[:, j] - ny[:, i] * offset[:, j]) / det
+    py = (nx[:, i] * offset[:, j] - offset[:, i] * nx[:, j]) / det
+    poses = np.stack([px, py, np.broadcast_to(heading, px.shape)], axis=-1).reshape(-1, 3)
+    poses = np.asarray(poses[np.isfinite(poses).all(axis=1)])
+    if not len(poses):
+        return poses
+    tolerance = AGREES * lines.sigmas + TWO_PI / HEADINGS
+    cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
+    chosen: list[np.ndarray] = []
+    for k in np.argsort(cost)[:200]:
+        if not any(_same(poses[k], p) for p in chosen):
+            chosen.append(poses[k])
+        if len(chosen) == TRIED:
+            break
+    return np.array(chosen)
+
+
+def _residuals(
+    poses: np.ndarray, lines: SightLines
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (k, m), the gradient of a bearing by landmark (x, y), and camera offsets."""
+    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    ox = c * lines.cameras[:, 0] - s * lines.cameras[:, 1]
+    oy = s * lines.cameras[:, 0] + c * lines.cameras[:, 1]
+    dx = lines.positions[:, 0] - poses[:, 0, None] - ox
+    dy = lines.positions[:, 1] - poses[:, 1, None] - oy
+    square = np.maximum(dx * dx + dy * dy, 1e-4)
+    expected = np.arctan2(dy, dx) - poses[:, 2, None] - lines.cameras[:, 2]
+    return np.asarray(wrap(lines.bearings - expected)), -dy / square, dx / square, ox, oy
+
+
+def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
+    """Return how many lines agree, the refined pose and its covariance."""
+    pose = start.copy()
+    for _ in range(STEPS):
+        r, gx, gy, ox, oy = (a[0] for a in _residuals(pose[None], lines))
+        cov = lines.covariances
+        variance = (
+            lines.sigmas**2
+            + cov[:, 0, 0] * gx * gx
+            + 2.0 * cov[:, 0, 1] * gx * gy
+            + cov[:, 1, 1] * gy * gy
+        )
+        jacobian = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
+        weight = 1.0 / (variance * np.maximum(r * r / (variance * AGREES**2), 1.0))
+        information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
+        covariance = np.linalg.inv(information)
+        step = covariance @ (jacobian.T @ (weight * r))
+        pose = pose + step / max(1.0, float(np.abs(step).max()))
+    agree = np.abs(r) < AGREES * np.sqrt(variance)
+    if np.unique(lines.names[agree]).size < FEWEST_LANDMARKS:
+        return None
+    return int(agree.sum()), pose, covariance
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return whether two poses are the same answer."""
+    near = np.hypot(a[0] - b[0], a[1] - b[1]) < APART_M
+    return bool(near and abs(wrap(a[2] - b[2])) < APART_RAD)

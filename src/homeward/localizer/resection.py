@@ -1,0 +1,107 @@
+"""Home by resection: where the camera stood that saw the landmarks under the home bearings.
+
+Three bearings to known points fix a pose (unless it lies on the circle through them), so poses are
+made of triples of landmarks, and scored by how well all landmarks fit under a mixture: a home
+bearing is either right, with the landmark's own uncertainty in the map counted, or wrong and then
+uniform.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from homeward.angles import TWO_PI, wrap
+
+MOST_TRIPLES = 600
+"""So many triples at most; drawn at random with a fixed seed when there are more."""
+
+
+def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
+    """Return the pose from each triple of landmarks (Pierlot and Van Droogenbroeck, 2014, ToTal).
+
+    Parameters
+    ----------
+    points : ndarray, shape (q, 2)
+        Landmarks [m].
+    bearings : ndarray, shape (q,)
+        Seen from the pose sought [rad].
+
+    Returns
+    -------
+    ndarray, shape (k, 3)
+        Finite poses x [m], y [m], heading [rad] of the camera.
+    """
+    a, b, c = _triples(len(bearings)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cot_ab = 1.0 / np.tan(bearings[b] - bearings[a])
+        cot_bc = 1.0 / np.tan(bearings[c] - bearings[b])
+        cot_ca = (1.0 - cot_ab * cot_bc) / (cot_ab + cot_bc)
+        x1, y1 = (points[a] - points[b]).T
+        x3, y3 = (points[c] - points[b]).T
+        x12, y12 = x1 + cot_ab * y1, y1 - cot_ab * x1
+        x23, y23 = x3 - cot_bc * y3, y3 + cot_bc * x3
+        x31, y31 = (x3 + x1) + cot_ca * (y3 - y1), (y3 + y1) - cot_ca * (x3 - x1)
+        k31 = x1 * x3 + y1 * y3 + cot_ca * (x1 * y3 - x3 * y1)
+        determinant = (x12 - x23) * (y23 - y31) - (y12 - y23) * (x23 - x31)
+        x = points[b, 0] + k31 * (y12 - y23) / determinant
+        y = points[b, 1] + k31 * (x23 - x12) / determinant
+        heading = wrap(np.arctan2(points[a, 1] - y, points[a, 0] - x) - bearings[a])
+    poses = np.stack([x, y, heading], axis=1)
+    reach = 20.0 * np.ptp(points, axis=0).max()
+    near = np.abs(poses[:, :2] - points.mean(axis=0)).max(axis=1) < reach
+    return np.asarray(poses[np.isfinite(poses).all(axis=1) & near])
+
+
+def mixture_scores(
+    poses: np.ndarray,
+    points: np.ndarray,
+    covariances: np.ndarray,
+    bearings: np.ndarray,
+    sigmas: np.ndarray,
+    moved_prior: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the log likelihood of each pose, and which bearings are more likely right under it.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (k, 3)
+        Of the camera.
+    points : ndarray, shape (q, 2)
+        Landmarks [m].
+    covariances : ndarray, shape (q, 2, 2)
+        Of the landmarks [m^2].
+    bearings, sigmas : ndarray, shape (q,)
+        And their standard deviations [rad].
+    moved_prior : float
+        Probability that a bearing is wrong.
+
+    Returns
+    -------
+    scores : ndarray, shape (k,)
+    right : ndarray, shape (k, q), bool
+    """
+    dx = points[:, 0] - poses[:, 0, None]
+    dy = points[:, 1] - poses[:, 1, None]
+    square = np.maximum(dx * dx + dy * dy, 1e-6)
+    gx, gy = -dy / square, dx / square
+    variance = (
+        sigmas**2
+        + covariances[:, 0, 0] * gx * gx
+        + 2.0 * covariances[:, 0, 1] * gx * gy
+        + covariances[:, 1, 1] * gy * gy
+    )
+    residual = wrap(bearings - np.arctan2(dy, dx) + poses[:, 2, None])
+    right = (1.0 - moved_prior) * np.exp(-0.5 * residual**2 / variance) / np.sqrt(TWO_PI * variance)
+    wrong = moved_prior / TWO_PI
+    return np.log(right + wrong).sum(axis=1), right > wrong
+
+
+def _triples(q: int) -> np.ndarray:
+    """Return triples of q things, shape (k, 3)."""
+    if comb(q, 3) <= MOST_TRIPLES:
+        return np.array(list(combinations(range(q), 3)), int).reshape(-1, 3)
+    draw = np.random.default_rng(0)
+    return np.argsort(draw.random((MOST_TRIPLES, q)), axis=1)[:, :3]

@@ -1,0 +1,115 @@
+"""The start of a landmark: a position from sight lines of which some may be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.angles import wrap
+
+FEWEST = 3
+"""Sightings that must agree."""
+MOST_LINES = 24
+"""So many sight lines, spread over all, are intersected in pairs."""
+SHARE = 0.6
+"""Of all sight lines that must agree."""
+AGREES = 3.0
+"""A sighting agrees within this many standard deviations."""
+LARGEST_RELATIVE_SIGMA = 0.3
+"""Of the distance; a landmark less certain waits for more parallax [1]."""
+STEPS = 6
+
+
+def triangulate(
+    cameras: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray, parallax: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the position on which most sight lines agree, and which of them do.
+
+    All pairs out of at most `MOST_LINES` lines are intersected, the point with the smallest robust
+    cost is refined by Gauss-Newton.
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (m, 3)
+        Poses of the camera: x [m], y [m], heading of its axis [rad].
+    bearings, sigmas : ndarray, shape (m,)
+        Measured from the axis, and their standard deviations [rad].
+    parallax : float
+        Angle that must lie between two of the lines that agree [rad].
+
+    Returns
+    -------
+    position : ndarray, shape (2,)
+        [m]
+    agree : ndarray, shape (m,), bool
+        None instead of both when the lines do not (yet) tell.
+    """
+    if len(bearings) < FEWEST:
+        return None
+    lines = cameras[:, 2] + bearings
+    if not _spread(lines, np.ones(lines.size, bool), parallax):
+        return None
+    chosen = np.unique(np.linspace(0, lines.size - 1, MOST_LINES).astype(int))
+    points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
+    if not len(points):
+        return None
+    residuals = _residuals(points, cameras, lines)
+    cost = np.minimum((residuals / (AGREES * sigmas)) ** 2, 1.0).sum(axis=1)
+    position = points[int(np.argmin(cost))]
+    agree = np.abs(_residuals(position[None], cameras, lines)[0]) < AGREES * sigmas
+    for _ in range(STEPS):
+        if agree.sum() < FEWEST:
+            return None
+        position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
+        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < AGREES * sigmas
+    enough = agree.sum() >= max(FEWEST, SHARE * lines.size)
+    if not enough or not _spread(lines, agree, parallax):
+        return None
+    distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
+    deviation = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(information))[-1])
+    if not deviation < LARGEST_RELATIVE_SIGMA * distance:
+        return None
+    return position, agree
+
+
+def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
+    """Return whether the lines span at least the angle `parallax`."""
+    around = wrap(lines[use] - lines[use][0])
+    return bool(np.ptp(around) >= parallax) if around.size else False
+
+
+def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:
+    """Return where pairs of sight lines meet in front of both, shape (k, 2)."""
+    i, j = np.triu_indices(lines.size, 1)
+    sine = np.sin(lines[j] - lines[i])
+    good = np.abs(sine) > np.sin(min(least, 1.5))
+    i, j, sine = i[good], j[good], sine[good]
+    d = centres[j] - centres[i]
+    along_i = (d[:, 0] * np.sin(lines[j]) - d[:, 1] * np.cos(lines[j])) / sine
+    along_j = (d[:, 0] * np.sin(lines[i]) - d[:, 1] * np.cos(lines[i])) / sine
+    front = (along_i > 0) & (along_j > 0)
+    i, along = i[front], along_i[front]
+    return np.asarray(
+        centres[i] + along[:, None] * np.stack([np.cos(lines[i]), np.sin(lines[i])], axis=1)
+    )
+
+
+def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Return each line's angle off each point, shape (k, m) [rad]."""
+    dx = points[:, 0, None] - cameras[None, :, 0]
+    dy = points[:, 1, None] - cameras[None, :, 1]
+    return np.asarray(wrap(lines - np.arctan2(dy, dx)))
+
+
+def _refine(
+    position: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position after one Gauss-Newton step, and its information (2, 2)."""
+    d = position - cameras[:, :2]
+    square = np.maximum((d**2).sum(axis=1), 1e-6)
+    jacobian = np.stack([-d[:, 1], d[:, 0]], axis=1) / square[:, None] / sigmas[:, None]
+    residual = _residuals(position[None], cameras, lines)[0] / sigmas
+    information = jacobian.T @ jacobian + 1e-9 * np.eye(2)
+    step = np.linalg.solve(information, jacobian.T @ residual)
+    reach = 0.5 * float(np.sqrt(square.min()))
+    size = float(np.hypot(*step))
+    return position + step * min(1.0, reach / max(size, 1e-12)), information

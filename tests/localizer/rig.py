@@ -1,0 +1,120 @@
+"""A small world to drive an estimator through, with something going wrong on the way."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
+from homeward.estimator import Estimate, Status
+from homeward.frames import Pose, bearing
+from homeward.localizer.localizer import Localizer
+from homeward.simulation.trajectories import advance
+
+BEARING_SIGMA = 0.01
+SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01
+DT, EVERY = 0.1, 2
+START = Pose(0.8, -0.4, 0.6)
+
+
+def ring(count, seed=0, near=2.0, far=4.0):
+    """Landmarks all round home, at distances from `near` to `far` [m]."""
+    rng = np.random.default_rng(seed)
+    angles = 2 * math.pi * (np.arange(count) + rng.uniform(-0.25, 0.25, count)) / count
+    distances = rng.uniform(near, far, count)
+    return {
+        f"L{i}": (float(d * math.cos(a)), float(d * math.sin(a)))
+        for i, (a, d) in enumerate(zip(angles, distances, strict=True))
+    }
+
+
+def eight(t):
+    """Twist of a figure of eight about a metre across."""
+    return Twist(0.2, 0.4 if (t // 15.7) % 2 == 0 else -0.4)
+
+
+@dataclass
+class Rig:
+    """Truth, noise, and everything that the estimator answered."""
+
+    landmarks: dict[str, tuple[float, float]]
+    seed: int = 0
+    pose: Pose = START
+    faults: dict[str, float] = field(default_factory=dict)
+    t: float = 100.0
+    answers: list[tuple[Estimate, Pose]] = field(default_factory=list)
+
+    def __post_init__(self):
+        self.rng = np.random.default_rng(self.seed)
+        home = {}
+        for name, (x, y) in self.landmarks.items():
+            noise = 0.005 * self.rng.normal() + self.faults.get(name, 0.0)
+            home[name] = HomeBearing(float(wrap(math.atan2(y, x) + noise)), 0.005)
+        settings = DriveSettings(
+            sensor=Sensor(bearing_sigma=BEARING_SIGMA),
+            odometry=OdometryNoise(
+                speed_sigma=SPEED_SIGMA,
+                turn_sigma=TURN_SIGMA,
+                speed_scale_sigma=0.0,
+                turn_scale_sigma=0.0,
+                turn_bias_sigma=0.0,
+            ),
+        )
+        self.localizer = Localizer(home, settings)
+
+    def drive(
+        self,
+        seconds: float,
+        law: Callable[[float], Twist] = eight,
+        see: Callable[[dict[str, float]], dict[str, float]] = lambda seen: seen,
+        feel: bool = True,
+    ) -> Estimate:
+        """Drive on; `see` may change what is seen, and without `feel` odometry is silent."""
+        for k in range(round(seconds / DT)):
+            twist = law(self.t)
+            if feel:
+                noise = self.rng.normal(size=2) * [SPEED_SIGMA, TURN_SIGMA] / math.sqrt(DT)
+                self.localizer.odometry(self.t, *np.add(twist, noise).tolist())
+            if k % EVERY == 0:
+                self.keep(self.localizer.bearings(self.t, see(self.look())))
+            self.pose = advance(self.pose, twist, DT)
+            self.t += DT
+        return self.answers[-1][0]
+
+    def look(self) -> dict[str, float]:
+        """Return what the camera sees now."""
+        return {
+            name: float(wrap(bearing(self.pose, *mark) + self.rng.normal() * BEARING_SIGMA))
+            for name, mark in self.landmarks.items()
+        }
+
+    def keep(self, answer: Estimate) -> None:
+        """Keep an answer beside the truth."""
+        self.answers.append((answer, self.pose))
+
+    def error(self) -> float:
+        """Return how far the last pose is off [m]."""
+        answer, truth = self.answers[-1]
+        return math.hypot(answer.pose.x - truth.x, answer.pose.y - truth.y)
+
+    def wrong_share(self) -> float:
+        """Return the share of poses farther off than 4 sigma; check that all are finite."""
+        wrong = 0
+        for answer, truth in self.answers:
+            if answer.pose is None:
+                assert answer.covariance is None
+                assert answer.status in (Status.WAITING, Status.MAPPING)
+                continue
+            assert np.all(np.isfinite(answer.pose))
+            assert np.all(np.isfinite(answer.covariance))
+            assert np.linalg.eigvalsh(answer.covariance)[0] >= -1e-12
+            d = np.array([answer.pose.x - truth.x, answer.pose.y - truth.y])
+            wrong += d @ np.linalg.solve(answer.covariance[:2, :2], d) > 16.0
+        return wrong / len(self.answers)
+
+    def moved(self) -> set[str]:
+        """Return the landmarks that are said to have been moved."""
+        return {m.landmark for m in self.localizer.landmarks() if m.moved}

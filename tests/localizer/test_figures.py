@@ -1,0 +1,50 @@
+"""The benchmarks' figures in their quick form, with room for the smaller number of runs."""
+
+import numpy as np
+import pytest
+
+from benchmarks.case2 import bound, final_error, scenario
+from benchmarks.roh import fixes, places
+from homeward.drives.mrclam import read_mrclam
+from homeward.frames import Pose
+from homeward.localizer.localizer import Localizer
+from homeward.scoring import errors, statistics
+from homeward.simulation.simulate import simulate
+from homeward.track import run
+
+
+@pytest.mark.parametrize("moved", [0, 2])
+def test_case_2_comes_near_the_bound_and_names_what_moved(moved):
+    right, squares = [], []
+    for seed in range(300, 312):
+        case = simulate(scenario(seed, moved))
+        localizer = Localizer(case.drive.home, case.drive.settings)
+        error, _ = final_error(case.drive, localizer)
+        squares.append(error[:2] @ np.linalg.solve(bound(case)[:2, :2], error[:2]) / 2)
+        named = {m.landmark for m in localizer.landmarks() if m.moved}
+        right.append(named == set(case.world.moved))
+    assert sum(right) >= 10
+    assert np.sqrt(np.mean(np.array(squares)[right])) < 1.6
+
+
+def test_static_fixes_on_real_beacons(data_dir):
+    folder = data_dir / "roh_angulation"
+    if not folder.is_dir():
+        pytest.skip("no roh_angulation in the data folder")
+    where, bearings = places(folder)
+    beacons = np.loadtxt(folder / "landmark.csv", delimiter=",")
+    found, _ = fixes(beacons, bearings[:, ::20].reshape(-1, 4), 0.03)
+    off = np.linalg.norm(found.reshape(len(where), -1, 2) - where[:, None], axis=-1)
+    assert np.median(off) < 0.11
+
+
+def test_a_real_drive_without_map_or_prior(data_dir):
+    folder = data_dir / "MRCLAM_Dataset6"
+    if not folder.is_dir():
+        pytest.skip("no MRCLAM_Dataset6 in the data folder")
+    drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), np.radians(0.5), 0)
+    track = run(drive, Localizer(drive.home, drive.settings))
+    e = errors(track, drive.truth)
+    late = e.t > track.t[0] + 300.0
+    assert statistics(e.position[late], e.weight[late]).rmse < 0.2
+    assert not [m.landmark for m in track.landmarks if m.moved]

@@ -1,0 +1,219 @@
+"""The parts of the localiser against dense algebra, numerical derivatives and known answers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.angles import wrap
+from homeward.drives.drive import OdometryNoise
+from homeward.frames import Pose, bearing, between, compose
+from homeward.localizer import chain
+from homeward.localizer.clock import Clock
+from homeward.localizer.home import HomeProblem, fit
+from homeward.localizer.moved import search
+from homeward.localizer.odometry import CALIBRATION, LAG, TURN_SCALE, NoiseModel, Odometry
+from homeward.localizer.relocation import SightLines, relocate
+from homeward.localizer.resection import poses_from_triples
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.triangulation import triangulate
+from homeward.localizer.window import NC, bearing_residuals, sighting_row
+
+NOTHING = np.zeros(len(CALIBRATION))
+
+
+def random_equations(rng, w, a):
+    """A chain's normal equations, blocks and dense."""
+    n = 3 * w + a
+    hessian, gradient = np.eye(n), rng.normal(size=n)
+    for k in range(w):
+        columns = np.r_[3 * k : min(3 * k + 6, 3 * w), 3 * w : n]
+        j = rng.normal(size=(8, columns.size))
+        hessian[np.ix_(columns, columns)] += j.T @ j
+    e = chain.NormalEquations.zeros(w, a)
+    for k in range(w):
+        own = slice(3 * k, 3 * k + 3)
+        e.own[k], e.shared[k], e.slope[k] = hessian[own, own], hessian[own, 3 * w :], gradient[own]
+        if k + 1 < w:
+            e.next[k] = hessian[own, 3 * k + 3 : 3 * k + 6]
+    e.common[:], e.common_slope[:] = hessian[3 * w :, 3 * w :], gradient[3 * w :]
+    return e, hessian, gradient
+
+
+@pytest.mark.parametrize("w", [1, 2, 8, 9, 10, 17, 40])
+def test_the_chain_is_solved_as_the_dense_system(w):
+    e, hessian, gradient = random_equations(np.random.default_rng(w), w, 7)
+    poses, common, covariance = chain.solve(e)
+    assert np.allclose(np.r_[poses.ravel(), common], np.linalg.solve(hessian, gradient))
+    inverse = np.linalg.inv(hessian)
+    assert np.allclose(covariance, inverse[3 * w - 3 :, 3 * w - 3 :])
+    own, lever, shared = chain.marginals(e)
+    assert np.allclose(shared, inverse[3 * w :, 3 * w :])
+    for k in range(w):
+        rows = slice(3 * k, 3 * k + 3)
+        assert np.allclose(own[k], inverse[rows, rows])
+        assert np.allclose(-lever[k] @ shared, inverse[rows, 3 * w :])
+
+
+def drive(odometry, seconds=4.0):
+    rng = np.random.default_rng(3)
+    for k in range(int(seconds * 20)):
+        odometry.add(k / 20, 0.3 + 0.1 * rng.normal(), 0.5 * math.sin(k / 13))
+    odometry.restart(1.0)
+
+
+def integrated(calibration, until=3.0):
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    drive(odometry)
+    return odometry.motion(until, calibration)
+
+
+def test_motion_is_linear_in_its_calibration_as_it_says():
+    at = np.array([0.02, 0.003, 0.01, 0.13, 0.0])
+    motion = integrated(at)
+    for i in range(4):
+        step = np.zeros(len(CALIBRATION))
+        step[i] = 1e-6
+        numeric = (integrated(at + step).delta - integrated(at - step).delta) / 2e-6
+        assert motion.jacobian[:, i] == pytest.approx(numeric, abs=2e-4), CALIBRATION[i]
+
+
+def test_motion_in_pieces_is_the_motion_at_once():
+    pieces = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    drive(pieces)
+    for t in (1.4, 1.41, 2.3, 3.0):
+        motion = pieces.advance(t, NOTHING)
+    whole = integrated(NOTHING)
+    assert np.allclose(motion.delta, whole.delta)
+    assert np.allclose(motion.jacobian, whole.jacobian)
+    assert np.allclose(motion.covariance, whole.covariance, rtol=2e-2, atol=1e-9)
+
+
+def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry.add(0.0, 0.0, 0.0)
+    odometry.restart(0.0)
+    assert not odometry.motion(1.0, NOTHING).covariance.any()
+    assert odometry.motion(10.0, NOTHING).covariance[0, 0] > 1.0
+
+
+def test_bearings_have_the_derivatives_they_say():
+    rng = np.random.default_rng(0)
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    drive(odometry)
+    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02])
+    motion = odometry.motion(1.7, calibration)
+    row = sighting_row(0, 0.4, 0.01, motion, np.array([0.2, -0.1, 0.3]), calibration)[None]
+    x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
+
+    def expected(x):
+        return bearing_residuals(x[None, :3], x[3 : 3 + NC], x[None, 3 + NC :], row)
+
+    _, jacobian = expected(x)
+    for i in range(x.size):
+        step = np.zeros(x.size)
+        step[i] = 1e-6
+        numeric = -(expected(x + step)[0] - expected(x - step)[0]) / 2e-6
+        assert jacobian[0, i] == pytest.approx(numeric[0], abs=1e-6)
+    robot = compose(Pose(*x[:3]), Pose(*motion.delta))
+    camera = compose(robot, Pose(0.2, -0.1, 0.32))
+    assert expected(x)[0][0] == pytest.approx(wrap(0.4 - bearing(camera, 3.0, 2.0)))
+    assert motion.jacobian[2, TURN_SCALE] != 0
+    assert motion.jacobian[2, LAG] != 0
+
+
+def test_a_landmark_starts_among_wrong_sight_lines():
+    rng = np.random.default_rng(1)
+    cameras = np.stack([np.linspace(0, 1.5, 15), np.zeros(15), rng.normal(0, 0.3, 15)], axis=1)
+    true = np.array([1.0, 2.5])
+    lines = np.arctan2(true[1] - cameras[:, 1], true[0] - cameras[:, 0])
+    bearings = wrap(lines - cameras[:, 2] + 0.005 * rng.normal(size=15))
+    bearings[[2, 7, 11]] += [0.7, -0.5, 1.0]
+    found = triangulate(cameras, bearings, np.full(15, 0.01), 0.06)
+    assert found is not None
+    assert found[0] == pytest.approx(true, abs=0.1)
+    assert not found[1][[2, 7, 11]].any()
+
+
+def test_a_landmark_without_parallax_waits():
+    cameras = np.stack([np.linspace(0, 0.05, 10), np.zeros(10), np.zeros(10)], axis=1)
+    lines = np.arctan2(3.0, 3.0 - cameras[:, 0])
+    assert triangulate(cameras, lines, np.full(10, 0.01), 0.06) is None
+
+
+def test_three_bearings_fix_a_pose():
+    points = np.array([[2.0, 1.0], [-1.0, 2.0], [0.5, -2.0]])
+    true = Pose(0.3, -0.4, 1.2)
+    (pose,) = poses_from_triples(points, bearing(true, points[:, 0], points[:, 1]))
+    assert pose == pytest.approx(np.array(true), abs=1e-9)
+
+
+def problem(faults, q=8, seed=0, sigma=0.01):
+    rng = np.random.default_rng(seed)
+    angles = 2 * math.pi * np.arange(q) / q + rng.uniform(-0.3, 0.3, q)
+    marks = rng.uniform(1.5, 3.0, q)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    home = Pose(0.2, -0.1, 0.7)
+    stored = bearing(home, marks[:, 0], marks[:, 1]) + sigma * rng.normal(size=q)
+    for i, fault in faults.items():
+        stored[i] += fault
+    spread = np.diag(np.r_[np.full(4, 1e-6), np.full(2 * q, 1e-4)])
+    mean = np.r_[np.zeros(4), (marks + 0.01 * rng.normal(size=marks.shape)).ravel()]
+    return home, HomeProblem(mean, spread, wrap(stored), np.full(q, sigma), np.zeros(3), True, 0.1)
+
+
+@pytest.mark.parametrize("faults", [{}, {2: 0.3}, {1: -0.25, 6: 0.4}, {0: 0.5, 3: 0.3, 5: -0.4}])
+def test_home_is_found_among_wrong_bearings(faults):
+    home, known = problem(faults)
+    found = search(known, None)
+    assert found is not None
+    assert set(np.flatnonzero(~found.best.right)) == set(faults)
+    assert found.best.home == pytest.approx(np.array(home), abs=0.04)
+    assert set(np.flatnonzero(found.moved_probabilities() > 0.5)) == set(faults)
+
+
+def test_evidence_of_a_flip_is_what_the_odds_say():
+    _, known = problem({})
+    everything = fit(known, np.array([0.2, -0.1, 0.7]), np.ones(8, bool))
+    for i in range(8):
+        right = np.ones(8, bool)
+        right[i] = False
+        without = fit(known, everything.home, right)
+        assert everything.evidence - without.evidence == pytest.approx(everything.odds[i], abs=0.05)
+
+
+def test_two_bearings_do_not_fix_home():
+    _, known = problem({}, q=2)
+    assert search(known, None) is None
+
+
+def test_a_lost_robot_is_found_in_its_map():
+    rng = np.random.default_rng(2)
+    marks = np.array([[2.0, 1.0], [-1.0, 2.0], [0.5, -2.0], [-2.0, -1.0]])
+    lost = Pose(0.4, 0.8, 2.1)
+    cameras = [Pose(0.05 * k, 0.0, 0.02 * k) for k in range(12)]
+    names = np.arange(12) % 4
+    seen = [bearing(compose(lost, c), *marks[n]) for c, n in zip(cameras, names, strict=True)]
+    lines = SightLines(
+        np.array(cameras),
+        wrap(np.array(seen) + 0.005 * rng.normal(size=12)),
+        np.full(12, 0.01),
+        names,
+        marks[names],
+        np.tile(1e-4 * np.eye(2), (12, 1, 1)),
+    )
+    found = relocate(lines)
+    assert found is not None
+    off = between(lost, Pose(*found[0]))
+    assert math.hypot(off.x, off.y) < 0.05
+    assert abs(off.heading) < 0.03
+
+
+def test_a_clock_that_is_set_back_goes_on():
+    clock = Clock()
+    assert clock.read(100.0) == 100.0
+    assert clock.read(99.5) == 99.5  # late
+    times = [clock.read(10.0 + 0.2 * k) for k in range(20)]
+    assert times[0] < 100.0
+    assert 100.0 < times[-1] < 105.0
+    assert np.all(np.diff(times[10:]) > 0)
+    assert math.isnan(clock.read(math.nan))

@@ -1,0 +1,217 @@
+"""What goes wrong on a real robot: never a crash, a number that is not finite, a confident lie."""
+
+import math
+
+import numpy as np
+import pytest
+from rig import Rig, eight, ring
+
+from homeward.control import Twist
+from homeward.estimator import Status
+from homeward.frames import Pose
+
+
+def still(_):
+    return Twist(0.0, 0.0)
+
+
+def spin(_):
+    return Twist(0.0, 0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_home_is_found_and_what_moved_is_named(seed):
+    rig = Rig(ring(8, seed), seed, faults={"L1": 0.35, "L5": -0.3})
+    assert rig.drive(60).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.moved() == {"L1", "L5"}
+    assert rig.wrong_share() == 0
+
+
+def test_bearings_gone_for_a_minute_and_back():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    before = rig.localizer.estimate(rig.t).sigmas[:2].max()
+    assert rig.drive(60, see=lambda _: {}).status is Status.COASTING
+    assert rig.localizer.estimate(rig.t).sigmas[:2].max() > 1.5 * before
+    assert rig.drive(15).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.wrong_share() == 0
+
+
+def test_odometry_gone_and_back():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    rig.drive(20, feel=False)
+    assert rig.drive(40).status is Status.LOCALISED
+    assert rig.error() < 0.15
+    assert rig.wrong_share() < 0.02
+
+
+def test_a_fifth_of_the_ids_swapped():
+    rig = Rig(ring(8))
+
+    def swap(seen):
+        names = list(seen)
+        wrong = {n: str(rig.rng.choice(names)) for n in names if rig.rng.random() < 0.2}
+        return {wrong.get(n, n): b for n, b in seen.items()}
+
+    rig.drive(90, see=swap)
+    assert rig.answers[-1][0].status in (Status.LOCALISED, Status.UNVERIFIED)
+    assert rig.error() < 0.2
+    assert rig.wrong_share() < 0.02
+    assert rig.localizer.counts.rejected
+
+
+def test_a_landmark_that_moves_during_the_drive_is_noticed():
+    rig = Rig(ring(8))
+    rig.drive(60)
+    x, y = rig.landmarks["L3"]
+    rig.landmarks["L3"] = (x - 1.2 * y / math.hypot(x, y), y + 1.2 * x / math.hypot(x, y))
+    when = rig.t
+    rig.drive(60)
+    assert rig.error() < 0.1
+    assert rig.wrong_share() < 0.01
+    (known,) = [m for m in rig.localizer.landmarks() if m.landmark == "L3"]
+    assert known.moved_at == pytest.approx(when, abs=15)
+    assert known.moved
+    assert math.hypot(known.x - rig.landmarks["L3"][0], known.y - rig.landmarks["L3"][1]) < 0.4
+
+
+def test_kidnapped_and_localised_again():
+    rig = Rig(ring(10))
+    rig.drive(60)
+    rig.pose = Pose(-1.2, 1.0, -2.0)
+    said = len(rig.answers)
+    rig.drive(60)
+    assert rig.error() < 0.15
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    lying = [
+        a.status is Status.LOCALISED and math.hypot(a.pose.x - p.x, a.pose.y - p.y) > 0.5
+        for a, p in rig.answers[said:]
+    ]
+    # Nobody can know at once; it must not go on for more than a few seconds.
+    assert sum(lying) * 0.2 < 5.0
+
+
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_a_clock_that_jumps_by_an_hour(jump):
+    rig = Rig(ring(8))
+    rig.drive(40)
+    rig.t += jump
+    rig.drive(60)
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.error() < 0.15
+    assert rig.wrong_share() < 0.02
+
+
+def test_standing_still_for_an_hour():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    sigma = rig.localizer.estimate(rig.t).sigmas[:2].max()
+    rig.drive(3600, still, see=lambda seen: seen if rig.rng.random() < 0.1 else {})
+    assert rig.error() < 0.1
+    assert rig.localizer.estimate(rig.t).sigmas[:2].max() < 3 * sigma
+    rig.drive(20)
+    assert rig.error() < 0.1
+    assert rig.wrong_share() < 0.01
+
+
+def test_numbers_that_are_none():
+    rig = Rig(ring(8))
+
+    def spoil(seen):
+        bad = [math.nan, math.inf, -math.inf, 1e300]
+        return {
+            n: bad[i] if rig.rng.random() < 0.2 else b
+            for i, (n, b) in enumerate((n, b) for n, b in list(seen.items())[:4])
+        } | dict(list(seen.items())[4:])
+
+    for _ in range(40):
+        rig.drive(1, see=spoil)
+        for bad in (math.nan, math.inf):
+            rig.localizer.odometry(bad, 0.1, 0.1)
+            rig.localizer.odometry(rig.t - 0.05, bad, 0.1)
+            rig.localizer.odometry(rig.t - 0.05, 0.1, bad)
+            rig.localizer.bearings(bad, {"L0": 0.0})
+            rig.localizer.bearings(rig.t - 0.05, {"L0": 0.1}, {"L0": bad})
+    rig.drive(20)
+    assert rig.error() < 0.15
+    assert rig.wrong_share() < 0.01
+
+
+def test_landmarks_nearly_in_line():
+    marks = {f"L{i}": (-3.0 + i, 2.5 + 0.01 * (i % 2)) for i in range(7)}
+    rig = Rig(marks)
+    rig.drive(60)
+    assert rig.answers[-1][0].pose is None or rig.error() < 0.3
+    assert rig.wrong_share() < 0.01
+
+
+def test_home_on_the_circle_through_its_landmarks_is_never_a_confident_lie():
+    angles = [0.3, 1.1, 2.0, 2.9, 3.8, 5.2]
+    marks = {f"L{i}": (2.0 + 2.0 * math.cos(a), 2.0 * math.sin(a)) for i, a in enumerate(angles)}
+    rig = Rig(marks, pose=Pose(1.0, 0.3, 0.2))
+    rig.drive(60)
+    assert rig.wrong_share() < 0.01
+
+
+def test_three_landmarks_give_an_unverified_pose():
+    rig = Rig(ring(3))
+    assert rig.drive(60).status is Status.UNVERIFIED
+    assert "3" in rig.answers[-1][0].reason
+    assert all(a.status is not Status.LOCALISED for a, _ in rig.answers)
+    assert rig.wrong_share() == 0
+
+
+def test_two_landmarks_never_give_a_pose():
+    rig = Rig(ring(2))
+    answer = rig.drive(60)
+    assert all(a.pose is None for a, _ in rig.answers)
+    assert answer.status is Status.MAPPING
+    assert "2 of the landmarks that home saw are mapped; 3 are needed" in answer.reason
+
+
+def test_turning_on_the_spot_asks_for_an_arc():
+    rig = Rig(ring(8))
+    answer = rig.drive(60, spin)
+    assert all(a.pose is None for a, _ in rig.answers)
+    assert "arc" in answer.reason
+    assert rig.drive(60).status is Status.LOCALISED
+    assert rig.error() < 0.1
+
+
+def test_samples_late_repeated_and_out_of_order():
+    rig = Rig(ring(8))
+    for k in range(400):
+        rig.drive(0.2)
+        rig.localizer.odometry(rig.t - 0.3, 5.0, 5.0)
+        rig.localizer.bearings(rig.t - 0.5, {"L0": 1.0})
+        if k % 7 == 0:
+            rig.localizer.bearings(rig.t, rig.look())
+            rig.localizer.bearings(rig.t, rig.look())
+    assert rig.error() < 0.1
+    assert rig.wrong_share() == 0
+
+
+def test_strangers_and_a_home_that_is_not_here():
+    rig = Rig(ring(8))
+
+    def strangers(seen):
+        return {f"X{n}": b for n, b in seen.items()} | {"": 0.1}
+
+    answer = rig.drive(40, see=strangers)
+    assert answer.status is Status.MAPPING
+    assert answer.pose is None
+    assert np.all([a.pose is None for a, _ in rig.answers])
+
+
+def test_online_answers_do_not_depend_on_being_asked():
+    a, b = Rig(ring(8)), Rig(ring(8))
+    for _ in range(60):
+        first, second = a.drive(0.5), b.drive(0.5)
+        a.localizer.estimate(a.t + 3.0)
+        a.localizer.landmarks()
+    assert first.pose == second.pose
+    assert np.array_equal(first.covariance, second.covariance)
+    assert eight(0.0) == Twist(0.2, 0.4)
