@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo test lint clean
+.PHONY: install demo test lint bench clean
 
 install: $(VENV)/installed
 
@@ -25,6 +25,16 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# QUICK=1: few runs of each, without the real drives and the hours.
+bench: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
+	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
 
 clean:
 	rm -rf $(VENV) out build dist src/*.egg-info

@@ -23,11 +23,18 @@ from homeward.filters.settings import (
     Matrix,
     ProportionalIntegralSettings,
 )
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.settings import LocalizerSettings
 from homeward.model import POLAR, PolarModel
 
 DEFAULT_BEARING_SIGMA = 0.02
 DEFAULT_SPEED_SIGMA = 0.05
 DEFAULT_TURN_SIGMA = 0.05
+
+
+def make_robust(drive: Drive, settings: LocalizerSettings) -> Localizer:
+    """Return the robust localiser for a drive."""
+    return Localizer(drive.home, drive.settings, settings)
 
 
 def make_ekf(drive: Drive, settings: FilterSettings) -> OnlineFilter:
@@ -77,11 +84,15 @@ def make_proportional_integral(
 _Maker = Callable[[Drive, Any], Estimator]
 
 ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
+    "robust": (LocalizerSettings, make_robust),
     "ekf": (FilterSettings, make_ekf),
     "a-ekf": (AugmentedSettings, make_augmented),
     "pi-ekf": (ProportionalIntegralSettings, make_proportional_integral),
 }
 """Each name with the model of its settings and what makes it."""
+DEFAULT = "robust"
+NEED_START = ("ekf", "a-ekf", "pi-ekf")
+"""Those that cannot begin without a start prior."""
 
 
 def make_estimator(

@@ -48,6 +48,33 @@ def short(tmp_path):
     return folder
 
 
+def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_path):
+    folder = tmp_path / "drive"
+    shutil.copytree(sample_drive(), folder)
+    (folder / "drive.yaml").write_text("sensor: {x: 0.2, field_of_view: 4.19}\n")
+    out = tmp_path / "out"
+    result = call("run", folder, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "L01, L02 and L08" in result.stdout
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["position_rmse_m"] < 0.25
+    with (out / "landmarks.csv").open() as stream:
+        moved = {row["landmark"] for row in csv.DictReader(stream) if row["moved"] == "1"}
+    with (sample_drive() / "world.csv").open() as stream:
+        assert moved == {r["landmark"] for r in csv.DictReader(stream) if r["moved"] == "1"}
+
+
+def test_smoothing_is_said_and_repeats(short, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    result = call("run", short, "--smooth", "--out", first)
+    assert result.exit_code == 0, result.output
+    assert "smoothed" in result.stdout
+    assert call("run", first / "run.yaml", "--out", second).exit_code == 0
+    assert (first / "estimate.csv").read_bytes() == (second / "estimate.csv").read_bytes()
+    line = refused(call("run", short, "--smooth", "--estimator", "ekf", "--out", tmp_path / "x"))
+    assert "cannot smooth" in line
+
+
 @pytest.mark.parametrize("name", ["ekf", "a-ekf", "pi-ekf"])
 def test_run_writes_everything_and_all_of_it_is_finite(short, tmp_path, name):
     out = tmp_path / "out"
@@ -78,7 +105,7 @@ def test_run_repeats_bit_for_bit_from_its_run_yaml(short, tmp_path):
 def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
     out = tmp_path / "out"
     assert call("run", short, "--out", out).exit_code == 0
-    assert call("run", short, "--out", out, "--set", "gate=null").exit_code == 0
+    assert call("run", short, "--out", out, "--estimator", "ekf").exit_code == 0
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("irreplaceable")
@@ -88,6 +115,7 @@ def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
 
 def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
     out = tmp_path / "out"
+    ekf = ["--estimator", "ekf"]
     result = call("run", short, "--start", "truth", "--out", out)
     assert "taken from the truth" in result.stdout
     assert "taken from the truth" in (out / "report.html").read_text()
@@ -95,9 +123,10 @@ def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
     settings = yaml.safe_load((short / "drive.yaml").read_text())
     del settings["start"]
     (short / "drive.yaml").write_text(yaml.safe_dump(settings))
-    assert "taken from the truth" in call("run", short, "--out", out).stdout
+    assert "taken from the truth" in call("run", short, *ekf, "--out", out).stdout
+    assert "taken from the truth" not in call("run", short, "--out", out).stdout
     (short / "truth.csv").unlink()
-    assert "start prior" in refused(call("run", short, "--out", out))
+    assert "start prior" in refused(call("run", short, *ekf, "--out", out))
     assert "no truth" in refused(call("run", short, "--out", out, "--start", "truth"))
 
 
@@ -112,13 +141,14 @@ def test_run_without_truth_has_no_errors_to_tell(short, tmp_path):
     ("words", "fragment"),
     [
         (["nowhere"], "nowhere"),
+        (["sample", "--set", "window=0"], "window"),
         (["sample", "--estimator", "kalman"], "kalman"),
         (["sample", "--start", "1,2"], "--start"),
         (["sample", "--start", "1,2,x"], "--start"),
         (["sample", "--start", "-1,0,0"], "R"),
         (["sample", "--start", "nan,0,0"], "must be finite"),
         (["sample", "--set", "gate"], "--set gate"),
-        (["sample", "--set", "gate=7"], "gate"),
+        (["sample", "--estimator", "ekf", "--set", "gate=7"], "gate"),
         (["sample", "--set", "colour=red"], "colour"),
         (["sample", "--set", "gate=[1"], "YAML"),
         (["sample", "--robot", "2"], "robot"),

@@ -21,10 +21,10 @@ from homeward.engine.runner import LARGEST
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.frames import Pose, bearing, compose, from_polar
-from homeward.registry import ESTIMATORS, make_estimator
+from homeward.registry import NEED_START, make_estimator
 from homeward.simulation.trajectories import advance
 
-NAMES = tuple(ESTIMATORS)
+NAMES = NEED_START
 NOTHING = np.empty(0)
 CENTRE = Pose(0.0, 0.0, 0.0)
 

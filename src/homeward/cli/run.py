@@ -22,7 +22,9 @@ def run(
         ),
     ],
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out"),
-    estimator: Annotated[str | None, typer.Option(help="ekf (default), a-ekf, pi-ekf.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option(help="robust (default), ekf, a-ekf, pi-ekf.")
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(
@@ -37,6 +39,9 @@ def run(
         float | None, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
+    ] = False,
     changes: Annotated[
         list[str] | None,
         typer.Option("--set", help="KEY=VALUE, a setting of the estimator; repeatable."),
@@ -54,6 +59,7 @@ def run(
         "home": None if home is None else three_numbers(home, "--home"),
         "home_noise_deg": home_noise_deg,
         "seed": seed,
+        "smooth": smooth or None,
         "settings": nested(key_values(changes)) if changes else None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
@@ -83,15 +89,13 @@ def _settings(drive: str, given: dict[str, Any]) -> RunSettings:
 def _run(settings: RunSettings, out: Path) -> None:
     from homeward.report.output import check_output
     from homeward.report.run_folder import SETTINGS_FILE, write_run
-    from homeward.studies.single_run import prepare
-    from homeward.track import run as follow
+    from homeward.studies.single_run import execute
 
     check_output(out, SETTINGS_FILE)
-    drive, estimator, complete = prepare(settings)
-    with progress(f"{drive.name}, {estimator.name}") as tell:
-        track = follow(drive, estimator, tell)
+    with progress(f"{settings.drive}, {settings.estimator}") as tell:
+        drive, track, complete = execute(settings, tell)
         summary = write_run(out, drive, track, complete.model_dump(mode="json"))
     typer.echo(summary)
-    for note in estimator.notes:
+    for note in track.notes:
         typer.echo(note)
     typer.echo(f"Report: {out / 'report.html'}")

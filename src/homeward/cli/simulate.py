@@ -34,7 +34,7 @@ def simulate(
         Kind | None, typer.Option(help="Another trajectory than the scenario's.")
     ] = None,
     estimator: Annotated[
-        str | None, typer.Option(help="Whose pose steers: truth, ekf, a-ekf, pi-ekf.")
+        str | None, typer.Option(help="Whose pose steers: truth, robust, ekf, a-ekf, pi-ekf.")
     ] = None,
     changes: Annotated[
         list[str] | None,

@@ -73,7 +73,7 @@ class HomingControl:
             self._nearest = math.inf
         elif not sure:
             return _search_arc(self._trajectory.speed)
-        elif self._exact or polar.R > self._nearest + PAST_NEAREST:
+        elif self._exact or self._nearest + PAST_NEAREST < polar.R:
             return None
         else:
             self._nearest = min(self._nearest, float(polar.R))

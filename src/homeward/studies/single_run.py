@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -17,13 +18,18 @@ from homeward.drives.settings import validated
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
-from homeward.registry import ESTIMATORS, make_estimator
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.smoothing import smooth
+from homeward.registry import DEFAULT, ESTIMATORS, NEED_START, make_estimator
+from homeward.track import Track
+from homeward.track import run as follow
 
 SAMPLE = "sample"
 """The word for the drive that ships inside the package."""
 TRUTH_SIGMA = 0.05
 """Of a start prior taken from the truth [m and rad]."""
 TRUTH_NOTE = "The start prior was taken from the truth: this run was told where it began."
+SMOOTH_NOTE = "The track was smoothed over the whole drive: it knows at each time what came later."
 TRUTH_NEAR_S = 1.0
 """The truth must know the start at least this nearly [s]."""
 
@@ -41,10 +47,12 @@ class RunSettings(Strict):
     """For an MRCLAM folder: standard deviation of the home bearings [deg]."""
     seed: Annotated[int, Field(ge=0)] = 0
     """For an MRCLAM folder: of that noise."""
-    estimator: str = "ekf"
+    estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
-    drive's settings, or where these say nothing, from its truth."""
+    drive's settings, or where these say nothing and the estimator needs one, from its truth."""
+    smooth: bool = False
+    """Whether a final pass corrects the whole track; only the robust localiser can."""
     settings: dict[str, Any] = {}
     """Of the estimator, by name."""
 
@@ -67,6 +75,41 @@ def load_run(file: Path) -> RunSettings:
         raise InputError("not a mapping of keys to values", file)
     tree.pop("versions", None)
     return validated(RunSettings, tree, file)
+
+
+def execute(
+    run: RunSettings, progress: Callable[[float], None] | None = None
+) -> tuple[Drive, Track, RunSettings]:
+    """Run an estimator over its drive.
+
+    Parameters
+    ----------
+    run : RunSettings
+        Which, over what, and how.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Returns
+    -------
+    drive : Drive
+        What was fed.
+    track : Track
+        What came out.
+    complete : RunSettings
+        The same run with every setting of the estimator spelt out.
+
+    Raises
+    ------
+    InputError
+        As `prepare`, and when an estimator cannot smooth.
+    """
+    drive, estimator, complete = prepare(run)
+    if not run.smooth:
+        return drive, follow(drive, estimator, progress), complete
+    if not isinstance(estimator, Localizer):
+        raise InputError(f"{estimator.name} cannot smooth; the estimator robust can")
+    track = smooth(drive, estimator.settings)
+    return drive, replace(track, notes=(*track.notes, SMOOTH_NOTE)), complete
 
 
 def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
@@ -95,7 +138,7 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
         home_noise=float(np.radians(run.home_noise_deg)),
         seed=run.seed,
     )
-    start = run.start or _default_start(drive)
+    start = run.start or _default_start(run.estimator, drive)
     if start is not None:
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
         drive = replace(drive, settings=told)
@@ -114,9 +157,11 @@ def sample_drive() -> Path:
     return Path(str(files("homeward").joinpath("data", SAMPLE)))
 
 
-def _default_start(drive: Drive) -> Literal["truth"] | None:
-    """Fall back on the truth where nothing else says where the drive starts."""
-    return None if drive.settings.start is not None or drive.truth is None else "truth"
+def _default_start(estimator: str, drive: Drive) -> Literal["truth"] | None:
+    """Fall back on the truth where a filter needs a start and nothing else tells it."""
+    if estimator not in NEED_START or drive.settings.start is not None or drive.truth is None:
+        return None
+    return "truth"
 
 
 def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:

@@ -1,0 +1,170 @@
+"""What a keyframe costs: 20 landmarks at 2 keyframes/s, hours of it, 500 landmarks, plain iSAM2.
+
+`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer ...]` prints milliseconds of
+processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one core). The peer is
+a plain GTSAM script that keeps every sample's pose, on the same samples of the first part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+
+import gtsam
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.localizer.localizer import Localizer
+from homeward.simulation.scenario import (
+    Circle,
+    Moved,
+    Noise,
+    OdometryErrors,
+    Rates,
+    Ring,
+    Scenario,
+    StartPose,
+)
+from homeward.simulation.simulate import simulate
+
+RATE = 2.0
+"""Bearing stamps, and so keyframes, per second [Hz]."""
+
+
+def make_drive(landmarks: int, seconds: float, far: float = 6.0) -> Drive:
+    """Return a drive round and round, all landmarks in sight with probability one half."""
+    scenario = Scenario(
+        name=f"{landmarks} landmarks",
+        landmarks=Ring(count=landmarks, distance=(3.0, far)),
+        moved=Moved(count=min(3, landmarks // 5)),
+        visibility={"probability": 0.5},
+        noise=Noise(bearing_sigma=0.01, home_sigma=0.01),
+        rates=Rates(odometry=10.0, bearings=RATE, truth=1.0),
+        odometry=OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
+        start=StartPose(R=1.0, theta=0.3, alpha=1.8, prior=False),
+        trajectory=Circle(speed=0.3, omega=0.25, duration=seconds),
+    )
+    return simulate(scenario).drive
+
+
+def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cost of each call of `bearings` [ms], and whether home was found by then."""
+    localizer = Localizer(drive.home, drive.settings)
+    o = drive.odometry
+    twists = zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
+    twist = next(twists, None)
+    cost, found = [], []
+    for t, seen, sigmas in drive.sightings.stamps():
+        while twist is not None and twist[0] <= t:
+            localizer.odometry(*twist)
+            twist = next(twists, None)
+        began = time.process_time()
+        estimate = localizer.bearings(t, seen, sigmas)
+        cost.append(1e3 * (time.process_time() - began))
+        found.append(estimate.pose is not None)
+    return np.array(cost), np.array(found)
+
+
+def plain_isam2(drive: Drive, most: int) -> np.ndarray:
+    """Return the cost of each stamp [ms] of a plain iSAM2 that keeps the pose of every one."""
+    isam, x, mark = gtsam.ISAM2(), gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
+    step_noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.01, 0.005, 0.01]))
+    bearing_noise = gtsam.noiseModel.Isotropic.Sigma(1, 0.01)
+    weak = gtsam.noiseModel.Isotropic.Sigma(2, 10.0)
+    o, pose, k, known, cost = drive.odometry, gtsam.Pose2(), 0, set(), []
+    last = float(drive.sightings.t[0])
+    for stamp, (t, seen, _) in enumerate(drive.sightings.stamps()):
+        if stamp == most:
+            break
+        moved = gtsam.Pose2()
+        while k + 1 < o.t.size and o.t[k + 1] <= t:
+            dt = o.t[k + 1] - max(o.t[k], last)
+            if dt > 0:
+                moved = moved.compose(gtsam.Pose2(o.v[k] * dt, 0.0, o.omega[k] * dt))
+            k += 1
+        last = t
+        began = time.process_time()
+        pose = pose.compose(moved)
+        if stamp == 0:
+            graph.add(gtsam.PriorFactorPose2(x(0), pose, tight))
+        else:
+            graph.add(gtsam.BetweenFactorPose2(x(stamp - 1), x(stamp), moved, step_noise))
+        values.insert(x(stamp), pose)
+        for name, beta in seen.items():
+            i = int(name.strip("L"))
+            if i not in known:
+                known.add(i)
+                away = pose.transformFrom(4.0 * np.array([np.cos(beta), np.sin(beta)]))
+                values.insert(mark(i), away)
+                graph.add(gtsam.PriorFactorPoint2(mark(i), away, weak))
+            seen_at = gtsam.Rot2.fromAngle(beta)
+            graph.add(gtsam.BearingFactor2D(x(stamp), mark(i), seen_at, bearing_noise))
+        isam.update(graph, values)
+        pose = isam.calculateEstimatePose2(x(stamp))
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        cost.append(1e3 * (time.process_time() - began))
+    return np.array(cost)
+
+
+def steady() -> None:
+    """Print the cost with 20 landmarks over twenty minutes."""
+    cost, found = milliseconds(make_drive(20, 1200))
+    first = int(np.argmax(found))
+    print(
+        f"20 landmarks, {cost.size} keyframes: median {np.median(cost):.2f} ms (goal 1), "
+        f"99 % {np.quantile(cost, 0.99):.2f} ms (goal 5), worst {cost.max():.1f} ms; "
+        f"until home was found ({first} keyframes): worst {cost[: first + 1].max():.1f} ms "
+        "(goal 20)"
+    )
+
+
+def long(hours: float) -> None:
+    """Print how cost and memory change over hours."""
+    drive = make_drive(20, 3600 * hours)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    cost, _ = milliseconds(drive)
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    parts = np.array([np.median(part) for part in np.array_split(cost, 8)])
+    slope = np.polyfit(np.arange(8) * hours / 8, parts, 1)[0]
+    print(
+        f"{hours:g} h, {cost.size} keyframes: medians of eighths "
+        f"{' '.join(f'{p:.2f}' for p in parts)} ms, slope {slope:+.4f} ms/h, "
+        f"memory {(after - before) / 1024:+.1f} MB"
+    )
+
+
+def many() -> None:
+    """Print the cost with 500 landmarks."""
+    cost, _ = milliseconds(make_drive(500, 120, far=20.0))
+    print(
+        f"500 landmarks, {cost.size} keyframes: median {np.median(cost):.0f} ms, worst "
+        f"{cost.max():.0f} ms, {cost.sum() / 1e3:.0f} s of computing for 120 s of driving "
+        "(goal: less than 120)"
+    )
+
+
+def peer() -> None:
+    """Print ours beside plain iSAM2 on the same samples."""
+    drive = make_drive(20, 1200)
+    ours, _ = milliseconds(drive)
+    theirs = plain_isam2(drive, ours.size)
+    for name, part in (("first tenth", slice(0, 240)), ("last tenth", slice(-240, None))):
+        a, b = np.median(ours[part]), np.median(theirs[part])
+        print(f"plain iSAM2, {name}: {b:.2f} ms against {a:.2f} ms, ratio {b / a:.1f}")
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hours", type=float, default=8.0)
+    parser.add_argument("--part", nargs="*", default=["steady", "long", "many", "peer"])
+    options = parser.parse_args()
+    for part in options.part:
+        {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}[part]()
+
+
+if __name__ == "__main__":
+    main()
