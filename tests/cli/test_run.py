@@ -59,7 +59,7 @@ def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_pa
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["position_rmse_m"] < 0.25
     with (out / "landmarks.csv").open() as stream:
-        moved = {row["landmark"] for row in csv.DictReader(stream) if row["moved"] == "1"}
+        moved = {row["landmark"] for row in csv.DictReader(stream) if row["moved"] == "yes"}
     with (sample_drive() / "world.csv").open() as stream:
         assert moved == {r["landmark"] for r in csv.DictReader(stream) if r["moved"] == "1"}
 
