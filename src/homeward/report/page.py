@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from homeward.drives.drive import Drive
@@ -18,6 +17,7 @@ from homeward.report import words
 from homeward.report.canvas import STATUS_COLOURS, svg
 from homeward.report.map_figure import draw_map, undrawn
 from homeward.report.summary import summarise
+from homeward.report.template import render
 from homeward.report.time_figures import (
     MOST_ROWS,
     draw_errors,
@@ -47,14 +47,8 @@ def write_page(
     run : mapping
         What run.yaml holds: every setting, and the versions.
     """
-    environment = Environment(
-        loader=PackageLoader("homeward.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    html = environment.get_template("report.html.j2").render(
+    html = render(
+        "report.html.j2",
         words=words,
         colours=STATUS_COLOURS,
         drive=drive,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from homeward.report.canvas import png, svg
 from homeward.report.output import whole_folder
 from homeward.report.paper_figures import FIGURES, QUANTITIES
+from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.studies.paper.cases import Reproduction
 from homeward.studies.paper.tables import (
@@ -49,15 +49,9 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
 
 
 def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
-    environment = Environment(
-        loader=PackageLoader("homeward.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     table = rows(result)
-    return environment.get_template("paper.html.j2").render(
+    return render(
+        "paper.html.j2",
         figures=figures,
         printed_rows=[row for row in table if row.case in ("2", "4")],
         other_rows=[row for row in table if row.case not in ("2", "4")],
