@@ -114,12 +114,19 @@ def make_estimator(
     InputError
         For an unknown name, settings that cannot be used, or no start prior where one is needed.
     """
+    return ESTIMATORS[_known(name)][1](drive, estimator_settings(name, settings))
+
+
+def estimator_settings(name: str, settings: Strict | dict[str, Any] | None = None) -> Strict:
+    """Return the settings of an estimator, spelt out; parameters and errors as `make_estimator`."""
+    model = ESTIMATORS[_known(name)][0]
+    return settings if isinstance(settings, model) else validated(model, settings or {})
+
+
+def _known(name: str) -> str:
     if name not in ESTIMATORS:
         raise InputError(f"no estimator {name!r}: there are {', '.join(ESTIMATORS)}")
-    model, make = ESTIMATORS[name]
-    if not isinstance(settings, model):
-        settings = validated(model, settings or {})
-    return make(drive, settings)
+    return name
 
 
 def _online(

@@ -6,15 +6,18 @@ alone, and visit only the landmarks in sight. They are tested against the symbol
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.engine.interpreter import Interpreter
+from homeward.filters.belief import Belief
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import UPDATE_OUTPUTS, propagate_function
 from homeward.model import POLAR
 
-BELIEF = ("state", "covariance", "active", "integral")
+BELIEF = tuple(field.name for field in fields(Belief))
 
 
 def _belief(n: int, q: int, integral: bool) -> dict[str, np.ndarray]:

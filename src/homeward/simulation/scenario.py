@@ -28,7 +28,8 @@ def _ordered(rectangle: tuple[float, ...]) -> tuple[float, ...]:
     return rectangle
 
 
-def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
+def ascending(interval: tuple[float, float]) -> tuple[float, float]:
+    """Return an interval as it is, or raise ValueError when its ends are the wrong way round."""
     if interval[0] > interval[1]:
         raise ValueError("must be [least, most]")
     return interval
@@ -36,7 +37,7 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
 
 Rectangle = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_ordered)]
 """x_min, y_min, x_max, y_max [m]."""
-Interval = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_ascending)]
+Interval = Annotated[tuple[NonNegative, NonNegative], AfterValidator(ascending)]
 """Least and most."""
 Point = tuple[Finite, Finite]
 """x, y [m]."""

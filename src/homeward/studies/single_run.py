@@ -20,7 +20,7 @@ from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.registry import DEFAULT, ESTIMATORS, NEED_START, make_estimator
+from homeward.registry import DEFAULT, NEED_START, estimator_settings, make_estimator
 from homeward.track import Track
 from homeward.track import run as follow
 
@@ -129,8 +129,7 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
     InputError
         When the drive cannot be read, or the settings do not fit.
     """
-    if run.estimator not in ESTIMATORS:
-        raise InputError(f"no estimator {run.estimator!r}: there are {', '.join(ESTIMATORS)}")
+    settings = estimator_settings(run.estimator, run.settings)
     drive = open_drive(
         sample_drive() if run.drive == SAMPLE else run.drive,
         robot=run.robot,
@@ -142,8 +141,6 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
     if start is not None:
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
         drive = replace(drive, settings=told)
-    model = ESTIMATORS[run.estimator][0]
-    settings = validated(model, run.settings)
     estimator = make_estimator(run.estimator, drive, settings)
     if start == "truth":
         estimator.notes += (TRUTH_NOTE,)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist, homing
+from homeward.engine.generic import BELIEF
 from homeward.engine.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -136,7 +138,7 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
         given["mask"][:] = world.visible[k]
         given["noise"][:], given["disturbance"][:] = world.noise[k], world.disturbance[k]
         loop()
-        for field in ("pose", "state", "covariance", "active", "integral"):
+        for field in ("pose", *BELIEF):
             given[field][...] = loop.outputs[field]
     n = len(variance)
     t = np.arange(n) * settings.printed.sample_time
@@ -183,13 +185,11 @@ def _fill(
         given["integral_gain"][...] = printed.M
 
 
-_LAWS: dict[float, Law] = {}
-
-
+@lru_cache
 def _circle_law(turn_rate: float) -> Law:
     """Return the open-loop law of Case 4; the same object for the same turn rate."""
 
     def law(polar: Polar, speed: ca.SX) -> Twist:
         return Twist(speed, ca.SX(turn_rate))
 
-    return _LAWS.setdefault(turn_rate, law)
+    return law

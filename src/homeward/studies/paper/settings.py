@@ -9,15 +9,9 @@ from pydantic import AfterValidator, Field, model_validator
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.model import Integration
+from homeward.simulation.scenario import ascending
 
-
-def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
-    if interval[0] > interval[1]:
-        raise ValueError("must be [least, most]")
-    return interval
-
-
-Interval = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
+Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]
 """Least and most."""
 
 
