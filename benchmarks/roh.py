@@ -63,11 +63,12 @@ def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.n
             same_camera=False,
             moved_prior=LocalizerSettings().moved_prior,
         )
-        hypotheses = search(problem, None)
+        hypotheses = search(problem)
         if hypotheses is not None:
             best = hypotheses.best
             found[k] = best.home[:2]
-            squares.append(best.innovation**2 / best.variance)
+            innovation, variance = best.innovations
+            squares.append(innovation**2 / variance)
     return found, float(np.median(squares))
 
 

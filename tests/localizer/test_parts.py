@@ -16,8 +16,8 @@ from homeward.localizer.odometry import CALIBRATION, LAG, TURN_SCALE, NoiseModel
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.sightings import NC, bearing_residuals, sighting_rows
 from homeward.localizer.triangulation import triangulate
-from homeward.localizer.window import NC, bearing_residuals, sighting_row
 
 NOTHING = np.zeros(len(CALIBRATION))
 
@@ -103,7 +103,8 @@ def test_bearings_have_the_derivatives_they_say():
     drive(odometry)
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02])
     motion = odometry.motion(1.7, calibration)
-    row = sighting_row(0, 0.4, 0.01, motion, np.array([0.2, -0.1, 0.3]), calibration)[None]
+    one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
+    row = sighting_rows(0, 0.4 * one, 0.01 * one, motion, mount, calibration)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):
@@ -164,7 +165,7 @@ def problem(faults, q=8, seed=0, sigma=0.01):
 @pytest.mark.parametrize("faults", [{}, {2: 0.3}, {1: -0.25, 6: 0.4}, {0: 0.5, 3: 0.3, 5: -0.4}])
 def test_home_is_found_among_wrong_bearings(faults):
     home, known = problem(faults)
-    found = search(known, None)
+    found = search(known)
     assert found is not None
     assert set(np.flatnonzero(~found.best.right)) == set(faults)
     assert found.best.home == pytest.approx(np.array(home), abs=0.04)
@@ -183,7 +184,7 @@ def test_evidence_of_a_flip_is_what_the_odds_say():
 
 def test_two_bearings_do_not_fix_home():
     _, known = problem({}, q=2)
-    assert search(known, None) is None
+    assert search(known) is None
 
 
 def test_a_lost_robot_is_found_in_its_map():

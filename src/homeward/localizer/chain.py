@@ -45,22 +45,34 @@ class NormalEquations:
             np.zeros(a),
         )
 
-    def without_first(self) -> tuple[np.ndarray, np.ndarray]:
-        """Eliminate the first of two poses.
+    def of_last(self) -> tuple[np.ndarray, np.ndarray]:
+        """Eliminate all poses but the last.
 
         Returns
         -------
         information : ndarray, shape (3 + a, 3 + a)
-            Of the second pose and the shared unknowns.
+            Of the last pose and the shared unknowns.
         gradient : ndarray, shape (3 + a,)
             Downhill.
         """
-        row = np.hstack([self.next[0], self.shared[0]])
-        gain = np.linalg.solve(self.own[0], row).T
-        information = np.block([[self.own[1], self.shared[1]], [self.shared[1].T, self.common]])
-        information = information - gain @ row
-        gradient = np.concatenate([self.slope[1], self.common_slope]) - gain @ self.slope[0]
-        return 0.5 * (information + information.T), gradient
+        own, row, slope = self.own[0], self.shared[0], self.slope[0]
+        rows, gains, slopes = [], [], []
+        for k, following in enumerate(self.next):
+            coupled = np.hstack([following, row])
+            gain = np.linalg.solve(own, coupled).T
+            rows.append(row)
+            gains.append(gain[3:])
+            slopes.append(slope)
+            own = self.own[k + 1] - gain[:3] @ following
+            slope = self.slope[k + 1] - gain[:3] @ slope
+            row = self.shared[k + 1] - gain[:3] @ row
+        common, common_slope = self.common, self.common_slope
+        if gains:
+            every = np.hstack(gains)
+            common = common - every @ np.vstack(rows)
+            common_slope = common_slope - every @ np.concatenate(slopes)
+        information = np.block([[own, row], [row.T, common]])
+        return 0.5 * (information + information.T), np.concatenate([slope, common_slope])
 
 
 def solve(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,8 @@ different size compare fairly; a wrong bearing is uniform on the circle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -64,28 +65,161 @@ class HomeProblem:
 
 @dataclass(frozen=True)
 class HomeFit:
-    """Home for one set of right home bearings."""
+    """Home for one set of right home bearings; what follows from it is worked out when asked."""
 
-    home: np.ndarray
-    """(3,): pose of the robot at home, in the odometry frame."""
+    problem: HomeProblem
     right: np.ndarray
     """(q,), bool: the set."""
-    evidence: float
-    """Log of it, up to a constant that all sets share."""
-    pose: np.ndarray
-    """(3,): newest pose in the odometry frame, corrected by the home bearings."""
-    covariance: np.ndarray
-    """(6, 6), of home and newest pose."""
-    landmarks: np.ndarray
-    """(q, 2): corrected positions [m]."""
-    innovation: np.ndarray
-    """(q,): stored minus predicted by everything but itself [rad]."""
-    variance: np.ndarray
-    """(q,), of the innovations [rad^2]."""
-    settled: bool
-    """Whether the last step was small against home's own uncertainty."""
-    odds: np.ndarray
-    """(q,): log odds of right against wrong, the rest of the set given."""
+    at: np.ndarray
+    """(3,): where home was linearised ..."""
+    step: np.ndarray
+    """(3,): ... and the last step from there."""
+    residual: np.ndarray
+    """(q,): of the home bearings, the map at its mean [rad]."""
+    by_known: np.ndarray
+    """(q, 4 + 2 q): Jacobian of the expected home bearings by what is known ..."""
+    by_home: np.ndarray
+    """(q, 3): ... and by home."""
+    correlated: np.ndarray
+    """(4 + 2 q, q): covariance of what is known with the expected home bearings."""
+    spread: np.ndarray
+    """(q, q): of the home bearings, were home known."""
+    precision: np.ndarray
+    """(r, r): inverse of it, of the set."""
+    information: np.ndarray
+    """(3, 3): on home."""
+    doubt: np.ndarray | None = None
+    """(3, 3): see `_doubt`; from the fit that this one was carried on from."""
+
+    @cached_property
+    def home(self) -> np.ndarray:
+        """(3,): pose of the robot at home, in the odometry frame."""
+        return np.asarray(self.at + self.step)
+
+    @cached_property
+    def settled(self) -> bool:
+        """Whether the last step was small against home's own uncertainty."""
+        return bool(self.step @ self.information @ self.step < UNSETTLED**2)
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """(4 + 2 q,): pose, camera yaw and landmarks, corrected by the home bearings."""
+        return np.asarray(self.problem.mean + self.correlated[:, self.right] @ self._weighted)
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(3,): newest pose in the odometry frame, corrected."""
+        return np.asarray(self.known[:3])
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """(q, 2): corrected positions [m]."""
+        return np.asarray(self.known[HEAD:].reshape(-1, 2))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """(6, 6), of home and newest pose."""
+        spread = np.linalg.inv(self.information) + self._doubt
+        gain = self.correlated[:3, self.right] @ self.precision
+        by_pose = gain @ self.by_home[self.right]
+        own = self.problem.covariance[:3, :3] - gain @ self.correlated[:3, self.right].T
+        joint = np.empty((6, 6))
+        joint[:3, :3], joint[3:, 3:] = spread, own + by_pose @ spread @ by_pose.T
+        joint[:3, 3:] = -spread @ by_pose.T
+        joint[3:, :3] = joint[:3, 3:].T
+        return np.asarray(0.5 * (joint + joint.T))
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log of the evidence of the set, up to a constant that all sets share."""
+        problem, n, q = self.problem, int(self.right.sum()), self.right.size
+        residual = self.residual[self.right]
+        square = residual @ self.precision @ residual - self.step @ self.information @ self.step
+        if problem.prior is not None:
+            offset = self._off_prior()
+            square += offset @ problem.prior_information @ offset
+        log_density = 0.5 * (np.linalg.slogdet(self.precision)[1] - n * math.log(TWO_PI))
+        log_volume = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(self.information)[1])
+        p = problem.moved_prior
+        labels = n * math.log(1.0 - p) + (q - n) * math.log(p / TWO_PI)
+        return float(-0.5 * square + log_density + log_volume + labels)
+
+    @cached_property
+    def innovations(self) -> tuple[np.ndarray, np.ndarray]:
+        """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
+        right, out = self.right, ~self.right
+        innovation, variance = np.zeros(right.size), np.zeros(right.size)
+        spread = np.linalg.inv(self.information)
+        lever = self.precision @ self.by_home[right]
+        rest = np.diag(self.precision) - ((lever @ spread) * lever).sum(axis=1)
+        rest = np.maximum(rest, 1e-9)
+        innovation[right], variance[right] = self._weighted / rest, 1.0 / rest
+        if out.any():
+            between = self.spread[np.ix_(out, right)]
+            gain = between @ self.precision
+            innovation[out] = wrap(
+                self.residual[out] - self.by_home[out] @ self.step - between @ self._weighted
+            )
+            lever = self.by_home[out] - gain @ self.by_home[right]
+            variance[out] = (
+                np.diag(self.spread)[out]
+                - (gain * between).sum(axis=1)
+                + ((lever @ spread) * lever).sum(axis=1)
+            )
+        return innovation, variance
+
+    @cached_property
+    def odds(self) -> np.ndarray:
+        """(q,): log odds of right against wrong, the rest of the set given."""
+        p = self.problem.moved_prior
+        return _log_density(*self.innovations) + math.log((1.0 - p) / p * TWO_PI)
+
+    @cached_property
+    def _weighted(self) -> np.ndarray:
+        """Return the residuals of the set after the step, times their precision."""
+        right = self.right
+        left = self.residual[right] - self.by_home[right] @ self.step
+        return np.asarray(self.precision @ left)
+
+    def _off_prior(self) -> np.ndarray:
+        """Return how far the start prior's home is from where home was linearised, (3,)."""
+        offset = np.zeros(3) if self.problem.prior is None else self.problem.prior - self.at
+        offset[2] = wrap(offset[2])
+        return offset
+
+    def carried(self, problem: HomeProblem) -> HomeFit | None:
+        """Return the fit after what is known has changed by next to nothing, linearised as here."""
+        residual = self.residual - self.by_known @ (problem.mean - self.problem.mean)
+        try:
+            now = _solved(problem, self.right, self.at, residual, self.by_known, self.by_home)
+        except np.linalg.LinAlgError:
+            return None
+        return replace(now, doubt=self._doubt)
+
+    @cached_property
+    def _doubt(self) -> np.ndarray:
+        """Covariance of home beyond what the information on it says.
+
+        Where home lies on the circle through the landmarks its position is not fixed at all; but
+        the landmarks as mapped are never quite on the circle, and so seem to fix it. What their
+        errors add to the information in the mean is taken out, down to a share of `LEAST_SHARE`.
+        """
+        if self.doubt is not None:
+            return self.doubt
+        q, index = self.right.size, np.flatnonzero(self.right)
+        d = self.landmarks[index] - self.at[:2]
+        square = np.maximum((d**2).sum(axis=1), 1e-4)
+        a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
+        curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
+        blocks = self.problem.covariance[HEAD:, HEAD:].reshape(q, 2, q, 2)
+        errors = blocks[index, :, index] / np.diag(self.spread)[index, None, None]
+        chance = np.zeros((3, 3))
+        chance[:2, :2] = (curvature @ errors @ curvature).sum(axis=0)
+        root = np.linalg.cholesky(self.information)
+        inverse = np.linalg.inv(root)
+        shares, axes = np.linalg.eigh(inverse @ chance @ inverse.T)
+        turned = inverse.T @ axes
+        return np.asarray((turned * (1.0 / np.maximum(1.0 - shares, LEAST_SHARE) - 1.0)) @ turned.T)
 
 
 def fit(
@@ -106,54 +240,58 @@ def fit(
     """
     if right.sum() < problem.fewest:
         return None
-    home, known = home.copy(), problem.mean
-    information = (
-        np.zeros((3, 3)) if problem.prior_information is None else problem.prior_information
-    )
-    for step in range(steps):
-        rho, by_known, by_home = _linearise(problem, home, known)
-        correlated = problem.covariance @ by_known.T
-        v = by_known @ correlated + np.diag(problem.sigmas**2)
+    known = problem.mean
+    for _ in range(steps):
         try:
-            inverse = np.linalg.inv(v[np.ix_(right, right)])
-            a = by_home[right].T @ inverse @ by_home[right] + information
-            spread = np.linalg.inv(a)
+            now = _step(problem, home, known, right)
         except np.linalg.LinAlgError:
             return None
-        offset = np.zeros(3) if problem.prior is None else problem.prior - home
-        offset[2] = wrap(offset[2])
-        b = by_home[right].T @ (inverse @ rho[right]) + information @ offset
-        dh = spread @ b
-        dh = dh * min(1.0, LONGEST_STEP_M / max(float(np.abs(dh).max()), 1e-12))
-        weighted = inverse @ (rho[right] - by_home[right] @ dh)
-        if step == steps - 1 or (step and np.abs(dh).max() < SETTLED):
+        if np.abs(now.step).max() < SETTLED:
             break
-        known = problem.mean + correlated[:, right] @ weighted
-        home = home + dh
-    if not (np.isfinite(spread).all() and (np.diag(spread) > 0).all()):
-        return None
-    evidence = _evidence(problem, right, rho, offset, b, spread, inverse, information)
-    innovation, variance = _leave_one_out(right, rho, v, by_home, dh, inverse, spread, weighted)
-    spread = np.linalg.inv(_without_chance(problem, home, known, right, v, a))
-    known = problem.mean + correlated[:, right] @ weighted
-    gain = correlated[:3, right] @ inverse
-    by_pose = gain @ by_home[right]
-    pose_cov = problem.covariance[:3, :3] - gain @ correlated[:3, right].T
-    pose_cov = pose_cov + by_pose @ spread @ by_pose.T
-    cross = -spread @ by_pose.T
-    joint = np.block([[spread, cross], [cross.T, pose_cov]])
+        home, known = now.home, now.known
+    fixed = np.isfinite(now.step).all() and np.isfinite(now.information).all()
+    return now if fixed and (np.linalg.eigvalsh(now.information) > 0).all() else None
+
+
+def _step(problem: HomeProblem, home: np.ndarray, known: np.ndarray, right: np.ndarray) -> HomeFit:
+    """Return the fit after one Gauss-Newton step from `home` (3,) and what is known (4 + 2 q,)."""
+    residual, by_known, by_home = _linearise(problem, home, known)
+    return _solved(problem, right, home, residual, by_known, by_home)
+
+
+def _solved(
+    problem: HomeProblem,
+    right: np.ndarray,
+    home: np.ndarray,
+    residual: np.ndarray,
+    by_known: np.ndarray,
+    by_home: np.ndarray,
+) -> HomeFit:
+    """Return the fit to residuals (q,) of home bearings, linear around `home` (3,)."""
+    correlated = problem.covariance @ by_known.T
+    spread = by_known @ correlated + np.diag(problem.sigmas**2)
+    precision = np.linalg.inv(spread[right][:, right])
+    weighted = by_home[right].T @ precision
+    information, slope = weighted @ by_home[right], weighted @ residual[right]
+    if problem.prior is not None:
+        offset = problem.prior - home
+        offset[2] = wrap(offset[2])
+        information = information + problem.prior_information
+        slope = slope + problem.prior_information @ offset
+    step = np.linalg.solve(information, slope)
+    step *= min(1.0, LONGEST_STEP_M / max(float(np.abs(step).max()), 1e-12))
     return HomeFit(
-        home=home + dh,
-        right=right,
-        evidence=evidence,
-        pose=known[:3],
-        covariance=0.5 * (joint + joint.T),
-        landmarks=known[HEAD:].reshape(-1, 2),
-        innovation=innovation,
-        variance=variance,
-        settled=bool(dh @ a @ dh < UNSETTLED**2),
-        odds=_log_density(innovation, variance)
-        + math.log((1.0 - problem.moved_prior) / problem.moved_prior * TWO_PI),
+        problem,
+        right,
+        home,
+        step,
+        residual,
+        by_known,
+        by_home,
+        correlated,
+        spread,
+        precision,
+        information,
     )
 
 
@@ -178,88 +316,6 @@ def _linearise(
     rows = np.arange(q)
     by_known[rows, HEAD + 2 * rows], by_known[rows, HEAD + 1 + 2 * rows] = gx, gy
     return residual + by_known @ (known - problem.mean), by_known, by_home
-
-
-def _without_chance(
-    problem: HomeProblem,
-    home: np.ndarray,
-    known: np.ndarray,
-    right: np.ndarray,
-    v: np.ndarray,
-    information: np.ndarray,
-) -> np.ndarray:
-    """Return the information on home, less what errors of the landmarks seem to tell.
-
-    Where home lies on the circle through the landmarks its position is not fixed at all; but the
-    landmarks as mapped are never quite on the circle, and so seem to fix it. What their errors add
-    to the information in the mean is taken out, down to a share of `LEAST_SHARE`.
-    """
-    d = known[HEAD:].reshape(-1, 2)[right] - home[:2]
-    square = np.maximum((d**2).sum(axis=1), 1e-4)
-    a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
-    curvature = np.stack([np.stack([a, b], 1), np.stack([b, -a], 1)], 1)
-    q = right.size
-    blocks = problem.covariance[HEAD:, HEAD:].reshape(q, 2, q, 2)
-    covariances = blocks[np.arange(q), :, np.arange(q)][right]
-    chance = np.zeros((3, 3))
-    weights = 1.0 / np.diag(v)[right]
-    chance[:2, :2] = np.einsum("i,ijk,ikl,iml->jm", weights, curvature, covariances, curvature)
-    root = np.linalg.cholesky(information)
-    inverse = np.linalg.inv(root)
-    shares, axes = np.linalg.eigh(inverse @ chance @ inverse.T)
-    kept = root @ axes
-    return np.asarray((kept * np.maximum(1.0 - shares, LEAST_SHARE)) @ kept.T)
-
-
-def _evidence(
-    problem: HomeProblem,
-    right: np.ndarray,
-    rho: np.ndarray,
-    offset: np.ndarray,
-    b: np.ndarray,
-    spread: np.ndarray,
-    inverse: np.ndarray,
-    information: np.ndarray,
-) -> float:
-    """Return the log evidence of the set."""
-    n, q = int(right.sum()), right.size
-    square = rho[right] @ inverse @ rho[right] + offset @ information @ offset - b @ spread @ b
-    log_density = 0.5 * (np.linalg.slogdet(inverse)[1] - n * math.log(TWO_PI))
-    log_volume = 0.5 * (np.linalg.slogdet(spread)[1] + 3.0 * math.log(TWO_PI))
-    p = problem.moved_prior
-    labels = n * math.log(1.0 - p) + (q - n) * math.log(p / TWO_PI)
-    return float(-0.5 * square + log_density + log_volume + labels)
-
-
-def _leave_one_out(
-    right: np.ndarray,
-    rho: np.ndarray,
-    v: np.ndarray,
-    by_home: np.ndarray,
-    dh: np.ndarray,
-    inverse: np.ndarray,
-    spread: np.ndarray,
-    weighted: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return each home bearing's innovation against all the others of the set, and its variance."""
-    innovation, variance = np.zeros(right.size), np.zeros(right.size)
-    lever = inverse @ by_home[right]
-    rest = np.diag(inverse) - np.einsum("ij,jk,ik->i", lever, spread, lever)
-    rest = np.maximum(rest, 1e-9)
-    innovation[right], variance[right] = weighted / rest, 1.0 / rest
-    out = ~right
-    if out.any():
-        gain = v[np.ix_(out, right)] @ inverse
-        innovation[out] = wrap(
-            rho[out] - by_home[out] @ dh - gain @ (rho[right] - by_home[right] @ dh)
-        )
-        lever = by_home[out] - gain @ by_home[right]
-        variance[out] = (
-            np.diag(v)[out]
-            - np.einsum("ij,ij->i", gain, v[np.ix_(out, right)])
-            + np.einsum("ij,jk,ik->i", lever, spread, lever)
-        )
-    return innovation, variance
 
 
 def _log_density(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:

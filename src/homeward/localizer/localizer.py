@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,14 +12,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose, between, compose, from_polar, inverse, polar_covariance_to_pose
+from homeward.frames import Pose, between, from_polar, inverse, polar_covariance_to_pose
+from homeward.localizer.answer import Answer, landmark_distance, mixture
 from homeward.localizer.clock import Clock
 from homeward.localizer.home import HomeFit, HomeProblem
 from homeward.localizer.mapper import Mapper
-from homeward.localizer.moved import Hypotheses, follow, search
-from homeward.localizer.odometry import CAMERA_YAW, Motion
+from homeward.localizer.marginal import HEAD, Marginal, landmark_columns
+from homeward.localizer.moved import Hypotheses, Start, carry, follow, search, starts
+from homeward.localizer.odometry import CAMERA_YAW
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.window import NC, Marginal, landmark_columns
 
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
@@ -57,14 +59,25 @@ class Localizer:
         self.counts = Counts()
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
-        self._home = {n: b for n, b in home.items() if math.isfinite(b.bearing)}
+        default = self.settings.home_sigma
+        self._home = {
+            n: b if math.isfinite(b.sigma) else HomeBearing(b.bearing, default)
+            for n, b in home.items()
+            if math.isfinite(b.bearing)
+        }
+        self._home_mount = np.array(self._drive.home_mount.pose)
         self._mapper = Mapper(self._drive, self.settings, self.counts)
         self._prior = _home_from_start(self._drive)
         given = self._drive.odometry.speed_scale_sigma
         self._speed_scale = self.settings.odometry.speed_scale if given is None else given
         self._hypotheses: Hypotheses | None = None
         self._seen_from_home: list[str] = []
-        self._since_search = 0
+        self._starts: deque[Start] = deque()
+        self._searched = 0
+        """Keyframe at which other places for home were last looked for."""
+        self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
+        """At the newest keyframe, the speed taken at its word."""
+        self._rivals = 0.0
         self._fixed = False
         self._clock = Clock()
         self._t = -math.inf
@@ -98,7 +111,7 @@ class Localizer:
             self._last_accepted = t
         if fresh:
             self._find_home()
-        return dataclasses.replace(self._answer(t, tuple(innovations)), t=said)
+        return dataclasses.replace(self._estimate(t, tuple(innovations)), t=said)
 
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
@@ -106,21 +119,21 @@ class Localizer:
             return Estimate(t, Status.WAITING, "no samples yet")
         at = self._clock.peek(t)
         now = max(at, self._t) if math.isfinite(at) else self._t
-        return dataclasses.replace(self._answer(now, ()), t=t)
+        return dataclasses.replace(self._estimate(now, ()), t=t)
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        names = sorted({*self._home, *self._mapper.landmarks})
+        names = sorted({*self._home, *self._mapper.landmarks.mapped})
         return [self._landmark(name) for name in names]
 
     def _landmark(self, name: str) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""
-        now = self._mapper.landmarks.get(name)
+        now = self._mapper.landmarks.mapped.get(name)
         sightings = 0 if now is None else now.sightings
         stored = np.nan
         if name in self._home:
             stored = float(wrap(self._home[name].bearing + self._drive.home_mount.yaw))
-        moved_at = self._mapper.moved_at.get(name, np.nan)
+        moved_at = self._mapper.landmarks.moved_at.get(name, np.nan)
         judged = self._hypotheses is not None and name in self._seen_from_home
         probability = np.nan
         if self._hypotheses is not None and judged:
@@ -148,8 +161,8 @@ class Localizer:
 
     def _from_home(self, name: str, number: int, best: HomeFit) -> tuple[float, float, float]:
         """Return where a landmark stands in the home frame, and how uncertain its distance is."""
-        at = self._mapper.window.positions[number]
-        if name in self._seen_from_home and name not in self._mapper.former:
+        at = self._mapper.marginal.positions[number]
+        if name in self._seen_from_home and name not in self._mapper.landmarks.former:
             at = best.landmarks[self._seen_from_home.index(name)]
         x, y, _ = between(Pose(*best.home), Pose(at[0], at[1], 0.0))
         columns = landmark_columns(number)
@@ -166,6 +179,10 @@ class Localizer:
         """Return what is known of home's landmarks by a Gaussian of this map."""
         return self._problem(self._seen_from_home, marginal)
 
+    def conclude(self, marginal: Marginal, hypotheses: Hypotheses) -> None:
+        """Take what a whole drive says at its end, for `landmarks`."""
+        self._mapper.marginal, self._hypotheses = marginal, hypotheses
+
     def _advance(self, t: float) -> None:
         """Let time come to `t` [s]."""
         if self._t == -math.inf:
@@ -176,133 +193,100 @@ class Localizer:
 
     def _find_home(self) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
-        names = [n for n in self._home if self._mapper.as_home_saw(n) is not None]
         if self._mapper.begun_anew:
             self._prior = None
+        names = self._mapper.landmarks.seen_from(self._home)
+        if names != self._seen_from_home:
+            self._seen_from_home, self._hypotheses = names, None
         problem = self._problem(names, self._mapper.marginal)
-        changed = names != self._seen_from_home
-        self._since_search += 1
-        if changed:
-            self._hypotheses = None
-        if self._hypotheses is not None and self._since_search < SEARCH_EVERY:
-            self._hypotheses = follow(problem, self._hypotheses)
-        if self._hypotheses is None or self._since_search >= SEARCH_EVERY:
-            known = None if self._hypotheses is None else self._hypotheses.best
-            self._hypotheses = search(problem, known)
-            self._since_search = 0
-        self._seen_from_home = names
-        self._fixed = self._hypotheses is not None and self._is_fixed(self._hypotheses)
+        now = self._hypotheses
+        if now is None:
+            now = search(problem)
+            self._starts.clear()
+        elif not self._mapper.solved:
+            now = carry(problem, now)
+        else:
+            now = follow(problem, now, self._next_start(problem))
+        self._hypotheses = now
+        if now is None:
+            self._fixed = False
+            return
+        self._answer = mixture(now)
+        if self._mapper.solved or not self._fixed:
+            self._fixed = self._is_fixed(now)
+            self._rivals = now.rivals(ELSEWHERE)
+
+    def _next_start(self, problem: HomeProblem) -> Start | None:
+        """Return where else home might be, one place after the other, now and then."""
+        newest = self._mapper.window.newest
+        if not self._starts and newest >= self._searched + SEARCH_EVERY:
+            self._starts.extend(starts(problem))
+            self._searched = newest
+        return self._starts.popleft() if self._starts else None
 
     def _problem(self, names: list[str], marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks, in the odometry frame."""
         placed = [self._mapper.as_home_saw(n) for n in names]
         numbers = np.array([m.number for m in placed if m is not None], int)
-        columns = np.concatenate(
-            [[0, 1, 2, 3 + CAMERA_YAW], (3 + NC + 2 * numbers[:, None] + np.arange(2)).ravel()]
-        ).astype(int)
+        columns = np.empty(4 + 2 * numbers.size, int)
+        columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
+        columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
         stored = [self._home[n] for n in names]
-        default = self.settings.home_sigma
         return HomeProblem(
             mean=marginal.mean[columns],
-            covariance=marginal.covariance[np.ix_(columns, columns)],
+            covariance=marginal.covariance[columns[:, None], columns],
             bearings=np.array([b.bearing for b in stored]),
-            sigmas=np.array([b.sigma if math.isfinite(b.sigma) else default for b in stored]),
-            mount=np.array(self._drive.home_mount.pose),
+            sigmas=np.array([b.sigma for b in stored]),
+            mount=self._home_mount,
             same_camera=self._drive.home_sensor is None,
             moved_prior=self.settings.moved_prior,
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )
 
-    def _answer(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
+    def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
-        hypotheses = self._hypotheses
-        if hypotheses is None:
-            names = len(self._seen_from_home)
-            if not self._mapper.landmarks:
-                reason = "no landmark is mapped yet; drive an arc to see them from other places"
-                return Estimate(t, Status.MAPPING, reason, None, None, innovations)
-            return Estimate(
-                t,
-                Status.MAPPING,
-                f"{names} of the landmarks that home saw are mapped; 3 are needed; drive an arc",
-                None,
-                None,
-                innovations,
-            )
-        if self._mapper.lost_since is not None:
-            reason = "the robot is lost in its map: what it sees does not fit, or odometry was gone"
-            return Estimate(t, Status.MAPPING, reason, None, None, innovations)
-        if not self._fixed:
-            reason = "home is not fixed well enough; drive on, best in an arc"
-            return Estimate(t, Status.MAPPING, reason, None, None, innovations)
-        pose, covariance = self._mixture(hypotheses, self._mapper.motion(t))
-        agreeing = int(hypotheses.best.right.sum())
-        rivals = hypotheses.rivals(ELSEWHERE)
+        reason = self._why_none()
+        if reason is not None or self._hypotheses is None:
+            return Estimate(t, Status.MAPPING, reason or "", None, None, innovations)
+        motion = self._mapper.motion(t)
+        calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
+        drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+        answer = self._answer.after(motion.delta, drift).with_scale(self._speed_scale)
+        agreeing = int(self._hypotheses.best.right.sum())
         if agreeing < 4:
             status, reason = Status.UNVERIFIED, f"only {agreeing} home bearings agree"
-        elif rivals > 1.0 - self.settings.sure:
-            status, reason = Status.UNVERIFIED, f"another home has probability {rivals:.2f}"
+        elif self._rivals > 1.0 - self.settings.sure:
+            status = Status.UNVERIFIED
+            reason = f"another home has probability {self._rivals:.2f}"
         elif t - self._last_accepted > NO_BEARINGS_S:
             status, reason = Status.COASTING, "no bearings now"
         else:
             status, reason = Status.LOCALISED, f"{agreeing} home bearings agree"
-        return Estimate(t, status, reason, pose, covariance, innovations)
+        return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
+
+    def _why_none(self) -> str | None:
+        """Return why there is no pose; None when there is one."""
+        if self._hypotheses is None:
+            if not self._mapper.landmarks.mapped:
+                return "no landmark is mapped yet; drive an arc to see them from other places"
+            names = len(self._seen_from_home)
+            return f"{names} of the landmarks that home saw are mapped; 3 are needed; drive an arc"
+        if self._mapper.lost.since is not None:
+            return "the robot is lost in its map: what it sees does not fit, or odometry was gone"
+        return None if self._fixed else "home is not fixed well enough; drive on, best in an arc"
 
     def _is_fixed(self, hypotheses: Hypotheses) -> bool:
         """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
-        if not hypotheses.best.settled:
-            return self._fixed
-        covariance = self._mixture(hypotheses, Motion.none())[1]
-        # A wrong home that lies far away would call its landmarks distant; the robot does not.
         best = hypotheses.best
-        distance = min(_median_distance(best, best.home), _median_distance(best, best.pose))
+        if not best.settled:
+            return self._fixed
+        covariance = self._answer.with_scale(self._speed_scale).covariance
+        # A wrong home that lies far away would call its landmarks distant; the robot does not.
+        distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self.settings.largest_sigma * distance
         most = reach * (STILL_FIXED if self._fixed else 1.0)
         return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most
-
-    def _mixture(self, hypotheses: Hypotheses, motion: Motion) -> tuple[Pose, np.ndarray]:
-        """Return the best hypothesis' pose, with a covariance that covers all of them."""
-        calibration = self._mapper.marginal.covariance[3 : 3 + NC, 3 : 3 + NC]
-        drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-        answers = [in_home_frame(f, motion.delta, drift) for f in hypotheses.fits]
-        pose = answers[0][0]
-        covariance = np.zeros((3, 3))
-        for (other, own), weight in zip(answers, hypotheses.weights, strict=True):
-            d = np.array(other) - np.array(pose)
-            d[2] = wrap(d[2])
-            covariance += weight * (own + np.outer(d, d))
-        # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
-        largest = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-        sagitta = largest / (2.0 * _median_distance(hypotheses.best, hypotheses.best.home))
-        covariance[[0, 1], [0, 1]] += sagitta**2
-        out = np.array([pose.x, pose.y, 0.0])
-        covariance += self._speed_scale**2 * np.outer(out, out)
-        return pose, covariance
-
-
-def _median_distance(fit: HomeFit, place: np.ndarray) -> float:
-    """Return the median distance of home's landmarks from a place [m]; infinite without any."""
-    d = fit.landmarks - place[:2]
-    return float(np.median(np.hypot(d[:, 0], d[:, 1]))) if len(d) else math.inf
-
-
-def in_home_frame(fit: HomeFit, delta: np.ndarray, drift: np.ndarray) -> tuple[Pose, np.ndarray]:
-    """Return the robot's pose in the home frame, and its covariance."""
-    home, last = Pose(*fit.home), Pose(*fit.pose)
-    now = compose(last, Pose(*delta))
-    pose = between(home, now)
-    c, s = math.cos(home.heading), math.sin(home.heading)
-    back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    by_home = -back.copy()
-    by_home[:2, 2] = [pose.y, -pose.x]
-    by_last = back.copy()
-    by_last[:, 2] = back @ [-(now.y - last.y), now.x - last.x, 1.0]
-    c, s = math.cos(pose.heading - delta[2]), math.sin(pose.heading - delta[2])
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    jacobian = np.hstack([by_home, by_last])
-    covariance = jacobian @ fit.covariance @ jacobian.T + turn @ drift @ turn.T
-    return Pose(*(float(a) for a in pose)), 0.5 * (covariance + covariance.T)
 
 
 def _home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

@@ -17,6 +17,8 @@ from homeward.frames import Pose, compose, inverse
 from homeward.localizer.home import HomeFit, HomeProblem, fit
 from homeward.localizer.resection import mixture_scores, poses_from_triples
 
+Start = tuple[np.ndarray, np.ndarray]
+"""A home, shape (3,), and a set of right home bearings, shape (q,), to climb from."""
 STARTS = 8
 """Different sets that are climbed from."""
 CLIMBS = 12
@@ -47,6 +49,8 @@ class Hypotheses:
 
     def rivals(self, deviations: float) -> float:
         """Return the probability of those that put home elsewhere than the best one does."""
+        if len(self.fits) == 1:
+            return 0.0
         best = self.best
         spread = np.linalg.inv(best.covariance[:3, :3] + 1e-12 * np.eye(3))
         total = 0.0
@@ -58,18 +62,10 @@ class Hypotheses:
         return total
 
 
-def search(problem: HomeProblem, known: HomeFit | None) -> Hypotheses | None:
-    """Return the most probable sets, or None when home cannot be fixed.
-
-    Parameters
-    ----------
-    problem : HomeProblem
-        What is known.
-    known : HomeFit, optional
-        A fit from before, of the same landmarks, to begin with too.
-    """
+def search(problem: HomeProblem) -> Hypotheses | None:
+    """Return the most probable sets, or None when home cannot be fixed."""
     found: dict[bytes, HomeFit] = {}
-    for home, right in _starts(problem, known):
+    for home, right in starts(problem):
         _climb(problem, home, right, found)
     if not found:
         return None
@@ -85,8 +81,20 @@ def search(problem: HomeProblem, known: HomeFit | None) -> Hypotheses | None:
     return _weigh(list(found.values()))
 
 
-def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Return the same sets, flipped where that is better, after the map has changed a little."""
+def follow(
+    problem: HomeProblem, hypotheses: Hypotheses, start: Start | None = None
+) -> Hypotheses | None:
+    """Return the same sets, flipped where that is better, after the map has changed a little.
+
+    Parameters
+    ----------
+    problem : HomeProblem
+        What is known now.
+    hypotheses : Hypotheses
+        Of the same landmarks, from before.
+    start : tuple, optional
+        Another home and set to climb from.
+    """
     found: dict[bytes, HomeFit] = {}
     for hypothesis in hypotheses.fits:
         again = fit(problem, hypothesis.home, hypothesis.right, steps=3)
@@ -96,23 +104,31 @@ def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
         flip = _best_flip(problem, again)
         if flip is not None:
             _climb(problem, again.home, flip, found)
+    if start is not None:
+        _climb(problem, *start, found)
     return _weigh(list(found.values())) if found else None
 
 
-def _starts(problem: HomeProblem, known: HomeFit | None) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return pairs of home and set to climb from, the sets all different."""
-    starts: list[tuple[np.ndarray, np.ndarray]] = []
-    if known is not None:
-        starts.append((known.home, known.right))
+def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Return the same sets as probable as before, after the map has changed by next to nothing."""
+    again = [f.carried(problem) for f in hypotheses.fits]
+    if None not in again:
+        return Hypotheses(tuple(f for f in again if f is not None), hypotheses.weights)
+    return follow(problem, hypotheses)
+
+
+def starts(problem: HomeProblem) -> list[Start]:
+    """Return where to climb from, the sets all different."""
+    found: list[Start] = []
     if problem.prior is not None:
-        starts.append((problem.prior, np.ones(problem.bearings.size, bool)))
+        found.append((problem.prior, np.ones(problem.bearings.size, bool)))
     if problem.bearings.size >= 3:
-        starts.extend(_from_triples(problem))
-    unique = {right.tobytes(): (home, right) for home, right in reversed(starts)}
+        found.extend(_from_triples(problem))
+    unique = {right.tobytes(): (home, right) for home, right in reversed(found)}
     return list(unique.values())[::-1][: STARTS + 2]
 
 
-def _from_triples(problem: HomeProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+def _from_triples(problem: HomeProblem) -> list[Start]:
     """Return the best poses of home made of triples, with the set that each one makes right."""
     points = problem.landmarks
     cameras = poses_from_triples(points, problem.bearings)
@@ -123,15 +139,15 @@ def _from_triples(problem: HomeProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     scores, right = mixture_scores(
         cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
     )
-    starts: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    found: dict[bytes, Start] = {}
     unmount = inverse(Pose(*problem.mount))
     for i in np.argsort(-scores)[: 6 * STARTS]:
-        if right[i].sum() >= 3 and right[i].tobytes() not in starts:
+        if right[i].sum() >= 3 and right[i].tobytes() not in found:
             home = np.array(compose(Pose(*cameras[i]), unmount))
-            starts[right[i].tobytes()] = (home, right[i])
-        if len(starts) == STARTS:
+            found[right[i].tobytes()] = (home, right[i])
+        if len(found) == STARTS:
             break
-    return list(starts.values())
+    return list(found.values())
 
 
 def _climb(

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -56,6 +57,7 @@ class Motion:
     """Sum of the sizes of all turns [rad]."""
 
     @staticmethod
+    @cache
     def none() -> Motion:
         """Return the motion that is none."""
         return Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
@@ -91,32 +93,31 @@ class NoiseModel:
         self._given, self._default = given, settings.odometry
 
     def variances(
-        self, v: np.ndarray, omega: np.ndarray
+        self, speed: np.ndarray, turn: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return how fast the variances along, across and of the heading grow.
 
         Parameters
         ----------
-        v, omega : ndarray, shape (n,)
-            Twists [m/s], [rad/s].
+        speed, turn : ndarray, shape (n,)
+            Sizes of the twists [m/s], [rad/s].
 
         Returns
         -------
         along, across, heading : ndarray, shape (n,)
             [m^2/s], [m^2/s], [rad^2/s].
         """
-        speed, turn = np.abs(v), np.abs(omega)
         if self._given.speed_sigma is None:
             along = self._default.distance**2 * speed
             across = along / 9.0
         else:
-            along = np.full(v.shape, self._given.speed_sigma**2)
-            across = np.zeros(v.shape)
+            along = np.full(speed.shape, self._given.speed_sigma**2)
+            across = np.zeros(speed.shape)
         if self._given.turn_sigma is None:
             d = self._default
             heading = d.turn_by_turning**2 * turn + d.turn_by_driving**2 * speed
         else:
-            heading = np.full(v.shape, self._given.turn_sigma**2)
+            heading = np.full(speed.shape, self._given.turn_sigma**2)
         return along, across, heading
 
 
@@ -147,6 +148,9 @@ class Odometry:
     def restart(self, t: float) -> None:
         """Let the motion begin anew at `t` [s]: there is a keyframe now."""
         self._motion, self._done = Motion.none(), t
+        share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
+        straight = int((share >= STRAIGHTEST).argmax())
+        self._straightest = BEND * (straight + 0.5) if straight else 0.0
 
     def motion(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion since the last keyframe up to `t` [s]; nothing changes.
@@ -167,16 +171,9 @@ class Odometry:
         if t > self._done:
             motion, path = self._integrate(self._done, t, calibration)
             self._motion, self._done = self._motion.then(motion), t
-            self._sort_path(path)
+            self._path_by_bend += path  # for r
             self._forget(t - 2.0 * LONGEST_LAG)
         return self._motion
-
-    def _sort_path(self, path: np.ndarray) -> None:
-        """Count path, shape (BENDS,) [m], by how much the robot turned, for r."""
-        self._path_by_bend += path
-        share = np.cumsum(self._path_by_bend) / self._path_by_bend.sum()
-        straight = int(np.argmax(share >= STRAIGHTEST))
-        self._straightest = BEND * (straight + 0.5) if straight else 0.0
 
     @property
     def done(self) -> float:
@@ -192,42 +189,48 @@ class Odometry:
         self, begin: float, end: float, calibration: np.ndarray
     ) -> tuple[Motion, np.ndarray]:
         """Return the motion from `begin` to `end` [s], and its path by bend, shape (BENDS,)."""
-        lag = float(np.clip(calibration[LAG], -LONGEST_LAG, LONGEST_LAG))
+        lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
         lost, dt, v, omega = self._pieces(begin - lag, end - lag)
         moving = (v != 0.0) | (omega != 0.0)
-        rate = np.where(moving, (1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS], 0)
-        along, across, heading = (moving * q for q in self._noise.variances(v, omega))
-        slip = np.sign(v) * np.abs(omega) - v * self._straightest
-        bend = np.abs(omega) / np.maximum(np.abs(v), 1e-6) / BEND
-        path = np.bincount(np.minimum(bend, BENDS - 1).astype(int), np.abs(v) * dt, BENDS)
+        rate = moving * ((1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS])
+        speed, turned = np.abs(v), np.abs(omega)
+        along, across, heading = self._noise.variances(speed, turned)
+        slip = np.sign(v) * turned - v * self._straightest
+        bend = turned / np.maximum(speed, 1e-6) / BEND
+        path = np.bincount(np.minimum(bend, BENDS - 1).astype(int), speed * dt, BENDS)
         v = v - calibration[TURN_SLIP] * slip
 
         turn = rate * dt
-        psi_end = np.cumsum(turn)
+        psi_end = turn.cumsum()
         psi = psi_end - 0.5 * turn
         c, s = np.cos(psi), np.sin(psi)
-        chord = v * dt * np.sinc(turn / (2.0 * math.pi))
-        x, y = np.cumsum(chord * c), np.cumsum(chord * s)
+        half = 0.5 * turn + 1e-12
+        chord = v * dt * (np.sin(half) / half)
+        along_x, along_y = chord * c, chord * s
+        x, y = along_x.cumsum(), along_y.cumsum()
         delta = np.array([x[-1], y[-1], psi_end[-1]])
 
         # a turn in piece i swings everything that comes after its middle
-        swing_x, swing_y = -(delta[1] - y + 0.5 * chord * s), delta[0] - x + 0.5 * chord * c
-        ones = np.ones(dt.size)
-        by_turn = np.stack([swing_x, swing_y, ones])
-        by_path = np.stack([c, s, 0.0 * ones])
-        by_slip = np.stack([-s, c, 0.0 * ones])
+        swing_x, swing_y = y - 0.5 * along_y - delta[1], delta[0] - x + 0.5 * along_x
+        ones, zeros = np.ones(dt.size), np.zeros(dt.size)
+        by_turn = np.array([swing_x, swing_y, ones])
+        by_path = np.array([c, s, zeros])
+        by_slip = np.array([-s, c, zeros])
+        steady, shift, swing = moving * dt, (LOST_SPEED * lost) ** 2, (LOST_TURN * lost) ** 2
         covariance = (
-            (by_turn * (heading * dt + (LOST_TURN * lost) ** 2)) @ by_turn.T
-            + (by_path * (along * dt + (LOST_SPEED * lost) ** 2)) @ by_path.T
-            + (by_slip * (across * dt + (LOST_SPEED * lost) ** 2)) @ by_slip.T
+            (by_turn * (heading * steady + swing)) @ by_turn.T
+            + (by_path * (along * steady + shift)) @ by_path.T
+            + (by_slip * (across * steady + shift)) @ by_slip.T
         )
         jacobian = np.zeros((3, len(CALIBRATION)))
         jacobian[:, TURN_SCALE] = by_turn @ (omega * dt)
-        jacobian[:, TURN_BIAS] = by_turn @ (moving * dt)
+        jacobian[:, TURN_BIAS] = by_turn @ steady
         jacobian[:, TURN_SLIP] = -by_path @ (slip * dt)
         jacobian[:, LAG] = _shift(delta, v[0], rate[0], v[-1], rate[-1])
-        turned = float(np.abs(turn).sum())
-        return Motion(delta, covariance, jacobian, float(np.abs(v) @ dt), turned), path
+        return (
+            Motion(delta, covariance, jacobian, float(speed @ dt), float(np.abs(turn).sum())),
+            path,
+        )
 
     def _pieces(
         self, begin: float, end: float
@@ -241,13 +244,13 @@ class Odometry:
         pieces = [twists[i] for i in range(first, len(twists)) if twists[i][0] < end]
         if not pieces:  # before the first twist, or none at all
             return np.array([end - begin]), np.zeros(1), np.zeros(1), np.zeros(1)
-        stamps = np.array([p[0] for p in pieces])
+        stamps, v, omega = np.array(pieces).T
         edges = np.append(np.maximum(stamps, begin), end)
-        length = np.diff(edges)
-        known = np.clip(stamps + HOLD_S - edges[:-1], 0.0, length)
+        length = edges[1:] - edges[:-1]
+        known = np.minimum(np.maximum(stamps + HOLD_S - edges[:-1], 0.0), length)
         lost = length - known
         lost[0] += max(stamps[0] - begin, 0.0)
-        return lost, known, np.array([p[1] for p in pieces]), np.array([p[2] for p in pieces])
+        return lost, known, v, omega
 
 
 def _shift(delta: np.ndarray, v0: float, rate0: float, v1: float, rate1: float) -> np.ndarray:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Status
-from homeward.frames import Pose, between, compose
+from homeward.frames import Pose, between
+from homeward.localizer.answer import Answer, in_home_frame
 from homeward.localizer.home import HomeFit, HomeProblem, fit
-from homeward.localizer.localizer import Localizer, in_home_frame
+from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, search
-from homeward.localizer.odometry import LONGEST_LAG, NoiseModel, Odometry
+from homeward.localizer.odometry import LONGEST_LAG, Motion, NoiseModel, Odometry
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.window import Window
 from homeward.track import Track, run
@@ -48,22 +48,22 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     whole = localizer.mapper.window.whole()
     for _ in range(SOLVES):
         marginal = whole.solve()
-    found = search(localizer.problem(marginal), None)
+    found = search(localizer.problem(marginal))
     if found is None:
         return track
     fits = _fits(localizer, whole, found)
-    poses, covariances = _rows(track.t, fits, whole, drive, settings)
+    localizer.conclude(marginal, found)
     given = drive.settings.odometry.speed_scale_sigma
     scale = settings.odometry.speed_scale if given is None else given
-    out = np.stack([poses[:, 0], poses[:, 1], np.zeros(len(poses))], axis=1)
-    covariances = covariances + scale**2 * out[:, :, None] * out[:, None, :]
+    answers = [a.with_scale(scale) for a in _rows(track.t, fits, whole, drive, settings)]
+    poses = np.array([a.pose for a in answers])
     status, reason = _verdict(found)
     return dataclasses.replace(
         track,
         x=poses[:, 0],
         y=poses[:, 1],
         heading=poses[:, 2],
-        covariance=covariances,
+        covariance=np.array([a.covariance for a in answers]),
         status=[status] * track.t.size,
         reason=[reason] * track.t.size,
         landmarks=localizer.landmarks(),
@@ -96,36 +96,41 @@ def _rows(
     whole: Window,
     drive: Drive,
     settings: LocalizerSettings,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return poses (n, 3) and covariances (n, 3, 3) in the home frame at all rows' times.
-
-    Odometry leads from each keyframe to the next; what it is off there is taken out bit by bit.
-    """
+) -> list[Answer]:
+    """Return the poses in the home frame at all rows' times."""
     stamps = np.array(whole.stamps)
     keyframes = [Pose(*f.pose) for f in fits]
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
-    poses, covariances = np.empty((times.size, 3)), np.empty((times.size, 3, 3))
+    answers: list[Answer] = []
     for k in np.unique(index).tolist():
-        rows = np.flatnonzero(index == k)
+        rows = times[index == k].tolist()
         last = k + 1 == stamps.size
-        until = float(times[-1] if last else stamps[k + 1])
+        until = rows[-1] if last else float(stamps[k + 1])
         odometry = _stretch(drive, settings, float(stamps[k]), until)
-        deltas = [odometry.advance(t, whole.calibration) for t in times[rows].tolist()]
-        off, span = Pose(0.0, 0.0, 0.0), math.inf
-        if not last:
-            span = until - float(stamps[k])
-            end = odometry.advance(until, whole.calibration).delta
-            off = between(compose(keyframes[k], Pose(*end)), keyframes[k + 1])
-        for row, motion in zip(rows.tolist(), deltas, strict=True):
-            share = (float(times[row]) - float(stamps[k])) / span
-            step = Pose(share * off.x, share * off.y, share * wrap(off.heading))
-            now = compose(compose(keyframes[k], Pose(*motion.delta)), step)
-            home = Pose(*fits[k].home)
-            poses[row] = between(home, now)
-            covariances[row] = in_home_frame(
-                fits[k], motion.delta, (1 - share) * motion.covariance
-            )[1]
-    return poses, covariances
+        motions = [odometry.advance(t, whole.calibration) for t in rows]
+        start = in_home_frame(fits[k])
+        if last:
+            answers.extend(start.after(m.delta, m.covariance) for m in motions)
+            continue
+        end = odometry.advance(until, whole.calibration)
+        there = between(keyframes[k], keyframes[k + 1])
+        off = np.array(there) - end.delta
+        off[2] = wrap(off[2])
+        answers.extend(start.after(*_bridged(m, end, off)) for m in motions)
+    return answers
+
+
+def _bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a motion on the way to where its end is known, and its covariance.
+
+    Odometry ends at `end`, which is off by `off` (3,): what it was off on the way follows from how
+    its noise gathered (a Brownian bridge).
+    """
+    swing = np.eye(3)
+    swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]
+    cross = motion.covariance @ swing.T
+    gain = np.linalg.solve(end.covariance + 1e-12 * np.eye(3), cross.T).T
+    return motion.delta + gain @ off, motion.covariance - gain @ cross.T
 
 
 def _verdict(found: Hypotheses) -> tuple[Status, str]:

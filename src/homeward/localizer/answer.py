@@ -1,0 +1,87 @@
+"""The answer: where the robot is in the home frame, under each hypothesis and under all of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.frames import Pose
+from homeward.localizer.home import HomeFit
+from homeward.localizer.moved import Hypotheses
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The robot's pose in the home frame."""
+
+    pose: Pose
+    covariance: np.ndarray
+    """(3, 3), of x [m], y [m] and heading [rad]."""
+
+    def after(self, delta: np.ndarray, drift: np.ndarray) -> Answer:
+        """Return it after a motion.
+
+        Parameters
+        ----------
+        delta : ndarray, shape (3,)
+            The motion, in the robot's frame before it [m, m, rad].
+        drift : ndarray, shape (3, 3)
+            Covariance of the motion in that frame.
+        """
+        x, y, heading = self.pose
+        c, s = math.cos(heading), math.sin(heading)
+        dx, dy, turn = delta.tolist()
+        step_x, step_y = c * dx - s * dy, s * dx + c * dy
+        by_pose = np.array([[1.0, 0.0, -step_y], [0.0, 1.0, step_x], [0.0, 0.0, 1.0]])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
+        return Answer(Pose(x + step_x, y + step_y, _wrap(heading + turn)), covariance)
+
+    def with_scale(self, sigma: float) -> Answer:
+        """Return it with an error of the map's scale, of which `sigma` [1] is the deviation."""
+        out = np.array([self.pose.x, self.pose.y, 0.0])
+        return Answer(self.pose, self.covariance + sigma**2 * out[:, None] * out)
+
+
+def in_home_frame(fit: HomeFit) -> Answer:
+    """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
+    home_x, home_y, home_heading = fit.home.tolist()
+    x, y, heading = fit.pose.tolist()
+    c, s = math.cos(home_heading), math.sin(home_heading)
+    dx, dy = x - home_x, y - home_y
+    px, py = c * dx + s * dy, c * dy - s * dx
+    jacobian = np.array(
+        [[-c, -s, py, c, s, 0.0], [s, -c, -px, -s, c, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0]]
+    )
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    return Answer(Pose(px, py, _wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
+
+
+def mixture(hypotheses: Hypotheses) -> Answer:
+    """Return the best hypothesis' pose, with a covariance that covers all of them."""
+    best = in_home_frame(hypotheses.best)
+    covariance = hypotheses.weights[0] * best.covariance
+    for fit, weight in zip(hypotheses.fits[1:], hypotheses.weights[1:], strict=True):
+        other = in_home_frame(fit)
+        x, y, heading = (a - b for a, b in zip(other.pose, best.pose, strict=True))
+        off = np.array([x, y, _wrap(heading)])
+        covariance = covariance + weight * (other.covariance + off[:, None] * off)
+    # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
+    a, b, d = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
+    sagitta = largest / (2.0 * landmark_distance(hypotheses.best, hypotheses.best.home))
+    return Answer(best.pose, covariance + np.diag([sagitta**2, sagitta**2, 0.0]))
+
+
+def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:
+    """Return the median distance of home's landmarks from a place [m]; infinite without any."""
+    d = fit.landmarks - place[:2]
+    squares = sorted((d * d).sum(axis=1).tolist())
+    return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
+
+
+def _wrap(angle: float) -> float:
+    """Return an angle within half a turn of zero [rad]."""
+    return math.remainder(angle, math.tau)

@@ -1,0 +1,207 @@
+"""The landmarks of the map, those that wait to enter it, and those that moved."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.localizer.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, cameras, directions
+from homeward.localizer.triangulation import triangulate
+from homeward.localizer.window import Window
+
+BASE = 5.0
+"""Landmarks start from a base so many times longer than odometry's uncertainty about it."""
+MOST_STARTS = 6
+"""Landmarks tried to be started at one keyframe."""
+MORE = 1.1
+"""Sight lines that did not tell a position are tried again when there are so many times more."""
+REFUSED = 6
+"""A landmark refused so often in a row starts anew, when others fit."""
+MOST_FROM_HOME = 48
+"""Home is found among so many landmarks at most; those that came first are the nearest."""
+PLACED = 0.3
+"""Only a landmark seen under this angle can be said to have moved [rad]."""
+MISFIT, FEWEST_TO_JUDGE = 4.0, 6
+"""A landmark is taken out when most of at least so many sightings are so many deviations off."""
+
+
+@dataclass
+class Landmark:
+    """What is kept of a landmark in the map."""
+
+    name: str
+    number: int
+    """In the window."""
+    sightings: int = 0
+    entered: int = 0
+    """Keyframe at which it entered the map."""
+    refused: int = 0
+    """Sightings in a row that did not fit."""
+    lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Direction of the first sight line [rad], and how far others lie to either side of it."""
+
+    @property
+    def parallax(self) -> float:
+        """Angle between the outermost sight lines [rad]."""
+        return self.lines[2] - self.lines[1]
+
+    def seen_along(self, direction: float) -> None:
+        """Count a sighting along a direction in the odometry frame [rad]."""
+        if not self.sightings:
+            self.lines = (direction, 0.0, 0.0)
+        first, low, high = self.lines
+        off = math.remainder(direction - first, math.tau)
+        self.lines = (first, min(low, off), max(high, off))
+        self.sightings += 1
+
+
+@dataclass
+class Waiting:
+    """Sightings of a landmark that is not in the map yet."""
+
+    rows: deque[np.ndarray]
+    due: float = 0.0
+    """It is worth a try when there are so many rows."""
+
+
+class Landmarks:
+    """Which landmarks the map has, and how they come and go.
+
+    Parameters
+    ----------
+    parallax : float
+        Angle between two sight lines that a landmark needs to enter [rad].
+    """
+
+    def __init__(self, parallax: float) -> None:
+        self._parallax = parallax
+        self.mapped: dict[str, Landmark] = {}
+        self.former: dict[str, Landmark] = {}
+        """Where landmarks stood that moved during the drive."""
+        self.moved_at: dict[str, float] = {}
+        """When they moved [s]."""
+        self._waiting: dict[str, Waiting] = {}
+
+    def seen_from(self, home: Collection[str]) -> list[str]:
+        """Return the landmarks that home saw and the map has or had, in the order they came."""
+        came = {**self.former, **self.mapped}
+        return [name for name in came if name in home][:MOST_FROM_HOME]
+
+    def number(self, names: list[str]) -> np.ndarray:
+        """Return the numbers of landmarks in the window, shape (m,); -1 of those not mapped."""
+        return np.array([self.mapped[n].number if n in self.mapped else -1 for n in names], int)
+
+    def keep(self, window: Window, names: list[str], rows: np.ndarray) -> None:
+        """Take sightings, rows of the table with their landmarks, into the window or aside."""
+        lines = directions(rows, window.poses_of(rows), window.calibration).tolist()
+        for name, row, line in zip(names, rows, lines, strict=True):
+            landmark = self.mapped.get(name)
+            if landmark is None:
+                self._waiting.setdefault(name, Waiting(deque())).rows.append(row)
+            else:
+                landmark.seen_along(line)
+        window.add_sightings(rows[rows[:, LANDMARK] >= 0])
+
+    def start(self, window: Window) -> bool:
+        """Let the landmarks enter whose sight lines agree by now; return whether any did."""
+        due = [n for n, w in self._waiting.items() if len(w.rows) >= w.due][:MOST_STARTS]
+        started = [self._start(window, name) for name in due]
+        return any(started)
+
+    def _start(self, window: Window, name: str) -> bool:
+        """Let one landmark enter if its sight lines agree."""
+        waiting = self._waiting.pop(name)
+        rows = np.array(waiting.rows)
+        found = self._triangulate(window, rows)
+        if found is None:
+            waiting.due = MORE * len(rows)
+            self._waiting[name] = waiting  # behind the others
+            return False
+        position, agree = found
+        rows = rows[agree]
+        rows[:, LANDMARK] = number = window.add_landmark(position)
+        window.add_sightings(rows)
+        self.mapped[name] = Landmark(name, number, entered=window.newest)
+        for line in directions(rows, window.poses_of(rows), window.calibration).tolist():
+            self.mapped[name].seen_along(line)
+        return True
+
+    def _triangulate(
+        self, window: Window, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return position and agreeing sightings of a landmark, if its base is long enough."""
+        eyes = cameras(rows, window.poses_of(rows), window.calibration)
+        base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
+        since = int(rows[0, KEYFRAME]) - window.first
+        if base < BASE * math.sqrt(sum(window.shift_variances[since:])):
+            return None
+        return triangulate(eyes, rows[:, BEARING], _line_sigmas(window, rows), self._parallax)
+
+    def refused(self, fits: Mapping[str, bool]) -> list[str]:
+        """Count which sightings of a stamp fitted; return the landmarks refused again and again."""
+        for name, fit in fits.items():
+            landmark = self.mapped[name]
+            landmark.refused = 0 if fit else landmark.refused + 1
+        return [name for name in fits if self.mapped[name].refused >= REFUSED]
+
+    def restart(self, window: Window, names: list[str], t: float) -> None:
+        """Let landmarks start anew: at `t` [s] they are found not to be where they were."""
+        for name in names:
+            if self.mapped[name].parallax >= PLACED and name not in self.former:
+                self.former[name] = self.mapped.pop(name)
+                self.moved_at[name] = t
+            else:
+                self._drop(window, name)
+
+    def drop_misfits(self, window: Window) -> int:
+        """Take landmarks out on which the sightings do not agree; return how many."""
+        rows, n = window.sightings, len(window.positions)
+        number = rows[:, LANDMARK].astype(int)
+        off = np.abs(window.residuals()) > MISFIT * rows[:, SIGMA]
+        sightings, misfits = np.bincount(number, None, n), np.bincount(number, off, n)
+        bad = (sightings >= FEWEST_TO_JUDGE) & (misfits > 0.5 * sightings)
+        names = [m.name for m in self.mapped.values() if bad[m.number]]
+        for name in names:
+            self._drop(window, name)
+        return len(names)
+
+    def _drop(self, window: Window, name: str) -> None:
+        """Take a landmark out of the map; it may start anew."""
+        gone = self.mapped.pop(name)
+        window.drop_landmark(gone.number)
+        for other in [*self.mapped.values(), *self.former.values()]:
+            other.number -= other.number > gone.number
+
+    def first_needed(self, window: Window, mature: float, since: int) -> int:
+        """Return the oldest keyframe that saw a landmark which is not safely placed yet.
+
+        A landmark seen from a narrow base is not where it seems, and closing a keyframe that saw it
+        would keep that error for good; so keyframes stay open until their landmarks are seen from
+        more sides, under the angle `mature` [rad], or entered at keyframe `since` or before.
+        """
+        young = np.zeros(len(window.positions), bool)
+        for m in [*self.mapped.values(), *self.former.values()]:
+            young[m.number] = m.parallax < mature and m.entered > since
+        rows = window.sightings
+        needed = rows[young[rows[:, LANDMARK].astype(int)], KEYFRAME]
+        return int(needed.min()) if needed.size else window.newest
+
+    def forget(self, first: int) -> None:
+        """Lose the sightings of waiting landmarks from before keyframe `first`."""
+        for name, waiting in list(self._waiting.items()):
+            while waiting.rows and waiting.rows[0][KEYFRAME] < first:
+                waiting.rows.popleft()
+            waiting.due = min(waiting.due, MORE * len(waiting.rows) + 1)
+            if not waiting.rows:
+                del self._waiting[name]
+
+
+def _line_sigmas(window: Window, rows: np.ndarray) -> np.ndarray:
+    """Return the deviations of sight lines, the heading's since then included, shape (m,)."""
+    turned = np.cumsum([0.0, *window.turn_variances[::-1]])[::-1]
+    since = turned[rows[:, KEYFRAME].astype(int) - window.first]
+    return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))

@@ -1,0 +1,93 @@
+"""A robot that was lifted, or whose odometry was gone: is it lost, and where is it in its map."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from homeward.estimator import Innovation
+from homeward.localizer.landmarks import Landmarks
+from homeward.localizer.marginal import HEAD, Marginal
+from homeward.localizer.odometry import Motion
+from homeward.localizer.relocation import SightLines, relocate
+from homeward.localizer.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
+
+RECENT, LIFTED_SHARE = 10, 0.75
+"""When so large a share of the last sightings does not fit, the robot was lifted and put down."""
+FITTING_SHARE = 0.6
+"""With such a share of sightings that fit, those which do not are their landmarks' fault."""
+LOST_RAD, LOST_M = 0.7, 3.0
+"""A motion less certain than this does not tell where the robot is."""
+LOST_AGAIN_RAD = 0.3
+"""Sight lines of a lost robot hold together while their headings are better known than this."""
+
+
+class Lost:
+    """What tells that the robot is lost, and where it is found again."""
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        """Since when the robot does not know where in its map it is [s]."""
+        self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
+        self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=RECENT)
+
+    def begin(self, t: float) -> None:
+        """Be lost from `t` [s] on."""
+        self.since = t
+        self._seen.clear()
+        self._recent.clear()
+
+    def end(self) -> None:
+        """Be lost no longer."""
+        self.since = None
+        self._seen.clear()
+        self._recent.clear()
+
+    def was_lifted(self, innovations: list[Innovation]) -> bool:
+        """Return whether hardly anything fits the map any more, these innovations included."""
+        self._recent.extend((i.landmark, i.accepted) for i in innovations)
+        wrong = [name for name, accepted in self._recent if not accepted]
+        return (
+            len(self._recent) == RECENT
+            and len(wrong) >= LIFTED_SHARE * RECENT
+            and len(set(wrong)) >= 2
+        )
+
+    def others_fit(self, names: list[str]) -> bool:
+        """Return whether the last sightings of all landmarks but these fitted."""
+        others = [fits for name, fits in self._recent if name not in names]
+        return bool(others) and sum(others) >= FITTING_SHARE * len(others)
+
+    def see(self, names: list[str], rows: np.ndarray) -> None:
+        """Keep sightings of mapped landmarks, rows of the table from where the robot was lost."""
+        pairs = zip(names, rows, strict=True)
+        self._seen.extend((n, row) for n, row in pairs if row[LANDMARK] >= 0)
+
+    def find(
+        self, landmarks: Landmarks, marginal: Marginal, calibration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return where the robot was lost, in the map, and the covariance of that."""
+        known = [(n, r) for n, r in self._seen if n in landmarks.mapped]
+        if not known:
+            return None
+        rows = np.array([r for _, r in known])
+        numbers = landmarks.number([n for n, _ in known])
+        columns = HEAD + 2 * numbers[:, None] + np.arange(2)
+        by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
+        return relocate(
+            SightLines(
+                cameras=rows[:, OFFSET] + by_calibration @ calibration,
+                bearings=rows[:, BEARING],
+                sigmas=rows[:, SIGMA],
+                names=numbers,
+                positions=marginal.mean[columns],
+                covariances=marginal.covariance[columns[:, :, None], columns[:, None, :]],
+            )
+        )
+
+
+def hopeless(motion: Motion) -> bool:
+    """Return whether odometry knows so little of a motion that the robot counts as lost."""
+    shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
+    return bool(motion.covariance[2, 2] > LOST_RAD**2 or shift > LOST_M**2)

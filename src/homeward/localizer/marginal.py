@@ -1,0 +1,114 @@
+"""What is known of the newest pose and the map, as one Gaussian, and its cheapest corrections.
+
+Between two solutions of the whole window the Gaussian is moved on and corrected by itself, as in a
+Kalman filter; the window keeps the sightings, and its next solution replaces the Gaussian.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.localizer.odometry import Motion
+from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
+
+HEAD = 3 + NC
+"""The Gaussian begins with the newest pose and the calibration."""
+TRUSTED = 4.0
+"""Residuals beyond this many standard deviations lose weight, by the square."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Sightings from the newest pose against what a `Marginal` says of them."""
+
+    residual: np.ndarray
+    """(m,): measured minus expected [rad]."""
+    jacobian: np.ndarray
+    """(m, 10): of the expected bearings, as of `bearing_residuals`."""
+    correlated: np.ndarray
+    """(3 + 5 + 2 n, m): covariance of everything with the expected bearings."""
+    spread: np.ndarray
+    """(m, m): covariance of the residuals."""
+
+    def only(self, keep: np.ndarray) -> Prediction:
+        """Return some of them, marked in `keep`, shape (m,), bool."""
+        if keep.all():
+            return self
+        return Prediction(
+            self.residual[keep],
+            self.jacobian[keep],
+            self.correlated[:, keep],
+            self.spread[np.ix_(keep, keep)],
+        )
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The Gaussian on the newest pose, the calibration and the landmarks."""
+
+    mean: np.ndarray
+    """(3 + 5 + 2 n,)"""
+    covariance: np.ndarray
+    """(3 + 5 + 2 n, 3 + 5 + 2 n)"""
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(n, 2), of the landmarks in the odometry frame [m]."""
+        return self.mean[HEAD:].reshape(-1, 2)
+
+    def after(self, motion: Motion, calibration: np.ndarray) -> Marginal:
+        """Return it with the newest pose moved on by a motion, linearised at a calibration (5,)."""
+        x, y, psi = self.mean[:3].tolist()
+        c, s = math.cos(psi), math.sin(psi)
+        delta = motion.delta + motion.jacobian @ (self.mean[3:HEAD] - calibration)
+        dx, dy, turn = delta.tolist()
+        step_x, step_y = c * dx - s * dy, s * dx + c * dy
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        by_head = np.zeros((3, HEAD))
+        by_head[[0, 1, 2], [0, 1, 2]] = 1.0
+        by_head[0, 2], by_head[1, 2] = -step_y, step_x
+        by_head[:, 3:] = rotation @ motion.jacobian
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        mean[:3] = x + step_x, y + step_y, psi + turn
+        covariance[:3] = by_head @ self.covariance[:HEAD]
+        covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
+        covariance[:3, :3] += rotation @ motion.covariance @ rotation.T
+        return Marginal(mean, covariance)
+
+    def predict(self, rows: np.ndarray) -> Prediction:
+        """Return what sightings from the newest pose tell against it.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (m, COLUMNS)
+            Of the table of sightings, with their landmarks' numbers.
+        """
+        number = rows[:, LANDMARK].astype(int)
+        at = HEAD + 2 * number
+        poses = np.broadcast_to(self.mean[:3], (len(rows), 3))
+        residual, jacobian = bearing_residuals(
+            poses, self.mean[3:HEAD], self.positions[number], rows
+        )
+        head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD], jacobian[:, HEAD + 1]
+        p = self.covariance
+        correlated = p[:, :HEAD] @ head.T + p[:, at] * gx + p[:, at + 1] * gy
+        spread = head @ correlated[:HEAD]
+        spread += gx[:, None] * correlated[at] + gy[:, None] * correlated[at + 1]
+        spread[np.diag_indices(len(rows))] += rows[:, SIGMA] ** 2
+        return Prediction(residual, jacobian, correlated, spread)
+
+    def corrected(self, seen: Prediction) -> Marginal:
+        """Return it corrected by sightings from the newest pose, those far off at less weight."""
+        variance = np.diag(seen.spread)
+        excess = np.maximum(seen.residual**2 / (TRUSTED**2 * variance), 1.0) - 1.0
+        gain = np.linalg.solve(seen.spread + np.diag(excess * variance), seen.correlated.T)
+        covariance = self.covariance - seen.correlated @ gain
+        return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
+
+
+def landmark_columns(number: int) -> slice:
+    """Return where landmark `number` stands in a `Marginal`."""
+    return slice(HEAD + 2 * number, HEAD + 2 + 2 * number)
