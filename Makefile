@@ -30,6 +30,7 @@ lint: install
 bench: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
 	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)

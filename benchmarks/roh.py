@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.mrclam import data
 from homeward.angles import wrap
-from homeward.localizer.home import HEAD, HomeProblem
 from homeward.localizer.moved import search
+from homeward.localizer.problem import HEAD, HomeProblem
 from homeward.localizer.settings import LocalizerSettings
 
 CHI_SQUARE_MEDIAN = 0.455

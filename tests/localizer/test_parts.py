@@ -10,9 +10,10 @@ from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer import chain
 from homeward.localizer.clock import Clock
-from homeward.localizer.home import HomeProblem, fit
+from homeward.localizer.home import fit
 from homeward.localizer.moved import search
 from homeward.localizer.odometry import CALIBRATION, LAG, TURN_SCALE, NoiseModel, Odometry
+from homeward.localizer.problem import HomeProblem
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
 from homeward.localizer.settings import LocalizerSettings

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
+from homeward.localizer.problem import HEAD, HomeProblem, linearise
 
 STEPS = 6
 SETTLED = 1e-4
@@ -24,43 +25,8 @@ UNSETTLED = 0.5
 """A last step longer than this says that the fit has not come to rest [standard deviations]."""
 LEAST_SHARE = 0.002
 """So much of the information on home is left at least when errors of the map are taken out [1]."""
-HEAD = 4
-"""The unknowns begin with the newest pose (3) and the camera's yaw (1)."""
 UNIFORM_FROM = 2.0
 """A predicted bearing with a larger standard deviation is taken as uniform [rad]."""
-
-
-@dataclass(frozen=True)
-class HomeProblem:
-    """What is known when home is to be found; q landmarks that home saw are mapped."""
-
-    mean: np.ndarray
-    """(4 + 2 q,): newest pose, camera yaw, landmarks, in the odometry frame."""
-    covariance: np.ndarray
-    """(4 + 2 q, 4 + 2 q)"""
-    bearings: np.ndarray
-    """(q,): what home stored, from the camera's axis [rad]."""
-    sigmas: np.ndarray
-    """(q,) [rad]"""
-    mount: np.ndarray
-    """(3,): pose of the camera on the robot, at home."""
-    same_camera: bool
-    """Whether the camera's unknown yaw is the drive's."""
-    moved_prior: float
-    prior: np.ndarray | None = None
-    """(3,): home's pose in the odometry frame, from the start prior."""
-    prior_information: np.ndarray | None = None
-    """(3, 3)"""
-
-    @property
-    def landmarks(self) -> np.ndarray:
-        """Positions of the landmarks [m], shape (q, 2)."""
-        return self.mean[HEAD:].reshape(-1, 2)
-
-    @property
-    def fewest(self) -> int:
-        """Home bearings that fix home."""
-        return 3 if self.prior is None else 0
 
 
 @dataclass(frozen=True)
@@ -174,6 +140,33 @@ class HomeFit:
         p = self.problem.moved_prior
         return _log_density(*self.innovations) + math.log((1.0 - p) / p * TWO_PI)
 
+    def odds_of(
+        self, position: np.ndarray, covariance: np.ndarray, bearing: float, sigma: float
+    ) -> float:
+        """Return the log odds of right against wrong of one more home bearing.
+
+        Parameters
+        ----------
+        position, covariance : ndarray, shape (2,), (2, 2)
+            Of its landmark, in the odometry frame [m], [m^2].
+        bearing, sigma : float
+            What home stored, and its standard deviation [rad].
+        """
+        one = replace(
+            self.problem,
+            mean=np.concatenate([self.known[:HEAD], position]),
+            covariance=np.zeros((HEAD + 2, HEAD + 2)),
+            bearings=np.array([bearing]),
+        )
+        residual, _, by_home = linearise(one, self.home, one.mean)
+        by_landmark = -by_home[0, :2]
+        variance = sigma**2 + by_landmark @ covariance @ by_landmark
+        variance += by_home[0] @ self.covariance[:3, :3] @ by_home[0]
+        p = self.problem.moved_prior
+        return float(
+            _log_density(residual, np.array([variance]))[0] + math.log((1.0 - p) / p * TWO_PI)
+        )
+
     @cached_property
     def _weighted(self) -> np.ndarray:
         """Return the residuals of the set after the step, times their precision."""
@@ -206,20 +199,34 @@ class HomeFit:
         """
         if self.doubt is not None:
             return self.doubt
-        q, index = self.right.size, np.flatnonzero(self.right)
-        d = self.landmarks[index] - self.at[:2]
+        d = self.landmarks[self.right] - self.at[:2]
         square = np.maximum((d**2).sum(axis=1), 1e-4)
         a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
         curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
-        blocks = self.problem.covariance[HEAD:, HEAD:].reshape(q, 2, q, 2)
-        errors = blocks[index, :, index] / np.diag(self.spread)[index, None, None]
+        errors = self._own_errors(d) / np.diag(self.spread)[self.right, None, None]
         chance = np.zeros((3, 3))
         chance[:2, :2] = (curvature @ errors @ curvature).sum(axis=0)
         root = np.linalg.cholesky(self.information)
         inverse = np.linalg.inv(root)
         shares, axes = np.linalg.eigh(inverse @ chance @ inverse.T)
-        turned = inverse.T @ axes
-        return np.asarray((turned * (1.0 / np.maximum(1.0 - shares, LEAST_SHARE) - 1.0)) @ turned.T)
+        kept = root @ axes
+        left = (kept * np.maximum(1.0 - shares, LEAST_SHARE)) @ kept.T + self.problem.vague
+        return np.asarray(np.linalg.inv(left) - inverse.T @ inverse)
+
+    def _own_errors(self, d: np.ndarray) -> np.ndarray:
+        """Return the covariances (r, 2, 2) of landmarks seen from home at `d` (r, 2).
+
+        What moves or turns all of them alike moves home with them, and is left out.
+        """
+        rigid = np.zeros((len(d), 2, 3))
+        rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
+        rigid[:, 0, 2], rigid[:, 1, 2] = -d[:, 1], d[:, 0]
+        basis = np.linalg.qr(rigid.reshape(-1, 3))[0]
+        own = np.eye(len(basis)) - basis @ basis.T
+        of_set = np.repeat(np.concatenate([np.zeros(HEAD // 2, bool), self.right]), 2)
+        errors = own @ self.problem.covariance[of_set][:, of_set] @ own
+        each = np.arange(len(d))
+        return np.asarray(errors.reshape(len(d), 2, len(d), 2)[each, :, each])
 
 
 def fit(
@@ -250,12 +257,13 @@ def fit(
             break
         home, known = now.home, now.known
     fixed = np.isfinite(now.step).all() and np.isfinite(now.information).all()
-    return now if fixed and (np.linalg.eigvalsh(now.information) > 0).all() else None
+    fixed = fixed and (np.linalg.eigvalsh(now.information) > 0).all()
+    return now if fixed and problem.is_near(now.home) else None
 
 
 def _step(problem: HomeProblem, home: np.ndarray, known: np.ndarray, right: np.ndarray) -> HomeFit:
     """Return the fit after one Gauss-Newton step from `home` (3,) and what is known (4 + 2 q,)."""
-    residual, by_known, by_home = _linearise(problem, home, known)
+    residual, by_known, by_home = linearise(problem, home, known)
     return _solved(problem, right, home, residual, by_known, by_home)
 
 
@@ -272,7 +280,7 @@ def _solved(
     spread = by_known @ correlated + np.diag(problem.sigmas**2)
     precision = np.linalg.inv(spread[right][:, right])
     weighted = by_home[right].T @ precision
-    information, slope = weighted @ by_home[right], weighted @ residual[right]
+    information, slope = weighted @ by_home[right] + problem.vague, weighted @ residual[right]
     if problem.prior is not None:
         offset = problem.prior - home
         offset[2] = wrap(offset[2])
@@ -293,29 +301,6 @@ def _solved(
         precision,
         information,
     )
-
-
-def _linearise(
-    problem: HomeProblem, home: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals as of the mean of the map, and Jacobians by what is known and by home."""
-    q = problem.bearings.size
-    c, s = math.cos(home[2]), math.sin(home[2])
-    mx, my, yaw = problem.mount
-    ox, oy = c * mx - s * my, s * mx + c * my
-    points = known[HEAD:].reshape(-1, 2)
-    dx, dy = points[:, 0] - home[0] - ox, points[:, 1] - home[1] - oy
-    square = np.maximum(dx * dx + dy * dy, 1e-4)
-    gx, gy = -dy / square, dx / square
-    unknown_yaw = known[3] if problem.same_camera else 0.0
-    residual = wrap(problem.bearings - np.arctan2(dy, dx) + home[2] + yaw + unknown_yaw)
-    by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
-    by_known = np.zeros((q, problem.mean.size))
-    if problem.same_camera:
-        by_known[:, 3] = -1.0
-    rows = np.arange(q)
-    by_known[rows, HEAD + 2 * rows], by_known[rows, HEAD + 1 + 2 * rows] = gx, gy
-    return residual + by_known @ (known - problem.mean), by_known, by_home
 
 
 def _log_density(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:

@@ -12,14 +12,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose, between, from_polar, inverse, polar_covariance_to_pose
+from homeward.frames import Pose
 from homeward.localizer.answer import Answer, landmark_distance, mixture
 from homeward.localizer.clock import Clock
-from homeward.localizer.home import HomeFit, HomeProblem
+from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
-from homeward.localizer.marginal import HEAD, Marginal, landmark_columns
+from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.moved import Hypotheses, Start, carry, follow, search, starts
 from homeward.localizer.odometry import CAMERA_YAW
+from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
 
 NO_BEARINGS_S = 2.0
@@ -67,7 +68,7 @@ class Localizer:
         }
         self._home_mount = np.array(self._drive.home_mount.pose)
         self._mapper = Mapper(self._drive, self.settings, self.counts)
-        self._prior = _home_from_start(self._drive)
+        self._prior = home_from_start(self._drive)
         given = self._drive.odometry.speed_scale_sigma
         self._speed_scale = self.settings.odometry.speed_scale if given is None else given
         self._hypotheses: Hypotheses | None = None
@@ -107,7 +108,7 @@ class Localizer:
         self._advance(t)
         good = {n: s for n, s in (sigmas or {}).items() if math.isfinite(s) and s > 0}
         innovations, fresh = self._mapper.sight(t, usable, good)
-        if len(usable) > sum(not i.accepted for i in innovations):
+        if any(i.accepted for i in innovations):
             self._last_accepted = t
         if fresh:
             self._find_home()
@@ -123,52 +124,15 @@ class Localizer:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        names = sorted({*self._home, *self._mapper.landmarks.mapped})
-        return [self._landmark(name) for name in names]
-
-    def _landmark(self, name: str) -> LandmarkEstimate:
-        """Return what is known of one landmark; one that moved on the way is where it is now."""
-        now = self._mapper.landmarks.mapped.get(name)
-        sightings = 0 if now is None else now.sightings
-        stored = np.nan
-        if name in self._home:
-            stored = float(wrap(self._home[name].bearing + self._drive.home_mount.yaw))
-        moved_at = self._mapper.landmarks.moved_at.get(name, np.nan)
-        judged = self._hypotheses is not None and name in self._seen_from_home
-        probability = np.nan
-        if self._hypotheses is not None and judged:
-            i = self._seen_from_home.index(name)
-            probability = float(self._hypotheses.moved_probabilities()[i])
-        if math.isfinite(moved_at):
-            judged, probability = True, 1.0
-        x = y = distance = deviation = np.nan
-        if self._hypotheses is not None and now is not None:
-            x, y, deviation = self._from_home(name, now.number, self._hypotheses.best)
-            distance = math.hypot(x, y)
-        return LandmarkEstimate(
-            landmark=name,
-            x=x,
-            y=y,
-            distance=distance,
-            sigma_distance=deviation,
-            home_bearing_stored=stored,
-            home_bearing_estimated=math.atan2(y, x) if math.isfinite(distance) else np.nan,
-            moved_probability=probability,
-            moved=probability > 0.5 if judged else None,
-            moved_at=moved_at,
-            sightings=sightings,
+        inventory = Inventory(
+            self._home,
+            self._drive.home_mount.yaw,
+            self._mapper.landmarks,
+            self._mapper.marginal,
+            self._seen_from_home,
+            self._hypotheses,
         )
-
-    def _from_home(self, name: str, number: int, best: HomeFit) -> tuple[float, float, float]:
-        """Return where a landmark stands in the home frame, and how uncertain its distance is."""
-        at = self._mapper.marginal.positions[number]
-        if name in self._seen_from_home and name not in self._mapper.landmarks.former:
-            at = best.landmarks[self._seen_from_home.index(name)]
-        x, y, _ = between(Pose(*best.home), Pose(at[0], at[1], 0.0))
-        columns = landmark_columns(number)
-        spread = self._mapper.marginal.covariance[columns, columns] + best.covariance[:2, :2]
-        towards = (at - best.home[:2]) / max(math.hypot(x, y), 1e-9)
-        return float(x), float(y), math.sqrt(float(towards @ spread @ towards))
+        return inventory.landmarks()
 
     @property
     def mapper(self) -> Mapper:
@@ -178,6 +142,13 @@ class Localizer:
     def problem(self, marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a Gaussian of this map."""
         return self._problem(self._seen_from_home, marginal)
+
+    def home_bearing_sigmas(self) -> dict[str, float]:
+        """Return how well each home bearing is predicted by everything else [rad], by landmark."""
+        if self._hypotheses is None:
+            return {}
+        variances = self._hypotheses.best.innovations[1]
+        return dict(zip(self._seen_from_home, np.sqrt(variances).tolist(), strict=True))
 
     def conclude(self, marginal: Marginal, hypotheses: Hypotheses) -> None:
         """Take what a whole drive says at its end, for `landmarks`."""
@@ -212,7 +183,8 @@ class Localizer:
             self._fixed = False
             return
         self._answer = mixture(now)
-        if self._mapper.solved or not self._fixed:
+        coasting = self._t - self._last_accepted > NO_BEARINGS_S
+        if not self._fixed or (self._mapper.solved and not coasting):
             self._fixed = self._is_fixed(now)
             self._rivals = now.rivals(ELSEWHERE)
 
@@ -287,18 +259,3 @@ class Localizer:
         reach = self.settings.largest_sigma * distance
         most = reach * (STILL_FIXED if self._fixed else 1.0)
         return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most
-
-
-def _home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return home's pose in the odometry frame and its information, from a start prior."""
-    start = drive.start
-    if start is None:
-        return None
-    pose = from_polar(start.polar)
-    sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
-    covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
-    c, s = np.cos(pose.heading), np.sin(pose.heading)
-    home = inverse(pose)
-    jacobian = -np.array([[c, s, -home.y], [-s, c, home.x], [0.0, 0.0, 1.0]])
-    information = np.linalg.inv(jacobian @ covariance @ jacobian.T)
-    return np.array(home, float), information

@@ -13,7 +13,7 @@ from homeward.estimator import Counts, Innovation
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
-from homeward.localizer.odometry import Motion, NoiseModel, Odometry
+from homeward.localizer.odometry import Motion, NoiseModel, Odometry, calibration_sigmas
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.sightings import LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.window import NEAR_M, Window
@@ -62,7 +62,7 @@ class Mapper:
         self._given_sigma = drive.sensor.bearing_sigma
         self._sigma = self._given_sigma or settings.bearing_sigma
         self._odometry = Odometry(NoiseModel(drive.odometry, settings))
-        sigmas = _calibration_sigmas(drive, settings)
+        sigmas = calibration_sigmas(drive, settings)
         self._new_window = partial(Window, sigmas, (DRIFT_SHARE * sigmas) ** 2 / DRIFT_S)
         self._begin_map(0.0)
         self.begun_anew = False
@@ -308,18 +308,3 @@ class Mapper:
         back = Motion(last, np.zeros((3, 3)), np.zeros_like(motion.jacobian))
         self._add_keyframe(t, back.then(there))
         self.lost.end()
-
-
-def _calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.ndarray:
-    """Return how unknown the calibration is a priori, shape (5,)."""
-    given, default = drive.odometry, settings.odometry
-    scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
-    return np.array(
-        [
-            default.turn_scale if scale is None else scale,
-            default.turn_bias if bias is None else bias,
-            default.turn_slip if given.speed_scale_sigma is None else 0.0,
-            settings.lag_sigma,
-            settings.camera_yaw_sigma,
-        ]
-    )

@@ -14,7 +14,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose, compose, inverse
-from homeward.localizer.home import HomeFit, HomeProblem, fit
+from homeward.localizer.home import HomeFit, fit
+from homeward.localizer.problem import HomeProblem
 from homeward.localizer.resection import mixture_scores, poses_from_triples
 
 Start = tuple[np.ndarray, np.ndarray]

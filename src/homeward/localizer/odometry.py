@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.drive import DriveSettings, OdometryNoise
 from homeward.estimator import HOLD_S
 from homeward.localizer.settings import LocalizerSettings
 
@@ -119,6 +119,21 @@ class NoiseModel:
         else:
             heading = np.full(speed.shape, self._given.turn_sigma**2)
         return along, across, heading
+
+
+def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.ndarray:
+    """Return how unknown the calibration is a priori, shape (5,)."""
+    given, default = drive.odometry, settings.odometry
+    scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
+    return np.array(
+        [
+            default.turn_scale if scale is None else scale,
+            default.turn_bias if bias is None else bias,
+            default.turn_slip if given.speed_scale_sigma is None else 0.0,
+            settings.lag_sigma,
+            settings.camera_yaw_sigma,
+        ]
+    )
 
 
 class Odometry:

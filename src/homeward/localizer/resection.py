@@ -15,6 +15,8 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 
+REACH = 20.0
+"""A pose is not so many times farther from the landmarks than they are from each other."""
 MOST_TRIPLES = 600
 """So many triples at most; drawn at random with a fixed seed when there are more."""
 
@@ -50,7 +52,7 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
         y = points[b, 1] + k31 * (x23 - x12) / determinant
         heading = wrap(np.arctan2(points[a, 1] - y, points[a, 0] - x) - bearings[a])
     poses = np.stack([x, y, heading], axis=1)
-    reach = 20.0 * np.ptp(points, axis=0).max()
+    reach = REACH * np.ptp(points, axis=0).max()
     near = np.abs(poses[:, :2] - points.mean(axis=0)).max(axis=1) < reach
     return np.asarray(poses[np.isfinite(poses).all(axis=1) & near])
 

@@ -11,10 +11,11 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.frames import Pose, between
 from homeward.localizer.answer import Answer, in_home_frame
-from homeward.localizer.home import HomeFit, HomeProblem, fit
+from homeward.localizer.home import HomeFit, fit
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, search
 from homeward.localizer.odometry import LONGEST_LAG, Motion, NoiseModel, Odometry
+from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.window import Window
 from homeward.track import Track, run

@@ -1,0 +1,103 @@
+"""What is known when home is to be found: the map, the home bearings, perhaps a start prior."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import DriveSettings
+from homeward.frames import from_polar, inverse, polar_covariance_to_pose
+from homeward.localizer.resection import REACH
+
+HEAD = 4
+"""The unknowns begin with the newest pose (3) and the camera's yaw (1)."""
+
+
+@dataclass(frozen=True)
+class HomeProblem:
+    """What is known when home is to be found; q landmarks that home saw are mapped."""
+
+    mean: np.ndarray
+    """(4 + 2 q,): newest pose, camera yaw, landmarks, in the odometry frame."""
+    covariance: np.ndarray
+    """(4 + 2 q, 4 + 2 q)"""
+    bearings: np.ndarray
+    """(q,): what home stored, from the camera's axis [rad]."""
+    sigmas: np.ndarray
+    """(q,) [rad]"""
+    mount: np.ndarray
+    """(3,): pose of the camera on the robot, at home."""
+    same_camera: bool
+    """Whether the camera's unknown yaw is the drive's."""
+    moved_prior: float
+    prior: np.ndarray | None = None
+    """(3,): home's pose in the odometry frame, from the start prior."""
+    prior_information: np.ndarray | None = None
+    """(3, 3)"""
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """Positions of the landmarks [m], shape (q, 2)."""
+        return self.mean[HEAD:].reshape(-1, 2)
+
+    def is_near(self, home: np.ndarray) -> bool:
+        """Return whether a home (3,) lies within sight of its landmarks, for all one can say."""
+        if self.prior is not None or not self.bearings.size:
+            return True
+        off = np.abs(home[:2] - self.landmarks.mean(axis=0)).max()
+        return bool(off < REACH * np.ptp(self.landmarks, axis=0).max())
+
+    @cached_property
+    def vague(self) -> np.ndarray:
+        """(3, 3): information on home before anything is known: in sight of its landmarks."""
+        if self.prior_information is not None or not self.bearings.size:
+            return np.zeros((3, 3))
+        reach = 0.5 * REACH * max(float(np.ptp(self.landmarks, axis=0).max()), 1e-3)
+        return np.diag([reach**-2, reach**-2, math.pi**-2])
+
+    @property
+    def fewest(self) -> int:
+        """Home bearings that fix home."""
+        return 3 if self.prior is None else 0
+
+
+def linearise(
+    problem: HomeProblem, home: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals as of the mean of the map, and Jacobians by what is known and by home."""
+    q = problem.bearings.size
+    c, s = math.cos(home[2]), math.sin(home[2])
+    mx, my, yaw = problem.mount
+    ox, oy = c * mx - s * my, s * mx + c * my
+    points = known[HEAD:].reshape(-1, 2)
+    dx, dy = points[:, 0] - home[0] - ox, points[:, 1] - home[1] - oy
+    square = np.maximum(dx * dx + dy * dy, 1e-4)
+    gx, gy = -dy / square, dx / square
+    unknown_yaw = known[3] if problem.same_camera else 0.0
+    residual = wrap(problem.bearings - np.arctan2(dy, dx) + home[2] + yaw + unknown_yaw)
+    by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
+    by_known = np.zeros((q, problem.mean.size))
+    if problem.same_camera:
+        by_known[:, 3] = -1.0
+    rows = np.arange(q)
+    by_known[rows, HEAD + 2 * rows], by_known[rows, HEAD + 1 + 2 * rows] = gx, gy
+    return residual + by_known @ (known - problem.mean), by_known, by_home
+
+
+def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return home's pose in the odometry frame and its information, from a start prior."""
+    start = drive.start
+    if start is None:
+        return None
+    pose = from_polar(start.polar)
+    sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
+    covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
+    c, s = np.cos(pose.heading), np.sin(pose.heading)
+    home = inverse(pose)
+    jacobian = -np.array([[c, s, -home.y], [-s, c, home.x], [0.0, 0.0, 1.0]])
+    information = np.linalg.inv(jacobian @ covariance @ jacobian.T)
+    return np.array(home, float), information
