@@ -61,7 +61,8 @@ def limits(title: str, changes: dict[str, object], seeds: int) -> None:
     print(
         f"{title}, {seeds} seeds: right set {set_right.mean():.3f}, "
         f"RMSE of all {np.sqrt(np.nanmean(errors)):.4f} m, "
-        f"ratio to the bound {np.sqrt(np.nanmean(squared)):.2f}, with the right set {of_right:.2f}; "
+        f"ratio to the bound {np.sqrt(np.nanmean(squared)):.2f}, "
+        f"with the right set {of_right:.2f}; "
         f"beyond {FAILURE:g} sigma {failures / seeds:.3f}"
     )
     bins = np.digitize(prominence, EDGES) - 1

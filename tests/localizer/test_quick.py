@@ -1,0 +1,113 @@
+"""Quick corrections between solutions of the window, and what many landmarks ask for."""
+
+import math
+
+import numpy as np
+import pytest
+from rig import Rig, ring
+
+from homeward.drives.drive import OdometryNoise
+from homeward.localizer.landmarks import MOST_FROM_HOME
+from homeward.localizer.odometry import NoiseModel, Odometry
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.sightings import LANDMARK, NC, sighting_rows
+from homeward.localizer.smoothing import _bridged
+from homeward.localizer.window import Window
+
+SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.01])
+POINTS = np.array([[3.0, 1.0], [-1.0, 3.0], [2.0, -2.5]])
+MOUNT = np.array([0.1, 0.0, 0.0])
+
+
+def circle(rng, keyframes):
+    """A window that was solved after a drive in a circle, and the twists' odometry."""
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    window = Window(SIGMAS, np.full(NC, 1e-9))
+    for point in POINTS:
+        window.add_landmark(point + 0.02 * rng.normal(size=2))
+    for k in range(keyframes):
+        window.add_sightings(seen(rng, window))
+        move_on(odometry, window, k + 1.0)
+    window.add_sightings(seen(rng, window))
+    return window, odometry
+
+
+def move_on(odometry, window, t):
+    """Drive for a second up to t; return the motion, of which there is a keyframe now."""
+    odometry.restart(t - 1.0)
+    for i in range(10):
+        odometry.add(t - 1.0 + 0.1 * i, 0.4, 0.3)
+    motion = odometry.advance(t, window.calibration)
+    window.add_keyframe(t, motion)
+    return motion
+
+
+def seen(rng, window):
+    """Sightings of all landmarks from the newest keyframe, noisy."""
+    x, y, psi = window.poses[-1]
+    eye = np.array([x, y]) + 0.1 * np.array([math.cos(psi), math.sin(psi)])
+    bearings = np.arctan2(*(POINTS - eye).T[::-1]) - psi + 0.005 * rng.normal(size=len(POINTS))
+    sigmas = np.full(len(POINTS), 0.005)
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    still = odometry.motion(-math.inf, window.calibration)
+    rows = sighting_rows(window.newest, bearings, sigmas, still, MOUNT, window.calibration)
+    rows[:, LANDMARK] = np.arange(len(POINTS))
+    return rows
+
+
+def test_a_quick_correction_is_what_the_whole_window_says_while_that_is_linear():
+    rng = np.random.default_rng(3)
+    window, odometry = circle(rng, 12)
+    marginal = window.solve()
+    linearised = window.calibration
+    motion = move_on(odometry, window, 13.0)
+    moved = marginal.after(motion, linearised)
+    assert moved.mean[:3] == pytest.approx(window.poses[-1], abs=1e-12)
+    rows = seen(rng, window)
+    quick = moved.corrected(moved.predict(rows))
+    window.add_sightings(rows)
+    whole = window.solve()
+    deviation = np.sqrt(np.diag(whole.covariance))
+    assert np.abs(quick.mean - whole.mean).max() < 0.1 * deviation.max()
+    assert (np.abs(quick.mean - whole.mean) < 0.1 * deviation).all()
+    assert np.sqrt(np.diag(quick.covariance)) == pytest.approx(deviation, rel=0.05)
+    assert np.linalg.eigvalsh(quick.covariance).min() > 0
+
+
+def test_closing_keyframes_at_once_keeps_what_they_said():
+    rng = np.random.default_rng(4)
+    window, _ = circle(rng, 12)
+    before = window.solve()
+    window.forget(7)
+    after = window.solve()
+    assert len(window.poses) == 6
+    assert after.mean == pytest.approx(before.mean, abs=2e-3)
+    assert np.diag(after.covariance) == pytest.approx(np.diag(before.covariance), rel=0.02)
+
+
+def test_a_bridge_ends_where_it_must_and_is_sure_there():
+    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    for i in range(20):
+        odometry.add(0.1 * i, 0.3, 0.4)
+    odometry.restart(0.0)
+    nothing = np.zeros(NC)
+    half, end = odometry.motion(1.0, nothing), odometry.motion(2.0, nothing)
+    off = np.array([-0.005, 0.015, 0.05])  # a turn on the way swings the end to the left
+    there, covariance = _bridged(end, end, off)
+    assert there == pytest.approx(end.delta + off, abs=1e-6)
+    assert np.abs(covariance).max() < 1e-8
+    on_the_way, covariance = _bridged(half, end, off)
+    assert 0 < on_the_way[2] - half.delta[2] < off[2]
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    assert np.trace(covariance) < np.trace(half.covariance)
+
+
+def test_of_very_many_landmarks_those_beyond_the_first_are_judged_too():
+    rig = Rig(ring(60, near=1.5, far=5.0), seed=2, faults={"L7": 0.4, "L33": -0.3, "L58": 0.5})
+    rig.drive(40)
+    known = rig.localizer.mapper.landmarks
+    assert len(known.seen_from(known.mapped)) == MOST_FROM_HOME
+    judged = {m.landmark for m in rig.localizer.landmarks() if m.moved is not None}
+    assert len(judged) > MOST_FROM_HOME
+    assert rig.moved() == {"L7", "L33", "L58"}
+    assert rig.error() < 0.1
