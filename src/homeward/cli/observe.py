@@ -1,0 +1,134 @@
+"""`homeward observe`: what bearings can tell, and what they cannot."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from homeward.cli.options import progress, three_numbers
+from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.observability.study import ModelView
+    from homeward.studies.observing import DriveView
+
+
+def observe(
+    drive: Annotated[
+        str | None, typer.Argument(help="A drive folder, an MRCLAM folder, or: sample.")
+    ] = None,
+    landmarks: Annotated[
+        int | None, typer.Option(help="Of the model, when there is no drive [2].")
+    ] = None,
+    compass: Annotated[bool, typer.Option("--compass", help="The heading is known.")] = False,
+    distances: Annotated[
+        bool, typer.Option("--distances", help="The landmarks' distances from home are known.")
+    ] = False,
+    motion: Annotated[
+        str | None,
+        typer.Option(help="arc, straight, towards (a landmark), spot, still, or circle."),
+    ] = None,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="speed-scale, turn-scale, turn-bias, lag or camera-yaw, unknown too; repeatable."
+        ),
+    ] = None,
+    window: Annotated[
+        float | None, typer.Option(help="Stretches of the drive, in seconds [30].")
+    ] = None,
+    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
+    home: Annotated[
+        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
+    ] = None,
+    home_noise_deg: Annotated[
+        float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
+    ] = 0.0,
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/observe"),
+) -> None:
+    """Say in words what bearings cannot tell apart, and draw it.
+
+    Of a number of landmarks, or of a drive. The folder gets observe.html, the drawing as PNG and
+    SVG, and observe.yaml.
+    """
+    from homeward.report.observe_page import SETTINGS_FILE
+    from homeward.report.output import check_output
+
+    of_model = {
+        "landmarks": landmarks,
+        "compass": compass or None,
+        "distances": distances or None,
+        "motion": motion,
+        "unknown": unknown or None,
+    }
+    of_drive = {"window": window, "robot": robot, "home": home, "home-noise-deg": home_noise_deg}
+    wrong = of_drive if drive is None else of_model
+    for name, value in wrong.items():
+        if value:
+            there = "needs a drive" if drive is None else "is for a model, not for a drive"
+            raise InputError(f"--{name} {there}")
+    check_output(out, SETTINGS_FILE)
+    if drive is None:
+        _of_model({k: v for k, v in of_model.items() if v is not None}, out)
+    else:
+        _of_drive(drive, {k: v for k, v in of_drive.items() if v is not None}, out)
+
+
+def _of_model(given: dict[str, Any], out: Path) -> None:
+    from homeward.observability.study import observe as observe_model
+    from homeward.report.observe_page import PAGE, model_summary, same_to, write_model_view
+
+    settings = {"landmarks": 2, **given}
+    asked = {**settings, "unknown": tuple(settings.get("unknown", ()))}
+    with progress("observing") as tell:
+        view = observe_model(asked.pop("landmarks"), **cast(Any, asked))
+        tell(0.5)
+        write_model_view(out, view, settings)
+    typer.echo(model_summary(view))
+    typer.echo(_numbers(view))
+    if view.family:
+        members = sum(len(t.unknowns) - 1 for t in view.family)
+        typer.echo(
+            f"{members} other worlds drawn; in each all bearings are the same to"
+            f" {same_to(view):.0e} rad."
+        )
+    typer.echo(f"Page: {out / PAGE}")
+
+
+def _numbers(view: ModelView) -> str:
+    """Return the rank and how sure it is."""
+    if view.model is None:
+        found = view.drive.found
+        return (
+            f"rank {found.value} of {view.drive.unknowns}; smallest singular value that counts"
+            f" {found.singular_values[found.value - 1]:.1e} of the largest, then a gap of"
+            f" {found.gap:.0e}"
+        )
+    m = view.model
+    how = "60 digits" if m.precise else "scaled singular values"
+    return (
+        f"rank {m.rank} of {m.n}, by Lie derivatives up to order {m.order} ({how}; smallest that"
+        f" counts {m.singular_values[m.rank - 1]:.1e} of the largest)"
+    )
+
+
+def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
+    from homeward.drives.opening import open_drive
+    from homeward.frames import Pose
+    from homeward.report.observe_page import PAGE, drive_summary, write_drive_view
+    from homeward.studies.observing import WINDOW_S, observe_drive
+    from homeward.studies.single_run import SAMPLE, sample_drive
+
+    settings = {"drive": drive, "window": WINDOW_S, **given}
+    place = sample_drive() if drive == SAMPLE and not Path(drive).exists() else Path(drive)
+    pose = None if "home" not in given else Pose(*three_numbers(given["home"], "--home"))
+    noise = math.radians(settings["home-noise-deg"])
+    opened = open_drive(place, robot=given.get("robot"), home=pose, home_noise=noise)
+    with progress(f"observing {opened.name}") as tell:
+        view: DriveView = observe_drive(opened, settings["window"], tell)
+        write_drive_view(out, view, settings)
+    typer.echo(drive_summary(view))
+    typer.echo(f"Page: {out / PAGE}")

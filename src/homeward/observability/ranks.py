@@ -1,0 +1,70 @@
+"""The rank of a matrix that floats only approximate, and its null space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+ZERO = 1e-10
+"""Scaled singular values below this share of the largest count as zero."""
+CLEAR = 1e4
+"""The last one counted and the first one not must be apart by this factor."""
+SWEEPS = 3
+
+
+@dataclass(frozen=True)
+class Rank:
+    """The rank of a matrix with n columns."""
+
+    value: int
+    singular_values: np.ndarray
+    """(n,), of the scaled matrix, relative to the largest, descending."""
+    null: np.ndarray
+    """(n, n - value), columns that span the null space, in the units of the matrix's columns."""
+
+    @property
+    def gap(self) -> float:
+        """By what factor the last singular value that counts exceeds the first that does not."""
+        if self.value in (0, self.singular_values.size):
+            return np.inf
+        kept, dropped = self.singular_values[self.value - 1 : self.value + 1]
+        return float(kept / dropped) if dropped > 0 else np.inf
+
+    @property
+    def clear(self) -> bool:
+        """Whether floats are enough to tell."""
+        last = self.singular_values[self.value - 1] if self.value else 1.0
+        return bool(self.gap > CLEAR and last > ZERO * CLEAR)
+
+
+def rank(matrix: np.ndarray, columns: np.ndarray | None = None) -> Rank:
+    """Return rank and null space of a matrix by its scaled singular values.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (m, n)
+        Finite.
+    columns : ndarray, shape (n,), optional
+        What a unit of each column is worth; by default rows and columns are scaled in turn until
+        all have norms near one, so that units do not matter.
+    """
+    scale = np.ones(matrix.shape[1]) if columns is None else columns
+    scaled = matrix * scale
+    if columns is None:
+        for _ in range(SWEEPS):
+            scaled = scaled / _norms(scaled, axis=1)[:, None]
+            by_column = _norms(scaled, axis=0)
+            scaled, scale = scaled / by_column, scale / by_column
+    n = matrix.shape[1]
+    padded = np.vstack([scaled, np.zeros((max(0, n - len(scaled)), n))])
+    _, values, directions = np.linalg.svd(padded, full_matrices=False)
+    relative = values / max(float(values[0]), 1e-300)
+    value = int((relative > ZERO).sum()) if values[0] > 0 else 0
+    return Rank(value, relative, scale[:, None] * directions[value:].T)
+
+
+def _norms(matrix: np.ndarray, axis: int) -> np.ndarray:
+    norms = np.linalg.norm(matrix, axis=axis)
+    # What is zero but for rounding must not be scaled up.
+    return np.where(norms > ZERO * norms.max(), norms, 1.0)
