@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperGroup
 
 from homeward.cli.observe import observe
+from homeward.cli.plan import plan
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.simulate import simulate
@@ -35,5 +36,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, reproduce, observe):
+for command in (run, simulate, reproduce, observe, plan):
     app.command()(command)

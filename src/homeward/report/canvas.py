@@ -123,6 +123,12 @@ def svg(figure: Figure, label: str) -> str:
     return f'<svg {box[0]} role="img" aria-label="{label}">{body}'
 
 
+def svg_file(drawing: str) -> str:
+    """Return an element from `svg` as a file of its own."""
+    head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.replace("<svg", head, 1) + "\n"
+
+
 def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
     """Return the rows that draw a line like `values`: its extremes and its breaks (NaN) stay.
 

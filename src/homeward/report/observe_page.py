@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from homeward.observability.paper import printed_matrix, rank_table
 from homeward.observability.study import ModelView, observe_motions
 from homeward.report import words
-from homeward.report.canvas import png, svg
+from homeward.report.canvas import png, svg, svg_file
 from homeward.report.observe_figures import draw_drive_view, draw_family
 from homeward.report.output import whole_folder
 from homeward.report.template import render
@@ -135,12 +135,9 @@ def _write(
         entries=printed_matrix(),
         version=versions()["homeward"],
     )
-    head = '<?xml version="1.0" encoding="UTF-8"?>\n<svg xmlns="http://www.w3.org/2000/svg"'
-    head += ' xmlns:xlink="http://www.w3.org/1999/xlink"'
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         (scratch / f"{FIGURE}.png").write_bytes(png(figure))
-        file = drawing.replace("<svg", head, 1)
-        (scratch / f"{FIGURE}.svg").write_text(file, encoding="utf-8")
+        (scratch / f"{FIGURE}.svg").write_text(svg_file(drawing), encoding="utf-8")
         (scratch / PAGE).write_text(page, encoding="utf-8")
         text = yaml.safe_dump({**settings, "versions": versions()}, sort_keys=False)
         (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")

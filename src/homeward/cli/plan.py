@@ -1,0 +1,36 @@
+"""`homeward plan`: from where a robot can come home, and what would help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import progress
+
+
+def plan(
+    source: Annotated[
+        str, typer.Argument(metavar="PLAN", help="A YAML file, or: warehouse, an example.")
+    ],
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/plan"),
+) -> None:
+    """Map from where homing can begin on a floor plan, how well, and where to add landmarks.
+
+    The folder gets plan.html, its maps as PNG and SVG, floor.csv with every point, and plan.yaml,
+    the plan with every default spelt out.
+    """
+    from homeward.report.output import check_output
+    from homeward.report.plan_page import PAGE, SETTINGS_FILE, write_plan
+    from homeward.report.plan_words import plan_summary
+    from homeward.studies.planning.analysis import analyse
+    from homeward.studies.planning.settings import load_plan
+
+    settings = load_plan(source)
+    check_output(out, SETTINGS_FILE)
+    with progress(f"planning {settings.name}") as tell:
+        view = analyse(settings, tell)
+        write_plan(out, view)
+    typer.echo(plan_summary(view))
+    typer.echo(f"Page: {out / PAGE}")

@@ -1,0 +1,101 @@
+"""What `homeward plan` leaves behind: maps, a table of the floor, and a page to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+from markupsafe import Markup
+
+from homeward.report import words
+from homeward.report.canvas import png, svg, svg_file
+from homeward.report.files import number
+from homeward.report.output import whole_folder
+from homeward.report.plan_figures import costliest, draw_accuracy, draw_begin, draw_hidden
+from homeward.report.plan_words import plan_summary, worst_pairs
+from homeward.report.template import render
+from homeward.report.versions import versions
+from homeward.studies.planning.accuracy import Arcs
+from homeward.studies.planning.analysis import PlanView
+
+SETTINGS_FILE = "plan.yaml"
+"""Written last: a folder that holds it is whole output of ours; it repeats the plan."""
+PAGE = "plan.html"
+PAIRS = 8
+"""So many pairs stand in the table."""
+
+
+def write_plan(directory: Path, view: PlanView) -> None:
+    """Write plan.html, its maps as PNG and SVG, floor.csv and plan.yaml.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something else, or cannot be written.
+    """
+    figures = {
+        "begin": (draw_begin(view), "From where homing can begin"),
+        "accuracy": (draw_accuracy(view), "Least error of position and heading over the floor"),
+    }
+    if costliest(view):
+        figures["hidden"] = (draw_hidden(view), "What hiding one landmark costs")
+    drawings = {key: svg(figure, label) for key, (figure, label) in figures.items()}
+    with whole_folder(directory, SETTINGS_FILE) as scratch:
+        for key, (figure, _) in figures.items():
+            (scratch / f"{key}.png").write_bytes(png(figure))
+            (scratch / f"{key}.svg").write_text(svg_file(drawings[key]), encoding="utf-8")
+        (scratch / "floor.csv").write_text(_floor(view), encoding="utf-8")
+        (scratch / PAGE).write_text(_page(view, drawings), encoding="utf-8")
+        (scratch / SETTINGS_FILE).write_text(_settings(view), encoding="utf-8")
+
+
+def _page(view: PlanView, drawings: dict[str, str]) -> str:
+    common, begins = view.common, view.begins
+    q = len(view.names)
+    order = sorted(range(q), key=lambda i: float((view.hidden[:, i] <= 1).mean()))
+    return render(
+        "plan.html.j2",
+        words=words,
+        view=view,
+        plan=view.plan,
+        title=words.name(view.plan.name, 60),
+        summary=plan_summary(view),
+        # matplotlib has escaped every text in them.
+        figures={key: Markup(drawing) for key, drawing in drawings.items()},
+        headline=[
+            ("homing can begin", words.percent(float(begins.mean()))),
+            ("with any one hidden", words.percent(float(view.safe.mean()))),
+            ("with any two hidden", words.percent(float(view.pair_safe.mean()))),
+            ("a moved one is noticed", words.percent(float((begins & (common >= 4)).mean()))),
+            ("and named", words.percent(float((begins & (common >= 5)).mean()))),
+        ],
+        landmarks=[
+            (
+                view.names[i],
+                bool(view.stored[i]),
+                float((view.hidden[:, i] <= 1).mean()),
+                float((view.moved[:, i] <= 1).mean()),
+            )
+            for i in order
+        ],
+        pairs=[(view.names[j], view.names[i], share) for i, j, share in worst_pairs(view, PAIRS)],
+        headings=len(Arcs(view.plan).headings),
+        settings=_settings(view),
+        version=versions()["homeward"],
+    )
+
+
+def _settings(view: PlanView) -> str:
+    tree = view.plan.model_dump(mode="json", exclude_none=True)
+    return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def _floor(view: PlanView) -> str:
+    """Return the map as CSV: empty where the pose is not told."""
+    columns = np.column_stack([view.floor.points, view.position, view.heading])
+    lines = ["x,y,position_sigma,heading_sigma,landmarks,begins,safe"]
+    for row, k, begins, safe in zip(columns, view.common, view.begins, view.safe, strict=True):
+        numbers = ",".join(number(float(f"{v:.4g}")) for v in row)
+        lines.append(f"{numbers},{k},{'yes' if begins else 'no'},{'yes' if safe else 'no'}")
+    return "\n".join(lines) + "\n"

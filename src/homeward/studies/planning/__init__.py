@@ -1,0 +1,1 @@
+"""Before a robot drives: whether a place is good enough to come home in, and what helps."""

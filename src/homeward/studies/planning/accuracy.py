@@ -1,0 +1,250 @@
+"""The Cramer-Rao bound of a fix, at thousands of places at once.
+
+The scene of `homeward.bounds.posterior_bound`, vectorised: at each place the robot drives a short
+arc whose middle is there, takes bearings at some stops on it, knows its odometry up to white noise,
+and home's bearings; landmarks are unknown but for what these tell (and a survey, where there is
+one). Each landmark's own position is eliminated, which leaves its information on the pose and on
+the odometry's errors; these add up over landmarks, so that hiding one is a subtraction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.frames import Pose, compose
+from homeward.studies.planning.floor import Floor
+from homeward.studies.planning.settings import Plan
+
+POSE = 3
+VAGUE = 1e4
+"""Nothing is further away than this [m], which keeps what nothing tells finite ..."""
+UNTOLD = 1e2
+"""... and a position less certain than this [m] counts as not told."""
+HEADINGS = 4
+"""The robot may set out in so many directions, and takes the best; with a narrow camera twice."""
+FULL = 2 * np.pi - 1e-3
+"""A camera with this field of view sees all round [rad]."""
+FEATURES = 6
+"""1, a_x, a_y and their products: what the information of a bearing is linear in."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What a robot knows after its arc, at n places."""
+
+    position: np.ndarray
+    """(n,), root mean square error of the position at best [m]; infinite where it is not told."""
+    heading: np.ndarray
+    """(n,), the same of the heading [rad]."""
+
+
+class Arcs:
+    """The arc of a plan in every direction, and what bearings from it tell."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.d = POSE + 2 * (plan.drive.stops - 1)
+        """Of the unknowns: the last pose, and the odometry's errors in units of their sigmas."""
+        self.upper = np.triu_indices(self.d)
+        count = HEADINGS if plan.sensor.field_of_view >= FULL else 2 * HEADINGS
+        self.headings = np.arange(count) * 2 * np.pi / count
+        self.stops = [_stops(plan, heading) for heading in self.headings]
+        self._maps = [self._feature_map(stops) for stops in self.stops]
+
+    def _feature_map(self, stops: np.ndarray) -> np.ndarray:
+        """Return what turns features (6 per stop) into information, shape (6 s, d(d+1)/2 + 2d)."""
+        by_unknowns = _stop_by_unknowns(self.plan, stops)
+        rows, columns = self.upper
+        blocks = []
+        for A in by_unknowns:
+            # A bearing's gradient is -(a_x A_0 + a_y A_1 + A_2), by the landmark it is (a_x, a_y).
+            pairs = [(2, 2), (0, 2), (1, 2), (0, 0), (0, 1), (1, 1)]
+            own = [A[p][rows] * A[r][columns] for p, r in pairs]
+            own = [
+                v if p == r else v + A[r][rows] * A[p][columns]
+                for v, (p, r) in zip(own, pairs, strict=True)
+            ]
+            zero = np.zeros(self.d)
+            by_x = [zero, -A[2], zero, -A[0], -A[1], zero]
+            by_y = [zero, zero, -A[2], zero, -A[0], -A[1]]
+            blocks.append(np.hstack([np.array(own), np.array(by_x), np.array(by_y)]))
+        return np.vstack(blocks) / self.plan.sensor.bearing_sigma**2
+
+    def informations(
+        self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what each landmark tells, by heading `h`, at each place.
+
+        Parameters
+        ----------
+        places : ndarray, shape (n, 2)
+            Middles of the arc [m].
+        marks : ndarray, shape (q, 2)
+            Landmarks [m].
+        visible : ndarray, shape (n, q), bool
+            Which have a line of sight; field of view and range are seen to here.
+        stored : ndarray, shape (q,), bool
+            Which of them home sees.
+        h : int
+            Which of `headings`.
+
+        Returns
+        -------
+        information : ndarray, shape (n, q, d (d + 1) / 2)
+            Upper triangles of the informations on the unknowns.
+        seen : ndarray, shape (n, q), bool
+            Which are seen from the arc at all.
+        """
+        n, i = np.nonzero(visible)
+        features, ok = self._features(places[n], marks[i], h)
+        n, i, features = n[ok], i[ok], features[ok]
+        told = features @ self._maps[h]
+        size = self.upper[0].size
+        own, by_x, by_y = np.split(told, [size, size + self.d], axis=1)
+        xx, xy, yy = self._mark_information(features, marks[i], stored[i])
+        determinant = xx * yy - xy * xy
+        rows, columns = self.upper
+        left_x = (yy / determinant)[:, None] * by_x - (xy / determinant)[:, None] * by_y
+        left_y = (xx / determinant)[:, None] * by_y - (xy / determinant)[:, None] * by_x
+        own -= left_x[:, rows] * by_x[:, columns] + left_y[:, rows] * by_y[:, columns]
+        information = np.zeros((*visible.shape, size))
+        information[n, i] = own
+        seen = np.zeros(visible.shape, bool)
+        seen[n, i] = True
+        return information, seen
+
+    def _features(
+        self, places: np.ndarray, marks: np.ndarray, h: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return features (m, 6 s) of the bearings at all stops, and which of m marks are seen."""
+        sensor, stops = self.plan.sensor, self.stops[h]
+        features = np.zeros((len(places), len(stops), FEATURES))
+        seen = np.zeros(len(places), bool)
+        least, most = sensor.range
+        edge = np.cos(sensor.field_of_view / 2)
+        for k, (ox, oy, heading) in enumerate(stops):
+            dx, dy = (marks - places - (ox, oy)).T
+            square = np.maximum(dx * dx + dy * dy, 1e-6)
+            far = np.sqrt(square)
+            ok = (far >= least) & (far <= most)
+            if sensor.field_of_view < FULL:
+                ok &= dx * np.cos(heading) + dy * np.sin(heading) >= edge * far
+            ax, ay = -dy / square, dx / square
+            for f, value in enumerate((1.0, ax, ay, ax * ax, ax * ay, ay * ay)):
+                features[:, k, f] = value * ok
+            seen |= ok
+        return features.reshape(len(places), -1), seen
+
+    def _mark_information(
+        self, features: np.ndarray, marks: np.ndarray, stored: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the information on each landmark's x and y: xx, xy and yy, (m,) each."""
+        plan = self.plan
+        sums = features.reshape(len(marks), -1, FEATURES)[:, :, 3:].sum(axis=1)
+        xx, xy, yy = sums.T / plan.sensor.bearing_sigma**2
+        known = 1 / (plan.landmark_sigma or VAGUE) ** 2
+        dx, dy = (marks - (plan.home.x, plan.home.y)).T
+        weight = stored / (plan.sensor.home_sigma * np.maximum(dx * dx + dy * dy, 1e-6)) ** 2
+        return xx + weight * dy * dy + known, xy - weight * dx * dy, yy + weight * dx * dx + known
+
+    def fix(self, information: np.ndarray) -> Fix:
+        """Return the bound on the last pose, given summed informations (n, d (d + 1) / 2)."""
+        size = self.d
+        table = [[np.empty(0)] * size for _ in range(size)]
+        by_entry = np.ascontiguousarray(information.T)
+        for k, (i, j) in enumerate(np.argwhere(np.triu(np.ones((size, size)))).tolist()):
+            table[i][j] = by_entry[k]
+        for i in range(POSE):
+            table[i][i] = table[i][i] + 1 / VAGUE**2
+        for pivot in reversed(range(POSE, size)):
+            inverse = 1 / (table[pivot][pivot] + 1.0)  # an error's own prior is 1
+            for i in range(pivot):
+                factor = table[i][pivot] * inverse
+                for j in range(i, pivot):
+                    table[i][j] = table[i][j] - factor * table[j][pivot]
+        return _invert(table)
+
+    def score(self, fix: Fix, common: np.ndarray) -> np.ndarray:
+        """Return the larger error as a share of its limit; infinite with too few landmarks."""
+        limits = self.plan.limits
+        worse = np.maximum(fix.position / limits.position, fix.heading / limits.heading)
+        return np.asarray(np.where(common >= limits.landmarks, worse, np.inf))
+
+
+def _invert(H: list[list[np.ndarray]]) -> Fix:
+    """Return the errors of a pose whose information (3, 3) has this upper triangle."""
+    # The heading first, then the plane: stable where lever arms are long.
+    xx = np.maximum(H[0][0], 0.0) + 1 / VAGUE**2
+    yx, hx = H[0][1] / xx, H[0][2] / xx
+    yy = np.maximum(H[1][1] - yx * H[0][1], 0.0) + 1 / VAGUE**2
+    hy = (H[1][2] - yx * H[0][2]) / yy
+    hh = np.maximum(H[2][2] - hx * H[0][2] - hy * hy * yy, 0.0) + 1 / VAGUE**2
+    # L^-1 of the factors L D L'.
+    lx, mx = yx, yx * hy - hx
+    var_x = 1 / xx + lx * lx / yy + mx * mx / hh
+    var_y = 1 / yy + hy * hy / hh
+    position, heading = np.sqrt(var_x + var_y), np.sqrt(1 / hh)
+    untold = position > UNTOLD
+    return Fix(np.where(untold, np.inf, position), np.where(untold, np.inf, heading))
+
+
+def _stops(plan: Plan, heading: float) -> np.ndarray:
+    """Return the stops of the arc: offsets from its middle [m] and headings [rad], (s, 3)."""
+    drive = plan.drive
+    along = np.linspace(-0.5, 0.5, drive.stops) * drive.length
+    curvature = drive.turn / drive.length
+    if abs(drive.turn) < 1e-9:
+        local = Pose(along, 0.0 * along, 0.0 * along)
+    else:
+        turned = curvature * along
+        local = Pose(np.sin(turned) / curvature, (1 - np.cos(turned)) / curvature, turned)
+    there = compose(Pose(0.0, 0.0, heading), local)
+    return np.stack([there.x, there.y, there.heading], axis=1)
+
+
+def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
+    """Return derivatives (s, 3, d) of the stops by the last one and the odometry's errors."""
+    s = len(stops)
+    d = POSE + 2 * (s - 1)
+    dt = plan.drive.length / plan.drive.speed / (s - 1)
+    rate = plan.drive.turn / (s - 1)
+    out = np.zeros((s, POSE, d))
+    out[-1, :, :POSE] = np.eye(POSE)
+    for k in range(s - 2, -1, -1):
+        middle, swing = stops[k, 2] + 0.5 * rate, 0.5 * plan.drive.speed * dt
+        noise = np.array(
+            [
+                [np.cos(middle), -swing * np.sin(middle)],
+                [np.sin(middle), swing * np.cos(middle)],
+                [0.0, 1.0],
+            ]
+        )
+        noise *= np.sqrt(dt) * np.array([plan.odometry.speed_sigma, plan.odometry.turn_sigma])
+        step = out[k + 1].copy()
+        step[:, POSE + 2 * k : POSE + 2 * k + 2] -= noise
+        back = np.eye(POSE)
+        back[:2, 2] = stops[k + 1, 1] - stops[k, 1], stops[k, 0] - stops[k + 1, 0]
+        out[k] = back @ step
+    return out
+
+
+def lines_of_sight(
+    plan: Plan, floor: Floor, marks: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which marks (q, 2) are in sight of which places (n, 2), and which home sees.
+
+    Home's field of view and range are counted, those at the places not yet.
+    """
+    if not len(marks):
+        return np.zeros((len(places), 0), bool), np.zeros(0, bool)
+    home = plan.home
+    d = marks - np.array([home.x, home.y])
+    far = np.hypot(*d.T)
+    least, most = plan.sensor.range
+    ahead = d @ np.array([np.cos(home.heading), np.sin(home.heading)])
+    stored = floor.sees(np.array([[home.x, home.y]]), marks)[0] & (far >= least) & (far <= most)
+    if plan.sensor.field_of_view < FULL:
+        stored &= ahead >= np.cos(plan.sensor.field_of_view / 2) * far
+    return floor.sees(places, marks), stored
