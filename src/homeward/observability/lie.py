@@ -60,7 +60,7 @@ def observe_model(landmarks: int, compass: bool = False, distances: bool = False
     distances : bool
         Whether the landmarks' distances from home are known.
     """
-    points = [_point(landmarks, seed) for seed in range(POINTS)]
+    points = [model_point(landmarks, seed) for seed in range(POINTS)]
     order, found = 0, _ranks(landmarks, compass, distances, 0, points)
     while found[0].value < landmarks + POLAR:
         further = _ranks(landmarks, compass, distances, order + 1, points)
@@ -134,7 +134,7 @@ def _settle(floats: Rank, value: int) -> Rank:
     raise ArithmeticError(f"rank {floats.value} of {size} in floats but {value} in all digits")
 
 
-def _point(q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def model_point(q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a random state (q + 3,) and beta* (q,): a robot among landmarks all round home."""
     rng = np.random.default_rng([q, seed])
     angles = 2 * np.pi * (np.arange(q) + rng.uniform(-0.3, 0.3, q)) / q

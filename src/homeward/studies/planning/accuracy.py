@@ -230,21 +230,14 @@ def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
     return out
 
 
-def lines_of_sight(
-    plan: Plan, floor: Floor, marks: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return which marks (q, 2) are in sight of which places (n, 2), and which home sees.
-
-    Home's field of view and range are counted, those at the places not yet.
-    """
-    if not len(marks):
-        return np.zeros((len(places), 0), bool), np.zeros(0, bool)
+def home_sees(plan: Plan, floor: Floor, marks: np.ndarray) -> np.ndarray:
+    """Return which marks (q, 2) the camera sees at home, shape (q,): in sight, range and view."""
     home = plan.home
     d = marks - np.array([home.x, home.y])
     far = np.hypot(*d.T)
     least, most = plan.sensor.range
-    ahead = d @ np.array([np.cos(home.heading), np.sin(home.heading)])
     stored = floor.sees(np.array([[home.x, home.y]]), marks)[0] & (far >= least) & (far <= most)
     if plan.sensor.field_of_view < FULL:
+        ahead = d @ np.array([np.cos(home.heading), np.sin(home.heading)])
         stored &= ahead >= np.cos(plan.sensor.field_of_view / 2) * far
-    return floor.sees(places, marks), stored
+    return np.asarray(stored)

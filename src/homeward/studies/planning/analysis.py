@@ -6,11 +6,12 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from homeward.studies.planning.accuracy import Arcs, lines_of_sight
-from homeward.studies.planning.advice import Advice, advise
+from homeward.studies.planning.accuracy import Arcs, home_sees
+from homeward.studies.planning.advice import best_places
 from homeward.studies.planning.floor import Floor, make_floor
 from homeward.studies.planning.settings import Plan
 
@@ -18,13 +19,29 @@ CHUNK = 500
 """Places are worked on in groups of this size."""
 SLICE = 4000
 """Matrices are inverted so many at once, which stay in the cache."""
-SAMPLE = 2000
+SAMPLE = 1500
 """Pairs are hidden, and landmarks moved, at so many places, evenly chosen ..."""
 PAIR_WORK = 2_000_000
 """... or at fewer, lest there are more cases than this; but at `FEWEST` at least."""
 FEWEST = 100
 
 Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Places for k further landmarks, in the order of their use; shares are of the sample."""
+
+    places: np.ndarray
+    """(k, 2) [m]"""
+    candidates: np.ndarray
+    """(c, 2), among which they were chosen [m]."""
+    share: np.ndarray
+    """(k + 1,), from which homing can begin, after none, one, two .. of them."""
+    safe: np.ndarray
+    """(k + 1,), from which it can begin whichever one landmark is hidden."""
+    best_safe: float
+    """`safe` with all candidates at once: no choice among them does better."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +88,8 @@ class PlanView:
     @property
     def safe(self) -> np.ndarray:
         """(n,), bool: where it can begin whichever one landmark is hidden."""
-        if not self.names:
-            return self.begins
-        return np.asarray(self.hidden.max(axis=1) <= 1)
+        worst = np.column_stack([self.score, self.hidden]).max(axis=1)
+        return np.asarray(worst <= 1)
 
 
 def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
@@ -95,23 +111,17 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     floor, arcs = make_floor(plan), Arcs(plan)
     places = floor.points
     marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
-    visible, stored = lines_of_sight(plan, floor, marks, places)
-    scenes = [
-        _Scenes(arcs, places[rows], marks, visible[rows], stored)
-        for rows in np.array_split(np.arange(len(places)), -(-len(places) // CHUNK))
-    ]
+    stored = home_sees(plan, floor, marks)
+    scenes = _scenes(arcs, floor, places, marks, stored, CHUNK)
     parts = list(_in_threads(_Scenes.singles, scenes, lambda f: tell(0.1 + 0.4 * f)))
     position, heading, common, score, hidden = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     rows = _sample(arcs, common)
-    of_pairs = [
-        _Scenes(arcs, places[r], marks, visible[r], stored)
-        for r in np.array_split(rows, -(-rows.size // 50))
-    ]
+    of_pairs = _scenes(arcs, floor, places[rows], marks, stored, CHUNK // 10)
     found = list(_in_threads(_Scenes.pairs, of_pairs, lambda f: tell(0.5 + 0.2 * f)))
     moved, begins, safe = (np.concatenate(part) for part in zip(*found, strict=True))
-    advice = advise(plan, floor, arcs, lambda f: tell(0.7 + 0.3 * f))
+    advice = _advise(plan, floor, arcs, rows, lambda f: tell(0.7 + 0.3 * f))
     return PlanView(
         plan=plan,
         floor=floor,
@@ -131,23 +141,27 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     )
 
 
+@dataclass(frozen=True)
 class _Scenes:
-    """Some places, and the landmarks in sight of them."""
+    """n places, and q landmarks in sight of them or not."""
 
-    def __init__(
-        self,
-        arcs: Arcs,
-        places: np.ndarray,
-        marks: np.ndarray,
-        visible: np.ndarray,
-        stored: np.ndarray,
-    ) -> None:
-        self.arcs, self.places, self.marks = arcs, places, marks
-        self.visible, self.stored = visible, stored
+    arcs: Arcs
+    floor: Floor
+    places: np.ndarray
+    """(n, 2) [m]"""
+    marks: np.ndarray
+    """(q, 2) [m]"""
+    stored: np.ndarray
+    """(q,), bool"""
+
+    @cached_property
+    def visible(self) -> np.ndarray:
+        """(n, q), bool: a line of sight, found when first asked for, in a thread."""
+        return self.floor.sees(self.places, self.marks)
 
     def singles(self) -> tuple[np.ndarray, ...]:
         """Return position, heading, common (n,), score (n,), and scores with one hidden (n, q)."""
-        n, q = self.visible.shape
+        n, q = len(self.places), len(self.marks)
         position, heading = np.full(n, np.inf), np.full(n, np.inf)
         common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
         for h in range(len(self.arcs.headings)):
@@ -166,7 +180,7 @@ class _Scenes:
 
         And, (n,), where it can without any pair.
         """
-        n, q = self.visible.shape
+        n, q = len(self.places), len(self.marks)
         best, moved = np.full((n, q, q), np.inf), np.full((n, q), np.inf)
         upper = np.triu(np.ones((q, q), bool), 1)
         for h in range(len(self.arcs.headings)):
@@ -179,7 +193,7 @@ class _Scenes:
             best = np.minimum(best, out)
             moved = np.minimum(moved, self._moved(told, h))
         begins = np.asarray(best <= 1)
-        return moved, begins, begins.all(axis=(1, 2)) & (q > 0)
+        return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
 
     def _told(self, h: int) -> _Told:
         each, seen = self.arcs.informations(self.places, self.marks, self.visible, self.stored, h)
@@ -240,6 +254,34 @@ class _Told:
     """(n, d (d + 1) / 2), all together."""
     count: np.ndarray
     """(n,), of `common`."""
+
+
+def _scenes(
+    arcs: Arcs, floor: Floor, places: np.ndarray, marks: np.ndarray, stored: np.ndarray, size: int
+) -> list[_Scenes]:
+    """Return places in groups of at most a size, in order."""
+    parts = np.array_split(places, -(-len(places) // size))
+    return [_Scenes(arcs, floor, part, marks, stored) for part in parts]
+
+
+def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progress) -> Advice:
+    """Choose further places, and say what each adds at some rows of the floor."""
+    chosen, candidates = best_places(plan, floor, arcs, tell)
+    marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
+    sets = [np.vstack([marks, chosen[:k]]) for k in range(len(chosen) + 1)]
+    if len(chosen):
+        sets.append(np.vstack([marks, candidates]))
+    figures = []
+    for together in sets:
+        stored = home_sees(plan, floor, together)
+        scenes = _scenes(arcs, floor, floor.points[rows], together, stored, CHUNK // 5)
+        parts = list(_in_threads(_Scenes.singles, scenes, lambda f: None))
+        score, hidden = (np.concatenate([p[i] for p in parts]) for i in (3, 4))
+        worst = np.column_stack([score, hidden]).max(axis=1)
+        figures.append(((score <= 1).mean(), (worst <= 1).mean()))
+    share, safe = np.array(figures).T
+    n = len(chosen) + 1
+    return Advice(chosen, candidates, share[:n], safe[:n], float(safe[-1]))
 
 
 def _sample(arcs: Arcs, common: np.ndarray) -> np.ndarray:

@@ -81,7 +81,10 @@ def make_floor(plan: Plan) -> Floor:
     inside = shapely.contains_xy(free, *np.meshgrid(x, y))
     if not inside.any():
         raise InputError("no point of the grid is free: see grid, clearance, outline and shelves")
-    return Floor(outline, shelves, sight, x, y, np.asarray(inside))
+    floor = Floor(outline, shelves, sight, x, y, np.asarray(inside))
+    # The first question builds the index of `sight`, before threads share it.
+    floor.sees(np.array([[plan.home.x, plan.home.y]]), np.array(plan.outline))
+    return floor
 
 
 def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
