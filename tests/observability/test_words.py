@@ -6,6 +6,7 @@ import pytest
 from homeward.angles import wrap
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, between, compose
+from homeward.observability.lie import observe_model
 from homeward.observability.motions import MOTIONS, make_scene
 from homeward.observability.scene import CALIBRATIONS
 from homeward.observability.study import model_scene, observe, observe_motions
@@ -55,9 +56,11 @@ def test_a_compass_and_distances():
 @pytest.mark.parametrize("q", [1, 2, 3])
 @pytest.mark.parametrize("known", [{}, {"compass": True}, {"distances": True}])
 def test_lie_derivatives_and_a_drive_say_the_same(q, known):
-    view = observe(q, **known)
-    assert [f.words for f in view.freedoms] == [f.words for f in view.drive.freedoms]
-    assert view.model.n - view.model.rank == view.drive.unknowns - view.drive.found.value
+    model, scene = observe_model(q, **known), make_scene(q, **known)
+    found = scene.rank()
+    by_lie = in_words(model_scene(model), model.null)
+    assert [f.words for f in by_lie] == [f.words for f in in_words(scene, found.null)]
+    assert model.n - model.rank == len(scene.truth) - found.value
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

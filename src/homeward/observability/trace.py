@@ -16,6 +16,7 @@ MEMBERS = 32
 RAYS = 6
 """Where home is free in more than one direction, so many of them are followed."""
 NEWTON = 4
+NEARLY = 1e-7
 SAME = 1e-9
 """Members differ by less than this in every bearing [rad]."""
 
@@ -87,6 +88,8 @@ def _follow(scene: Scene, direction: np.ndarray) -> list[np.ndarray]:
             off, jacobian = scene.compare(now)
             across, tangents = _split(jacobian * worth, size)
             now = now - worth * (across @ off)
+            if np.abs(off).max() < NEARLY:
+                break  # the step just taken squares this
         if not np.abs(scene.compare(now)[0]).max() < SAME:
             break
         members.append(now)

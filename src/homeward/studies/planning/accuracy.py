@@ -26,8 +26,6 @@ HEADINGS = 4
 """The robot may set out in so many directions, and takes the best; with a narrow camera twice."""
 FULL = 2 * np.pi - 1e-3
 """A camera with this field of view sees all round [rad]."""
-FEATURES = 6
-"""1, a_x, a_y and their products: what the information of a bearing is linear in."""
 
 
 @dataclass(frozen=True)
@@ -51,26 +49,21 @@ class Arcs:
         count = HEADINGS if plan.sensor.field_of_view >= FULL else 2 * HEADINGS
         self.headings = np.arange(count) * 2 * np.pi / count
         self.stops = [_stops(plan, heading) for heading in self.headings]
+        self.pairs = [(k, m) for k in range(plan.drive.stops) for m in range(k, plan.drive.stops)]
         self._maps = [self._feature_map(stops) for stops in self.stops]
 
     def _feature_map(self, stops: np.ndarray) -> np.ndarray:
-        """Return what turns features (6 per stop) into information, shape (6 s, d(d+1)/2 + 2d)."""
+        """Return what turns features, 9 a pair of stops, into information (.., d (d + 1) / 2)."""
         by_unknowns = _stop_by_unknowns(self.plan, stops)
         rows, columns = self.upper
-        blocks = []
-        for A in by_unknowns:
+        out = []
+        for k, m in self.pairs:
             # A bearing's gradient is -(a_x A_0 + a_y A_1 + A_2), by the landmark it is (a_x, a_y).
-            pairs = [(2, 2), (0, 2), (1, 2), (0, 0), (0, 1), (1, 1)]
-            own = [A[p][rows] * A[r][columns] for p, r in pairs]
-            own = [
-                v if p == r else v + A[r][rows] * A[p][columns]
-                for v, (p, r) in zip(own, pairs, strict=True)
-            ]
-            zero = np.zeros(self.d)
-            by_x = [zero, -A[2], zero, -A[0], -A[1], zero]
-            by_y = [zero, zero, -A[2], zero, -A[0], -A[1]]
-            blocks.append(np.hstack([np.array(own), np.array(by_x), np.array(by_y)]))
-        return np.vstack(blocks) / self.plan.sensor.bearing_sigma**2
+            for p in by_unknowns[k]:
+                for r in by_unknowns[m]:
+                    both = p[rows] * r[columns]
+                    out.append(both if k == m else both + r[rows] * p[columns])
+        return np.array(out) / self.plan.sensor.bearing_sigma**2
 
     def informations(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
@@ -98,30 +91,25 @@ class Arcs:
             Which are seen from the arc at all.
         """
         n, i = np.nonzero(visible)
-        features, ok = self._features(places[n], marks[i], h)
-        n, i, features = n[ok], i[ok], features[ok]
-        told = features @ self._maps[h]
+        gradients = self._gradients(places[n], marks[i], h)
+        ok = gradients.any(axis=(1, 2))
+        n, i, gradients = n[ok], i[ok], gradients[ok]
+        weights = self._free_of_the_mark(gradients, marks[i], stored[i])
+        features = np.empty((n.size, len(self.pairs), 3, 3))
+        for f, (k, m) in enumerate(self.pairs):
+            both = gradients[:, k, :, None] * gradients[:, m, None, :]
+            features[:, f] = weights[f][:, None, None] * both
         size = self.upper[0].size
-        own, by_x, by_y = np.split(told, [size, size + self.d], axis=1)
-        xx, xy, yy = self._mark_information(features, marks[i], stored[i])
-        determinant = xx * yy - xy * xy
-        rows, columns = self.upper
-        left_x = (yy / determinant)[:, None] * by_x - (xy / determinant)[:, None] * by_y
-        left_y = (xx / determinant)[:, None] * by_y - (xy / determinant)[:, None] * by_x
-        own -= left_x[:, rows] * by_x[:, columns] + left_y[:, rows] * by_y[:, columns]
         information = np.zeros((*visible.shape, size))
-        information[n, i] = own
+        information[n, i] = features.reshape(n.size, 9 * len(self.pairs)) @ self._maps[h]
         seen = np.zeros(visible.shape, bool)
         seen[n, i] = True
         return information, seen
 
-    def _features(
-        self, places: np.ndarray, marks: np.ndarray, h: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return features (m, 6 s) of the bearings at all stops, and which of m marks are seen."""
+    def _gradients(self, places: np.ndarray, marks: np.ndarray, h: int) -> np.ndarray:
+        """Return (a_x, a_y, 1) of the bearings of m marks at all stops, (m, s, 3); 0 if unseen."""
         sensor, stops = self.plan.sensor, self.stops[h]
-        features = np.zeros((len(places), len(stops), FEATURES))
-        seen = np.zeros(len(places), bool)
+        out = np.empty((len(places), len(stops), 3))
         least, most = sensor.range
         edge = np.cos(sensor.field_of_view / 2)
         for k, (ox, oy, heading) in enumerate(stops):
@@ -131,23 +119,38 @@ class Arcs:
             ok = (far >= least) & (far <= most)
             if sensor.field_of_view < FULL:
                 ok &= dx * np.cos(heading) + dy * np.sin(heading) >= edge * far
-            ax, ay = -dy / square, dx / square
-            for f, value in enumerate((1.0, ax, ay, ax * ax, ax * ay, ay * ay)):
-                features[:, k, f] = value * ok
-            seen |= ok
-        return features.reshape(len(places), -1), seen
+            out[:, k] = np.stack([-dy / square * ok, dx / square * ok, ok], axis=1)
+        return out
 
-    def _mark_information(
-        self, features: np.ndarray, marks: np.ndarray, stored: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information on each landmark's x and y: xx, xy and yy, (m,) each."""
+    def _free_of_the_mark(
+        self, gradients: np.ndarray, marks: np.ndarray, stored: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return, for each pair of stops, the weight (m,) of their bearings' product.
+
+        With rows g of all derivatives by the mark, the bearings project to what the mark does not
+        explain by I - G (G'G)^-1 G'. Its entries are sums of products of g x g: exact where the
+        rows are nearly parallel, and matrices would cancel.
+        """
         plan = self.plan
-        sums = features.reshape(len(marks), -1, FEATURES)[:, :, 3:].sum(axis=1)
-        xx, xy, yy = sums.T / plan.sensor.bearing_sigma**2
-        known = 1 / (plan.landmark_sigma or VAGUE) ** 2
         dx, dy = (marks - (plan.home.x, plan.home.y)).T
-        weight = stored / (plan.sensor.home_sigma * np.maximum(dx * dx + dy * dy, 1e-6)) ** 2
-        return xx + weight * dy * dy + known, xy - weight * dx * dy, yy + weight * dx * dx + known
+        weight = stored / (plan.sensor.home_sigma * np.maximum(dx * dx + dy * dy, 1e-6))
+        known = np.full(len(marks), 1 / (plan.landmark_sigma or VAGUE))
+        zero = np.zeros(len(marks))
+        rows = [tuple(g.T / plan.sensor.bearing_sigma) for g in np.moveaxis(gradients, 1, 0)]
+        rows = [(g[0], g[1]) for g in rows]
+        rows += [(-dy * weight, dx * weight), (known, zero), (zero, known)]
+        count = len(rows)
+        cross = [[g[0] * o[1] - g[1] * o[0] for o in rows] for g in rows]
+        squares = {(k, m): cross[k][m] ** 2 for k in range(count) for m in range(k + 1, count)}
+        determinant = sum(squares.values(), zero)
+        weights = []
+        for k, m in self.pairs:
+            if k == m:
+                entry = sum((v for pair, v in squares.items() if k not in pair), zero)
+            else:
+                entry = -sum((cross[k][o] * cross[m][o] for o in range(count)), zero)
+            weights.append(entry / determinant)
+        return weights
 
     def fix(self, information: np.ndarray) -> Fix:
         """Return the bound on the last pose, given summed informations (n, d (d + 1) / 2)."""
