@@ -3,7 +3,12 @@
 import math
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from benchmarks.bounds import Arc
+from homeward.angles import wrap
 from homeward.bounds import posterior_bound
 from homeward.frames import Pose, compose
 
@@ -74,3 +79,30 @@ def test_less_information_is_never_better():
     assert np.isinf(none[0]).all()
     assert np.isfinite(none[-1]).all()
     assert np.linalg.eigvalsh(none[-1] - full[-1])[0] > -1e-9
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=30, deadline=None)
+def test_a_further_landmark_never_grows_the_bound(seed):
+    rng = np.random.default_rng(seed)
+    poses, twists, dt, _, _ = scene(n=8)
+    marks = rng.uniform(-2, 2, (6, 2))
+    visible = rng.random((8, 6)) < 0.6
+    args = {"start_covariance": 0.04 * np.eye(3), **SIGMAS}
+    fewer = posterior_bound(poses, twists, dt, marks[:-1], visible[:, :-1], **args)
+    more = posterior_bound(poses, twists, dt, marks, visible, **args)
+    for small, large in zip(more, fewer, strict=True):
+        assert np.linalg.eigvalsh(large - small)[0] > -1e-8 * np.trace(large)
+
+
+def test_an_efficient_estimator_reaches_the_bound():
+    arc = Arc(np.radians(0.3), 0.2)
+    rng, bound, end = np.random.default_rng(5), arc.bound(), arc.poses(arc.truth)[-1]
+    ratios = []
+    for _ in range(120):
+        data = arc.measured(arc.truth) + arc.scale * rng.standard_normal(arc.scale.size)
+        error = arc.poses(arc.estimate(data))[-1] - end
+        error[2] = wrap(error[2])
+        ratios.append(error @ np.linalg.solve(bound, error) / 3)
+    # 3.3 standard deviations of the mean of 120 chi-squares with 3 degrees of freedom
+    assert np.mean(ratios) == pytest.approx(1.0, abs=3.3 * math.sqrt(2 / 3 / 120))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from homeward.cli.options import progress
+from homeward.errors import InputError
 
 
 def plan(
@@ -30,7 +31,10 @@ def plan(
     settings = load_plan(source)
     check_output(out, SETTINGS_FILE)
     with progress(f"planning {settings.name}") as tell:
-        view = analyse(settings, tell)
+        try:
+            view = analyse(settings, tell)
+        except InputError as error:
+            raise InputError(error.what, Path(source)) from error
         write_plan(out, view)
     typer.echo(plan_summary(view))
     typer.echo(f"Page: {out / PAGE}")

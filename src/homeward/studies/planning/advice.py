@@ -2,10 +2,11 @@
 
 The cost of a set of landmarks is the mean over the floor of the score with the worst one of them
 hidden, cut off at `CAP`, where too few are in common plus how many are missing. More landmarks
-never raise it, since information only grows. Greedy takes the place that lowers it the most. That
-is the best for one landmark; for more there is no guarantee: a worst case is not submodular, and
-neither is a fix, of which the third landmark is worth more than the second. What does hold is the
-other side: no choice of any number of places can do better than all candidates at once.
+never raise it, since information only grows. Greedy takes the place that lowers it the most; where
+none does, the same cost with nothing hidden. That is the best for one landmark; for more there is
+no guarantee: a worst case is not submodular, and neither is a fix, of which the third landmark is
+worth more than the second. What does hold is the other side: no choice of any number of places can
+do better than all candidates at once.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from homeward.studies.planning.floor import Floor, candidate_places
 from homeward.studies.planning.settings import Plan
 
 CAP = 3.0
+DECIMALS = 9
+"""Costs that differ by less are the same."""
 PLACES = 120
 """Costs are means over so many places of the floor, evenly chosen."""
 
@@ -69,8 +72,8 @@ def best_places(
         while free and len(chosen) < plan.further:
             tell(len(chosen) / plan.further)
             costs = list(pool.map(_cost_with, repeat(arcs), repeat(now), repeat(more), free))
-            k = int(np.argmin(costs))
-            if not costs[k] < cost - 1e-12:
+            k = min(range(len(free)), key=costs.__getitem__)
+            if not costs[k] < cost:
                 break
             cost = costs[k]
             chosen.append(free.pop(k))
@@ -85,12 +88,12 @@ def _state(plan: Plan, floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.n
     return _State(np.array([each for each, _ in told]), seen, seen & stored)
 
 
-def _cost_with(arcs: Arcs, now: _State, more: _State, c: int) -> float:
+def _cost_with(arcs: Arcs, now: _State, more: _State, c: int) -> tuple[float, float]:
     return _cost(arcs, now.with_more(more, c))
 
 
-def _cost(arcs: Arcs, state: _State) -> float:
-    """Return the mean over places of the score with the worst landmark hidden."""
+def _cost(arcs: Arcs, state: _State) -> tuple[float, float]:
+    """Return the mean over places of the score with the worst landmark hidden, and with none."""
     every, count = state.each.sum(axis=2), state.common.sum(axis=2)
     H, m, q = state.seen.shape
     none = _score(arcs, every.reshape(H * m, -1), count.reshape(-1)).reshape(H, m)
@@ -99,7 +102,8 @@ def _cost(arcs: Arcs, state: _State) -> float:
     left = every[h, place] - state.each[h, place, mark]
     hidden[h, place, mark] = _score(arcs, left, count[h, place] - state.common[h, place, mark])
     # The robot takes the best direction; chance hides the worst landmark.
-    return float(hidden.min(axis=0).max(axis=1).mean())
+    costs = hidden.min(axis=0).max(axis=1).mean(), none.min(axis=0).mean()
+    return round(float(costs[0]), DECIMALS), round(float(costs[1]), DECIMALS)
 
 
 def _score(arcs: Arcs, information: np.ndarray, count: np.ndarray) -> np.ndarray:

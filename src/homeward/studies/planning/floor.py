@@ -76,6 +76,9 @@ def make_floor(plan: Plan) -> Floor:
     _on_floor("home", (plan.home.x, plan.home.y), outline, shelves, sight)
     free = shapely.difference(outline, shapely.union_all(list(shelves)))
     free = free.buffer(-plan.clearance) if plan.clearance else free
+    west, south, east, north = outline.bounds
+    if plan.drive.length > np.hypot(east - west, north - south):
+        raise InputError(f"drive.length: {plan.drive.length:g} m is longer than the floor")
     x, y = _grid(outline, plan.grid)
     shapely.prepare(free)
     inside = shapely.contains_xy(free, *np.meshgrid(x, y))

@@ -1,0 +1,95 @@
+"""`homeward observe` as a user would call it."""
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.report.observe_figures import draw_drive_view
+from homeward.report.observe_page import drive_summary
+from homeward.studies.observing import observe_drive
+from homeward.studies.single_run import RunSettings, prepare
+
+
+def call(*words):
+    return CliRunner().invoke(app, ["observe", *map(str, words)])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), ["4 of the 5", "circle through itself, L1 and L2", "same to"]),
+        (("--landmarks", 2, "--compass"), ["5 of the 5", "Nothing is left open"]),
+        (
+            ("--landmarks", 5, "--unknown", "speed-scale"),
+            ["13 of 14", "speed's scale and all distances"],
+        ),
+    ],
+)
+def test_a_model(tmp_path, options, words):
+    out = tmp_path / "out"
+    answer = call(*options, "--out", out)
+    assert answer.exit_code == 0, answer.output
+    for part in words:
+        assert part in answer.stdout
+    assert {p.name for p in out.iterdir()} == {
+        "observe.html",
+        "observe.png",
+        "observe.svg",
+        "observe.yaml",
+    }
+    page = (out / "observe.html").read_text()
+    assert page.count("wrong sign") == 3
+    assert "9 of 9, all" in page
+    assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
+
+
+def test_the_sample_drive(tmp_path):
+    out = tmp_path / "out"
+    answer = call("sample", "--window", 60, "--out", out)
+    assert answer.exit_code == 0, answer.output
+    assert "Stretch by stretch" in answer.stdout
+    assert yaml.safe_load((out / "observe.yaml").read_text())["window"] == 60.0
+
+
+def test_a_drive_that_tells_nothing_is_drawn_too():
+    drive, _, _ = prepare(RunSettings(drive="sample"))
+    two = {k: v for k, v in drive.home.items() if k in ("L03", "L04")}
+    view = observe_drive(
+        type(drive)(drive.name, drive.odometry, drive.sightings, two, drive.settings, drive.truth),
+        90.0,
+    )
+    assert np.isinf(view.whole.position_sigma)
+    assert "circle" in drive_summary(view)
+    draw_drive_view(view)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--landmarks", 0), "1 to 40"),
+        (("--landmarks", 99), "1 to 40"),
+        (("--motion", "flying"), "flying"),
+        (("--unknown", "height"), "height"),
+        (("--window", 5), "needs a drive"),
+        (("sample", "--landmarks", 3), "not for a drive"),
+        (("sample", "--compass"), "not for a drive"),
+        (("sample", "--window", "nan"), "window"),
+        (("sample", "--home", "1,2,3"), "home"),
+        (("nowhere",), "nowhere"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(tmp_path, options, word):
+    answer = call(*options, "--out", tmp_path / "out")
+    assert answer.exit_code == 2
+    assert word in answer.stderr
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_peoples_folders_are_left_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    answer = call("--out", tmp_path)
+    assert answer.exit_code == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]

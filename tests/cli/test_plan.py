@@ -1,0 +1,111 @@
+"""`homeward plan` as a user would call it."""
+
+import csv
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.report.plan_words import plan_summary
+from homeward.studies.planning.analysis import analyse
+from homeward.studies.planning.settings import load_plan, plans_folder
+
+FILES = {
+    "plan.html",
+    "plan.yaml",
+    "floor.csv",
+    *(f"{name}.{kind}" for name in ("begin", "accuracy", "hidden") for kind in ("png", "svg")),
+}
+
+
+def call(*words):
+    return CliRunner().invoke(app, ["plan", *map(str, words)])
+
+
+@pytest.fixture
+def example(tmp_path):
+    """The example, on a coarse grid, with one change."""
+
+    def write(**changes):
+        tree = yaml.safe_load((plans_folder() / "warehouse.yaml").read_text())
+        file = tmp_path / "plan.yaml"
+        file.write_text(yaml.safe_dump({**tree, "grid": 0.8, "further": 1, **changes}))
+        return file
+
+    return write
+
+
+def test_the_example(tmp_path, example):
+    out = tmp_path / "out"
+    answer = call(example(), "--out", out)
+    assert answer.exit_code == 0, answer.output
+    for part in ("Homing can begin from", "Whichever one", "The worst two", "best place found"):
+        assert part in answer.stdout
+    assert {p.name for p in out.iterdir()} == FILES
+    page = (out / "plan.html").read_text()
+    assert "not submodular" in page
+    assert "<script" not in page
+    assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
+    with (out / "floor.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert 80 < len(rows) < 15 * 10
+    assert {row["begins"] for row in rows} == {"yes", "no"}
+    assert all(row["position_sigma"] for row in rows if row["begins"] == "yes")
+    repeated = analyse(load_plan(str(out / "plan.yaml")))
+    assert [k == "yes" for k in (row["begins"] for row in rows)] == repeated.begins.tolist()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"landmarks": {}}, "There is no landmark"),
+        ({"landmarks": {"a": [0, 5], "b": [0, 2]}}, "on a circle through them"),
+        ({"landmarks": {"a": [0, 5], "b": [0, 2], "c": [0, 7]}}, "the limit asks for 4"),
+        ({"limits": {"position": 1e-6}}, "beyond the limits"),
+        ({"drive": {"length": 1e-9}}, "is not told anywhere"),
+        ({"sensor": {"range": [0.0, 0.1]}}, "Home sees no landmark"),
+    ],
+)
+def test_poor_plans_get_a_clear_statement(example, changes, words):
+    assert words in plan_summary(analyse(load_plan(str(example(grid=1.0, **changes)))))
+
+
+@pytest.mark.parametrize(
+    "marks", [{}, {"$x^{<b>": [0, 5], "日本 🏠": [0, 2], "": [3, 0], "d\n": [0, 1]}]
+)
+def test_pages_of_no_landmarks_and_of_odd_names(tmp_path, example, marks):
+    answer = call(example(landmarks=marks, grid=1.0, further=0), "--out", tmp_path / "out")
+    assert answer.exit_code == 0, answer.output
+    assert "<b>" not in (tmp_path / "out" / "plan.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"outline": [[0, 0], [5, 0]]}, "outline"),
+        ({"outline": [[0, 0], [5, 5], [5, 0], [0, 5]]}, "self-intersection"),
+        ({"home": {"x": 3, "y": 1.6}}, "inside shelves.0"),
+        ({"landmarks": {"far": [99, 9]}}, "landmarks.far"),
+        ({"landmarks": {"here": [1.2, 3.4]}}, "landmarks.here"),
+        ({"landmarks": {"a": [float("nan"), 1]}}, "landmarks.a"),
+        ({"sensor": {"bearing_sigma": 0}}, "sensor.bearing_sigma"),
+        ({"sensor": {"range": [3, 1]}}, "least, most"),
+        ({"grid": 0}, "grid"),
+        ({"grid": 0.0001}, "grid"),
+        ({"drive": {"length": 1000}}, "drive.length"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_wrong_plans_are_one_line(tmp_path, example, changes, word):
+    answer = call(example(**changes), "--out", tmp_path / "out")
+    assert answer.exit_code == 2
+    assert word in answer.stderr
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_plan_that_is_not_there(tmp_path):
+    answer = call("cellar", "--out", tmp_path / "out")
+    assert answer.exit_code == 2
+    assert "warehouse" in answer.stderr
