@@ -32,6 +32,8 @@ bench: install
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
 	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
+	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
+	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)
