@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.model import POLAR
+from homeward.observability.home_words import freedom_of_home, listing, names, slide_of_home
 from homeward.observability.scene import CALIBRATIONS, UNITS, Scene
+from homeward.observability.subspaces import beyond, common, orthonormal
 
 ANGLE = 1e-4
 """A direction lies in a family when the sine of the angle between them is below this."""
@@ -47,17 +49,17 @@ def in_words(scene: Scene, null: np.ndarray, tolerance: float = ANGLE) -> list[F
     list of Freedom
         Their directions together span those of `null`.
     """
-    whole = _orthonormal(null / scene.worth[:, None])
+    whole = orthonormal(null / scene.worth[:, None])
     told = whole[:, :0]
     freedoms: list[Freedom] = []
     for family in FAMILIES:
         block = family.block(scene)
-        found = _beyond(_common(whole, block, tolerance), told)
+        found = beyond(common(whole, block, tolerance), told)
         for words, directions in family.describe(scene, found) if found.size else []:
             freedoms.append(Freedom(words, directions * scene.worth[:, None]))
-            told = _orthonormal(np.hstack([told, directions]))
+            told = orthonormal(np.hstack([told, directions]))
     freedoms += [
-        Freedom(_components(scene, v), (v * scene.worth)[:, None]) for v in _beyond(whole, told).T
+        Freedom(_components(scene, v), (v * scene.worth)[:, None]) for v in beyond(whole, told).T
     ]
     return sorted(freedoms, key=lambda f: not _moves_home(scene, f))
 
@@ -69,65 +71,7 @@ Described = list[tuple[str, np.ndarray]]
 def _home_alone(scene: Scene, found: np.ndarray) -> Described:
     """Home moves while robot and landmarks stay."""
     moves = found[:POLAR] * scene.worth[:POLAR, None]
-    return [(_home_words(scene, moves), found)]
-
-
-def _home_words(scene: Scene, moves: np.ndarray) -> str:
-    """Say how home moves, given (3, k) directions of its pose."""
-    place = np.linalg.svd(moves[:2] / scene.length, compute_uv=False)
-    dims = int((place > 1e-6).sum())
-    if moves.shape[1] == POLAR:
-        return "home may lie anywhere, facing any way"
-    if dims == 0:
-        return "home may face any way"
-    if dims == 2:
-        seen = scene.stored.nonzero()[0]
-        name = f"{scene.names[seen[0]]} appears" if seen.size == 1 else "its landmarks appear"
-        return f"home may lie anywhere, facing so that {name} under the stored bearing"
-    along = moves[:, int(np.argmax(np.hypot(*moves[:2])))]
-    direction = along[:2] / np.hypot(*along[:2])
-    return _line_words(scene, direction, float(along[2]))
-
-
-def _line_words(scene: Scene, direction: np.ndarray, turn: float) -> str:
-    """Say along which curve home moves in a direction (2,): circle, line, or else its bearing."""
-    home = scene.home[:2]
-    stored = np.flatnonzero(scene.stored)
-    marks = scene.landmarks[stored]
-    away = marks - home
-    far = np.maximum(np.hypot(*away.T), 1e-12)
-    ahead = np.abs(direction[0] * away[:, 1] - direction[1] * away[:, 0]) / far
-    if ahead.size and ahead.max() < ANGLE and abs(turn) * scene.length < ANGLE:
-        return (
-            f"home may lie anywhere on the line through itself and {_names(scene, stored)},"
-            " on this side of it"
-        )
-    across = np.abs(away @ direction) / far
-    if stored.size == 1 and across[0] < ANGLE:
-        return f"home may lie anywhere on a circle around {scene.names[stored[0]]}"
-    centre = _tangent_circle(home, direction, marks)
-    if stored.size >= 2 and centre is not None:
-        return (
-            f"home may lie anywhere on the circle through itself, {_names(scene, stored)}"
-            " (on its arc between them), turning as it goes"
-        )
-    angle = np.degrees(np.arctan2(direction[1], direction[0]))
-    return f"home slides in the direction {angle:.0f}° from {scene.axis}"
-
-
-def _tangent_circle(
-    home: np.ndarray, direction: np.ndarray, marks: np.ndarray
-) -> np.ndarray | None:
-    """Return the centre of the circle that touches `direction` at home and holds all marks."""
-    normal = np.array([-direction[1], direction[0]])
-    away = marks - home
-    across = away @ normal
-    if len(marks) < 2 or np.abs(across).min() < 1e-9:
-        return None
-    radii = (away**2).sum(axis=1) / (2 * across)
-    if np.ptp(radii) > 1e-3 * np.abs(radii).min():
-        return None
-    return np.asarray(home + radii[0] * normal)
+    return [(freedom_of_home(scene, moves), found)]
 
 
 def _home_anywhere(scene: Scene, found: np.ndarray) -> Described:
@@ -139,7 +83,7 @@ def _home_anywhere(scene: Scene, found: np.ndarray) -> Described:
         "home may lie anywhere as seen from the robot, facing any way: nothing is known of"
         " the landmarks' distances, which make up for it"
     )
-    return [(words, _orthonormal(found @ v[:POLAR].T))]
+    return [(words, orthonormal(found @ v[:POLAR].T))]
 
 
 def _growth(scene: Scene) -> np.ndarray:
@@ -150,7 +94,7 @@ def _growth(scene: Scene) -> np.ndarray:
     grow[marks] = (scene.landmarks - scene.poses[0, :2]).ravel()
     if "speed-scale" in scene.unknown:
         grow[marks.stop + scene.unknown.index("speed-scale")] = 1.0
-    return _orthonormal((grow / scene.worth)[:, None])
+    return orthonormal((grow / scene.worth)[:, None])
 
 
 def _scale(scene: Scene, found: np.ndarray) -> Described:
@@ -166,21 +110,21 @@ def _calibration(scene: Scene, found: np.ndarray) -> Described:
     first = POLAR + 2 * len(scene.landmarks)
     alone = np.abs(found[first:]).max(axis=1) > SHARE
     names = [_plain(name) for name, is_in in zip(scene.unknown, alone, strict=True) if is_in]
-    return [(f"nothing tells {_listing(names)}", found)]
+    return [(f"nothing tells {listing(names)}", found)]
 
 
 def _landmarks_alone(scene: Scene, found: np.ndarray) -> Described:
     """Single landmarks that move while everything else stays."""
     alike: dict[str, list[int]] = {}
     for i in range(len(scene.landmarks)):
-        own = _common(found, _mark_block(scene, i), ANGLE)
+        own = common(found, _mark_block(scene, i), ANGLE)
         if own.shape[1]:
             alike.setdefault(_mark_words(scene, i, own), []).append(i)
     described = []
     for words, which in alike.items():
         block = np.hstack([_mark_block(scene, i) for i in which])
-        part = _common(found, block, ANGLE)
-        described.append((f"{_names(scene, np.array(which))} {words}", part))
+        part = common(found, block, ANGLE)
+        described.append((f"{names(scene, np.array(which))} {words}", part))
     return described
 
 
@@ -209,23 +153,13 @@ def _home_and_sights(scene: Scene, found: np.ndarray) -> Described:
         slides = np.hypot(*v[POLAR : POLAR + 2 * len(scene.landmarks)].reshape(-1, 2).T)
         which = np.flatnonzero(slides > SHARE * slides.max())
         one = which.size == 1
-        sliding = f"{_names(scene, which)} {'slides' if one else 'slide'} along the"
+        sliding = f"{names(scene, which)} {'slides' if one else 'slide'} along the"
         sliding += f" {'line' if one else 'lines'} of sight from the robot"
         moving = np.abs(v[:POLAR]).max() > 1e-6
         home = v[:POLAR] * scene.worth[:POLAR]
-        words = f"{_pose_words(scene, home)} while {sliding}" if moving else sliding
+        words = f"{slide_of_home(scene, home)} while {sliding}" if moving else sliding
         described.append((words, v[:, None]))
     return described
-
-
-def _pose_words(scene: Scene, move: np.ndarray) -> str:
-    """Say how home moves in one direction, in metres and degrees."""
-    far, turn = float(np.hypot(*move[:2])), np.degrees(move[2])
-    if far < 1e-9:
-        return "home turns"
-    towards = np.degrees(np.arctan2(move[1], move[0]))
-    turning = "" if abs(turn / far) < 0.01 else f", turning by {turn / far:.1f}° a metre,"
-    return f"home slides in the direction {towards:.0f}° from {scene.axis}{turning}"
 
 
 def _components(scene: Scene, v: np.ndarray) -> str:
@@ -273,42 +207,8 @@ def _sight(scene: Scene, i: int) -> np.ndarray:
     return np.asarray(away / max(float(np.hypot(*away)), 1e-12))
 
 
-def _common(null: np.ndarray, block: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return an orthonormal basis of what two orthonormal bases span in common."""
-    if not null.size or not block.size:
-        return np.zeros((len(null), 0))
-    u, cosines, _ = np.linalg.svd(null.T @ block)
-    inside = np.sqrt(np.maximum(1 - np.minimum(cosines, 1.0) ** 2, 0.0)) < max(tolerance, 1e-7)
-    return np.asarray(null @ u[:, : int(inside.sum())])
-
-
-def _beyond(found: np.ndarray, told: np.ndarray) -> np.ndarray:
-    """Return those directions in the span of `found` that add to the span of `told`."""
-    if not found.size or not told.size:
-        return found
-    _, sizes, v = np.linalg.svd(found - told @ (told.T @ found))
-    return np.asarray(found @ v[: sizes.size][sizes > 1e-3].T)
-
-
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    if not columns.size:
-        return np.zeros((len(columns), 0))
-    return np.asarray(np.linalg.qr(columns)[0])
-
-
 def _moves_home(scene: Scene, freedom: Freedom) -> bool:
     return bool(np.abs(freedom.directions[:POLAR] / scene.worth[:POLAR, None]).max() > 1e-6)
-
-
-def _names(scene: Scene, which: np.ndarray) -> str:
-    """Return "L1, L2 and L3"."""
-    return _listing([scene.names[i] for i in which])
-
-
-def _listing(names: list[str]) -> str:
-    if len(names) > 8:
-        return ", ".join(names[:7]) + f" and {len(names) - 7} more"
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 @dataclass(frozen=True)

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from homeward.studies.planning.accuracy import Arcs, home_sees
 from homeward.studies.planning.advice import best_places
 from homeward.studies.planning.floor import Floor, make_floor
+from homeward.studies.planning.places import Places, Progress, group, in_threads
 from homeward.studies.planning.settings import Plan
 
 CHUNK = 500
 """Places are worked on in groups of this size."""
-SLICE = 4000
-"""Matrices are inverted so many at once, which stay in the cache."""
 SAMPLE = 1500
 """Pairs are hidden, and landmarks moved, at so many places, evenly chosen ..."""
 PAIR_WORK = 2_000_000
 """... or at fewer, lest there are more cases than this; but at `FEWEST` at least."""
 FEWEST = 100
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -112,14 +105,14 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     places = floor.points
     marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
     stored = home_sees(plan, floor, marks)
-    scenes = _scenes(arcs, floor, places, marks, stored, CHUNK)
-    parts = list(_in_threads(_Scenes.singles, scenes, lambda f: tell(0.1 + 0.4 * f)))
+    groups = group(arcs, floor, places, marks, stored, CHUNK)
+    parts = list(in_threads(Places.singles, groups, lambda f: tell(0.1 + 0.4 * f)))
     position, heading, common, score, hidden = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     rows = _sample(arcs, common)
-    of_pairs = _scenes(arcs, floor, places[rows], marks, stored, CHUNK // 10)
-    found = list(_in_threads(_Scenes.pairs, of_pairs, lambda f: tell(0.5 + 0.2 * f)))
+    of_pairs = group(arcs, floor, places[rows], marks, stored, CHUNK // 10)
+    found = list(in_threads(Places.pairs, of_pairs, lambda f: tell(0.5 + 0.2 * f)))
     moved, begins, safe = (np.concatenate(part) for part in zip(*found, strict=True))
     advice = _advise(plan, floor, arcs, rows, lambda f: tell(0.7 + 0.3 * f))
     return PlanView(
@@ -141,129 +134,6 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     )
 
 
-@dataclass(frozen=True)
-class _Scenes:
-    """n places, and q landmarks in sight of them or not."""
-
-    arcs: Arcs
-    floor: Floor
-    places: np.ndarray
-    """(n, 2) [m]"""
-    marks: np.ndarray
-    """(q, 2) [m]"""
-    stored: np.ndarray
-    """(q,), bool"""
-
-    @cached_property
-    def visible(self) -> np.ndarray:
-        """(n, q), bool: a line of sight, found when first asked for, in a thread."""
-        return self.floor.sees(self.places, self.marks)
-
-    def singles(self) -> tuple[np.ndarray, ...]:
-        """Return position, heading, common (n,), score (n,), and scores with one hidden (n, q)."""
-        n, q = len(self.places), len(self.marks)
-        position, heading = np.full(n, np.inf), np.full(n, np.inf)
-        common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
-        for h in range(len(self.arcs.headings)):
-            told = self._told(h)
-            fix = self.arcs.fix(told.every)
-            common = np.maximum(common, told.count)
-            better = fix.position < position
-            position = np.where(better, fix.position, position)
-            heading = np.where(better, fix.heading, heading)
-            score = np.minimum(score, self.arcs.score(fix, told.count))
-            hidden = np.minimum(hidden, self._hidden(told))
-        return position, heading, common, score, hidden
-
-    def pairs(self) -> tuple[np.ndarray, ...]:
-        """Return scores with one moved (n, q), where homing can begin without pairs (n, q, q).
-
-        And, (n,), where it can without any pair.
-        """
-        n, q = len(self.places), len(self.marks)
-        best, moved = np.full((n, q, q), np.inf), np.full((n, q), np.inf)
-        upper = np.triu(np.ones((q, q), bool), 1)
-        for h in range(len(self.arcs.headings)):
-            told = self._told(h)
-            one = self._hidden(told)
-            # With one of the two out of sight it is as with the other alone.
-            out = np.maximum(one[:, :, None], one[:, None, :])
-            place, i, j = np.nonzero(told.seen[:, :, None] & told.seen[:, None, :] & upper)
-            out[place, i, j] = out[place, j, i] = self._scores(told, place, [i, j])
-            best = np.minimum(best, out)
-            moved = np.minimum(moved, self._moved(told, h))
-        begins = np.asarray(best <= 1)
-        return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
-
-    def _told(self, h: int) -> _Told:
-        each, seen = self.arcs.informations(self.places, self.marks, self.visible, self.stored, h)
-        common = seen & self.stored
-        return _Told(each, seen, common, each.sum(axis=1), common.sum(axis=1))
-
-    def _hidden(self, told: _Told) -> np.ndarray:
-        """Return scores with each landmark hidden, (n, q)."""
-        now = self.arcs.score(self.arcs.fix(told.every), told.count)
-        out = np.repeat(now[:, None], told.seen.shape[1], axis=1)
-        place, mark = np.nonzero(told.seen)
-        out[place, mark] = self._scores(told, place, [mark])
-        return out
-
-    def _moved(self, told: _Told, h: int) -> np.ndarray:
-        """Return scores with each landmark moved, (n, q): it still tells how the robot drove."""
-        now = self.arcs.score(self.arcs.fix(told.every), told.count)
-        out = np.repeat(now[:, None], told.seen.shape[1], axis=1)
-        place, mark = np.nonzero(told.common)
-        nowhere = np.zeros_like(self.stored)
-        still, _ = self.arcs.informations(self.places, self.marks, self.visible, nowhere, h)
-        out[place, mark] = self._scores(told, place, [mark], still)
-        return out
-
-    def _scores(
-        self,
-        told: _Told,
-        place: np.ndarray,
-        without: list[np.ndarray],
-        still: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Return scores at places (k,) without landmarks (k,), but for what they `still` tell."""
-        scores = np.empty(place.size)
-        for begin in range(0, place.size, SLICE):
-            part = slice(begin, begin + SLICE)
-            row = place[part]
-            information, left = told.every[row], told.count[row]
-            for mark in without:
-                information -= told.each[row, mark[part]]
-                left -= told.common[row, mark[part]]
-                if still is not None:
-                    information += still[row, mark[part]]
-            scores[part] = self.arcs.score(self.arcs.fix(information), left)
-        return scores
-
-
-@dataclass(frozen=True)
-class _Told:
-    """What q landmarks tell at n places, in one direction."""
-
-    each: np.ndarray
-    """(n, q, d (d + 1) / 2)"""
-    seen: np.ndarray
-    """(n, q), bool"""
-    common: np.ndarray
-    """(n, q), bool: and seen from home."""
-    every: np.ndarray
-    """(n, d (d + 1) / 2), all together."""
-    count: np.ndarray
-    """(n,), of `common`."""
-
-
-def _scenes(
-    arcs: Arcs, floor: Floor, places: np.ndarray, marks: np.ndarray, stored: np.ndarray, size: int
-) -> list[_Scenes]:
-    """Return places in groups of at most a size, in order."""
-    parts = np.array_split(places, -(-len(places) // size))
-    return [_Scenes(arcs, floor, part, marks, stored) for part in parts]
-
-
 def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progress) -> Advice:
     """Choose further places, and say what each adds at some rows of the floor."""
     chosen, candidates = best_places(plan, floor, arcs, tell)
@@ -274,8 +144,8 @@ def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progre
     figures = []
     for together in sets:
         stored = home_sees(plan, floor, together)
-        scenes = _scenes(arcs, floor, floor.points[rows], together, stored, CHUNK // 5)
-        parts = list(_in_threads(_Scenes.singles, scenes, lambda f: None))
+        groups = group(arcs, floor, floor.points[rows], together, stored, CHUNK // 5)
+        parts = list(in_threads(Places.singles, groups, lambda f: None))
         score, hidden = (np.concatenate([p[i] for p in parts]) for i in (3, 4))
         worst = np.column_stack([score, hidden]).max(axis=1)
         figures.append(((score <= 1).mean(), (worst <= 1).mean()))
@@ -289,13 +159,3 @@ def _sample(arcs: Arcs, common: np.ndarray) -> np.ndarray:
     work = float((common.astype(float) ** 2).mean()) / 2 * len(arcs.headings)
     most = min(SAMPLE, max(FEWEST, int(PAIR_WORK / max(work, 1.0))))
     return np.unique(np.linspace(0, common.size - 1, min(common.size, most)).astype(int))
-
-
-def _in_threads(
-    work: Callable[[_Scenes], tuple[np.ndarray, ...]], scenes: list[_Scenes], tell: Progress
-) -> Iterable[tuple[np.ndarray, ...]]:
-    """Work on scenes on all cores, and yield in order."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for k, answer in enumerate(pool.map(work, scenes)):
-            yield answer
-            tell((k + 1) / len(scenes))
