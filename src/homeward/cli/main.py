@@ -7,6 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from homeward.cli.convert import convert
+from homeward.cli.info import info
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.simulate import simulate
@@ -34,5 +36,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, reproduce):
+for command in (run, info, convert, simulate, reproduce):
     app.command()(command)
