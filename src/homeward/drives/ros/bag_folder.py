@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from homeward.drives.ros.container import Log, Message, Unpacker, walking, zstd
+from homeward.drives.ros.container import Log, Message, Unpacker, in_short, walking, zstd
 from homeward.drives.ros.mcap import MAGIC as MCAP_MAGIC
 from homeward.drives.ros.mcap import Mcap
 from homeward.drives.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC
@@ -140,7 +140,7 @@ def _unpacked(file: Path) -> Iterator[Path]:
             with zstd.open(file, "rb") as packed, whole.open("wb") as out:
                 _copy(packed, out, file)
         except (zstd.ZstdError, EOFError) as error:
-            raise InputError(f"damaged: {error}", file) from error
+            raise InputError(f"damaged: {in_short(error)}", file) from error
         try:
             yield whole
         except InputError as error:
@@ -161,4 +161,4 @@ def _message(unpacker: Unpacker, data: bytes, file: Path) -> bytes:
     try:
         return unpacker.unpack_whole(data)
     except zstd.ZstdError as error:
-        raise InputError(f"a message is not zstd: {error}", file) from error
+        raise InputError(f"a message is not zstd: {in_short(error)}", file) from error

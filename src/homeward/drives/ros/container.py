@@ -136,7 +136,9 @@ class Unpacker:
             try:
                 raw = _INFLATERS[compression](bytes(data), size + 1)
             except (OSError, RuntimeError, EOFError, ValueError, zstd.ZstdError) as error:
-                raise InputError(f"a chunk is not {compression}: {error}", self._path) from error
+                raise InputError(
+                    f"a chunk is not {compression}: {in_short(error)}", self._path
+                ) from error
         else:
             raise InputError(f"chunks are compressed by {quoted(compression)}", self._path)
         if len(raw) != size:
@@ -178,7 +180,13 @@ def walking(path: Path) -> Iterator[None]:
         with naming(path, "cannot be read"):
             yield
     except (struct.error, ValueError, KeyError, IndexError, OverflowError) as error:
-        raise InputError(f"damaged: {error}", path) from error
+        raise InputError(f"damaged: {in_short(error)}", path) from error
+
+
+def in_short(error: Exception) -> str:
+    """Return what an error says as one line of bounded length; it may quote hostile text."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= 200 else text[:200] + "..."
 
 
 def ros2_type(name: str) -> str:

@@ -14,7 +14,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.container import Channel
+from homeward.drives.ros.container import Channel, in_short
 from homeward.drives.ros.messages import typestore
 from homeward.drives.table import quoted
 from homeward.errors import InputError
@@ -55,9 +55,9 @@ class Decoder:
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
             return self._stores[channel].deserialize_cdr(bytes(data), channel.type)
         except (SerdeError, ValueError, IndexError, RecursionError, OverflowError) as error:
-            reason = quoted(str(error)) if len(str(error)) > 200 else str(error)
             raise InputError(
-                f"{channel.topic}: a message does not fit its type {channel.type}: {reason}"
+                f"{channel.topic}: a message does not fit its type {channel.type}: "
+                f"{in_short(error)}"
             ) from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rosbags import rosbag1, rosbag2
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.ros.messages import typestore
 from homeward.drives.ros.stamps import NANO
@@ -80,7 +79,10 @@ def writing(path: Path) -> Iterator[LogFile]:
                     yield LogFile(old, ros1=True)
             else:
                 storage = _STORAGE[path.suffix]
-                with rosbag2.Writer(made, version=9, storage_plugin=storage) as new:
+                writer = rosbag2.Writer(made, version=9, storage_plugin=storage)
+                if storage is StoragePlugin.MCAP:
+                    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+                with writer as new:
                     yield LogFile(new, ros1=False)
                 (made,) = made.glob(f"*{path.suffix}")
-            os.replace(made, path)
+            made.rename(path)

@@ -99,8 +99,8 @@ float64 y
 
 @cache
 def typestore(ros1: bool) -> Any:
-    """Return rosbags' store of every type known here, as ROS 1 or the latest ROS 2 has them."""
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    """Return rosbags' store of every type known here, as ROS 1 Noetic or ROS 2 Humble has them."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     for name, text in {**DEFINITIONS, **_WELL_KNOWN}.items():
         store.register(get_types_from_msg(text, name))
     return store

@@ -7,7 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
 
-from homeward.drives.ros.container import LARGEST_BLOCK, Channel, Message, ros2_type, walking
+from homeward.drives.ros.container import (
+    LARGEST_BLOCK,
+    Channel,
+    Message,
+    in_short,
+    ros2_type,
+    walking,
+)
 from homeward.errors import InputError
 
 MAGIC = b"SQLite format 3\x00"
@@ -29,7 +36,8 @@ class Sqlite:
             try:
                 yield from self._messages()
             except sqlite3.Error as error:
-                raise InputError(f"not a bag that sqlite can read: {error}", self.path) from error
+                reason = f"not a bag that sqlite can read: {in_short(error)}"
+                raise InputError(reason, self.path) from error
 
     def _messages(self) -> Iterator[Message]:
         # Immutable: nothing is written beside it, not even a lock.
