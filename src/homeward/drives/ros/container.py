@@ -28,7 +28,7 @@ else:
 
 LARGEST_BLOCK = 256 * 2**20
 """No chunk, no message and no index may be larger [byte]; recorders write chunks of 1 to 16 MiB."""
-LEAST_TOTAL = 2**30
+LEAST_TOTAL = 256 * 2**20
 """A log may always unpack to this much in all [byte]."""
 LARGEST_GROWTH = 100
 """And beyond it to this many times the size of its file."""

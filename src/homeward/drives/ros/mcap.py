@@ -52,6 +52,7 @@ class _Walk:
         while op != _FOOTER:
             start = source.at
             op, size = struct.unpack("<BQ", source.take(9, "a record"))
+            _check(op)
             if op not in _KEPT:
                 source.skip(size, "a record")
                 continue
@@ -118,11 +119,18 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     at = 0
     while at < len(data):
         op, size = struct.unpack_from("<BQ", data, at)
+        _check(op)
         end = at + 9 + size
         if end > len(data):
             raise ValueError(f"{size} bytes announced where {len(data) - at - 9} are left")
         yield op, data[at + 9 : end]
         at = end
+
+
+def _check(op: int) -> None:
+    """Refuse the one kind of record that cannot be; a file of zeros would have millions of it."""
+    if op == 0:
+        raise ValueError("a record of kind 0")
 
 
 def _string(data: memoryview, at: int) -> tuple[str, int]:

@@ -38,14 +38,12 @@ from homeward.drives.ros.settings import BearingsTopic, LogSettings
 from homeward.drives.ros.survey import Survey, Tell, survey
 from homeward.drives.ros.times import Clock
 from homeward.drives.settings import parse_settings, read_settings
-from homeward.drives.table import Table
+from homeward.drives.table import Table, quoted
 from homeward.errors import InputError
 from homeward.frames import Pose, between
 
 NOT_FINITE = "{} with a number that is not finite, left out"
 LATE = "{} that came late, put in order by their stamps"
-LATEST_S = 1.0
-"""A stamp that lies further behind an earlier one means that a clock was set [s]."""
 
 
 def read_log(path: Path, topics: Path | None = None, tell: Tell | None = None) -> Drive:
@@ -111,7 +109,7 @@ class _Reading:
         if plan.home is not None and plan.home.topic is not None:
             home = self._take_sightings(BearingsTopic(topic=plan.home.topic))
         if plan.truth is not None:
-            self._take(plan.truth.topic, lambda t, m: poses.append((t, *pose_of(m))))
+            self._take(plan.truth.topic, lambda t, m: poses.append((t, *map(float, pose_of(m)))))
         self._walk(tell)
         twists = odometry()
         seen = self._sightings([r.columns(c()) for r, c in zip(sightings, cameras, strict=True)])
@@ -134,9 +132,14 @@ class _Reading:
             topic = message.channel.topic
             if topic in self._takers:
                 decoded = self._decoder.decode(message.channel, message.data)
-                t = clock.time(message, decoded)
-                for taker in self._takers[topic]:
-                    taker(t, decoded)
+                try:
+                    t = clock.time(message, decoded)
+                    for taker in self._takers[topic]:
+                        taker(t, decoded)
+                except (AttributeError, TypeError, ValueError, IndexError) as error:
+                    # The definition in the log lacks a field, or has another kind of it.
+                    kind = quoted(message.channel.type)
+                    raise InputError(f"{topic}: its {kind} is none that is known here") from error
             if tell is not None and number % 500 == 0:
                 tell((1 + log.done) / 2)
 
@@ -167,12 +170,12 @@ class _Reading:
         def take(t: float, message: Any) -> None:
             if wheels is not None:
                 if (row := wheels.row(message)) is not None:
-                    rows.append((t, *row))
+                    rows.append((t, *map(float, row)))
                 return
             nothing = (np.nan,) * 3
             twist = twist_of(message) if hasattr(message, "twist") or _bare(message) else nothing
             pose = pose_of(message) if hasattr(message, "pose") else nothing
-            rows.append((t, *twist, *pose))
+            rows.append((t, *map(float, (*twist, *pose))))
 
         def make() -> Odometry:
             table = np.array(rows, float).reshape(len(rows), -1)
@@ -228,7 +231,7 @@ class _Reading:
             nothing = np.empty(0)
             return Sightings(nothing, np.empty(0, object), nothing, nothing)
         columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-        order = self._order(columns["t"], "sightings", self._plan.bearings[0].topic)
+        order = self._order(columns["t"], "sightings")
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
         _require_sigma(rows)
         sightings = Sightings(
@@ -280,23 +283,15 @@ class _Reading:
         rows = table[finite]
         if not len(rows):
             raise InputError(f"{topic}: no message has finite numbers")
-        rows = rows[self._order(rows[:, 0], what, topic)]
+        rows = rows[self._order(rows[:, 0], what)]
         columns = {"t": rows[:, 0], "row": np.arange(len(rows))}
         kept = without_repeats(Table(self._path, columns["row"], columns), self._remarks, repeats)
         return np.asarray(rows[kept["row"]])
 
-    def _order(self, t: np.ndarray, what: str, topic: str) -> np.ndarray:
+    def _order(self, t: np.ndarray, what: str) -> np.ndarray:
         """Return the order of times [s]; equal ones stay as they came."""
-        behind = np.maximum.accumulate(t) - t if t.size else t
-        late = behind > 0
-        if late.any():
-            if behind.max() > LATEST_S:
-                at = int(np.argmax(behind))
-                raise InputError(
-                    f"{topic}: time runs back by {behind.max():.3f} s at message {at + 1}: a clock "
-                    "was set; with clock: receive in a topics file the recorder's times count"
-                )
-            self._remarks[LATE.format(what)] = int(late.sum())
+        if t.size and (late := int((t < np.maximum.accumulate(t)).sum())):
+            self._remarks[LATE.format(what)] = late
         return np.argsort(t, kind="stable")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
@@ -33,11 +34,25 @@ class Sqlite:
     def messages(self) -> Iterator[Message]:
         """Walk the messages; see `Log`."""
         with walking(self.path):
+            self._check_length()
             try:
                 yield from self._messages()
             except sqlite3.Error as error:
                 reason = f"not a bag that sqlite can read: {in_short(error)}"
                 raise InputError(reason, self.path) from error
+
+    def _check_length(self) -> None:
+        """Refuse a file that is shorter than its header says; sqlite may not notice."""
+        with self.path.open("rb") as stream:
+            head = stream.read(100)
+        page, changes, pages = struct.unpack_from(">H6xII", head, 16)
+        (valid_for,) = struct.unpack_from(">I", head, 92)
+        # The count of pages holds only when the last writer was one that keeps it.
+        if (
+            changes == valid_for
+            and pages * (65536 if page == 1 else page) > self.path.stat().st_size
+        ):
+            raise InputError("truncated: the file is shorter than its header says", self.path)
 
     def _messages(self) -> Iterator[Message]:
         # Immutable: nothing is written beside it, not even a lock.

@@ -13,6 +13,9 @@ from homeward.drives.ros.stamps import NANO, epoch_of, seconds
 from homeward.drives.ros.survey import Survey, Topic
 from homeward.errors import InputError
 
+LATEST_S = 1.0
+"""A stamp further behind that of an earlier message is of a clock that was set back [s]."""
+
 
 class Clock:
     """Turns messages into times [s] of the drive.
@@ -29,7 +32,8 @@ class Clock:
     Raises
     ------
     InputError
-        When the headers of a topic hold no times, or those of two topics are of other clocks.
+        When the headers of a topic hold no times, those of two topics are of other clocks, or one
+        was set back.
     """
 
     def __init__(self, known: Survey, plan: LogSettings, epoch: int | None) -> None:
@@ -40,6 +44,8 @@ class Clock:
         if self._by_header and epoch is None:
             self._shift = _recorder_ahead(topics)
             _check_one_clock(topics, self._shift)
+            for topic in topics.values():
+                _check_never_set(topic)
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
         merged = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
         self._epoch = epoch_of(merged) if epoch is None else epoch
@@ -94,4 +100,18 @@ def _check_one_clock(topics: dict[str, Topic], shift: int) -> None:
         raise InputError(
             f"{a} begins {apart:.1f} s after {b} ends: their headers are of different clocks, or "
             "they were not recorded together; clock: receive in a topics file may help"
+        )
+
+
+def _check_never_set(topic: Topic) -> None:
+    """Refuse a topic whose headers' clock was set back while it was recorded."""
+    if topic.header is None or not topic.count:
+        return
+    stamps = topic.header[np.argsort(topic.receive, kind="stable")]
+    behind = np.maximum.accumulate(stamps) - stamps
+    if behind.max() > LATEST_S * NANO:
+        raise InputError(
+            f"{topic.name}: time runs back by {behind.max() / NANO:.3f} s at message "
+            f"{int(np.argmax(behind)) + 1}: a clock was set; with clock: receive in a topics file "
+            "the recorder's times count"
         )
