@@ -53,8 +53,8 @@ def run(
 ) -> None:
     """Localise a robot along a drive, and write what came out.
 
-    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, report.html and
-    run.yaml, from which the run repeats.
+    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
+    report.html and run.yaml, from which the run repeats.
     """
     options = {
         "estimator": estimator,
