@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.drives.ros.camera import Intrinsics
 from homeward.drives.ros.messages import BEARINGS
+from homeward.drives.ros.rows import Remarks
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.table import is_identifier, quoted
 from homeward.errors import InputError
@@ -145,12 +146,12 @@ def _level(point: Any, axes: str) -> tuple[float, float]:
 class SightingRows:
     """The sightings of a topic, as they come in."""
 
-    def __init__(self, told: BearingsTopic, kind: str) -> None:
+    def __init__(self, told: BearingsTopic, kind: str, remarks: Remarks) -> None:
         self.told, self.kind = told, kind
         self._t: list[float] = []
         self._ids: list[str] = []
         self._values: list[tuple[float, float, float]] = []
-        self.remarks: dict[str, int] = {}
+        self._remarks = remarks
 
     def add(self, t: float, message: Any) -> None:
         """Take the message of time `t` [s]."""
@@ -158,9 +159,9 @@ class SightingRows:
             name = landmark.strip()
             absent = not (math.isfinite(a) and math.isfinite(b))
             if not name:
-                self._remark(NO_ID)
+                self._remarks.count(NO_ID)
             elif absent or (self.kind not in (BEARINGS, *IN_IMAGE) and a == b == 0):
-                self._remark(NOTHING_THERE)
+                self._remarks.count(NOTHING_THERE)
             elif not is_identifier(name):
                 raise InputError(f"{self.told.topic}: {quoted(name)} cannot be a landmark's id")
             else:
@@ -188,6 +189,3 @@ class SightingRows:
         ids = np.empty(len(self._ids), object)
         ids[:] = self._ids
         return {"t": np.array(self._t, float), "landmark": ids, "bearing": bearing, "sigma": sigma}
-
-    def _remark(self, reason: str) -> None:
-        self.remarks[reason] = self.remarks.get(reason, 0) + 1

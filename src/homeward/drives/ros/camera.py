@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from homeward.drives.drive import Finite, Positive, Strict
+from homeward.errors import InputError
 
 ITERATIONS = 30
 """Of the inversion of a lens's distortion; it stops being exact where the lens folds over."""
@@ -43,6 +44,33 @@ class Intrinsics(Strict):
         if self.model == "equidistant":
             return _equidistant(x, y, k)
         return np.asarray(-np.arctan(_straightened(x, y, k)))
+
+
+class CameraRows:
+    """The CameraInfo of a topic, of which the first counts."""
+
+    def __init__(self, topic: str, rectified: bool) -> None:
+        self._topic, self._rectified = topic, rectified
+        self._first: Any = None
+
+    def add(self, _: float, message: Any) -> None:
+        """Take a message."""
+        if self._first is None:
+            self._first = message
+
+    def model(self) -> Intrinsics | None:
+        """Return the model of the camera; None when there was no message.
+
+        Raises
+        ------
+        InputError
+            When it is not calibrated, or of another model.
+        """
+        try:
+            return None if self._first is None else from_camera_info(self._first, self._rectified)
+        except (ValueError, IndexError, AttributeError):
+            reason = f"{self._topic}: not the model of a calibrated camera that is known here"
+            raise InputError(reason) from None
 
 
 def from_camera_info(message: Any, rectified: bool) -> Intrinsics:

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.drive import Odometry
+from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.ros.messages import ODOMETRY, POSE
+from homeward.drives.ros.rows import Remarks, clean_rows
 from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.table import quoted
 from homeward.errors import InputError
@@ -133,24 +136,52 @@ def twists_from_poses(t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.n
     return np.append(way / dt, 0.0), np.append(turn / dt, 0.0)
 
 
-def choose_twists(told: OdometryTopic, kind: str, rows: np.ndarray) -> bool:
-    """Say whether a topic's twists are used rather than its poses.
+class OdometryRows:
+    """The odometry of a topic, as it comes in."""
 
-    Parameters
-    ----------
-    told : OdometryTopic
-        What the user says.
-    kind : str
-        Type of the topic.
-    rows : ndarray, shape (n, 6)
-        Twists and poses of its messages, NaN where the type has none.
-    """
-    if kind not in {"twist": TWISTS, "pose": POSES, None: (*TWISTS, *POSES)}[told.use]:
-        raise InputError(f"{told.topic}: a {quoted(kind)} tells no {told.use}")
-    if told.use is not None or kind != NAV_ODOMETRY:
-        return told.use == "twist" or kind in TWISTS
-    moves = bool(np.ptp(rows[:, 3:], axis=0).any())
-    return bool(rows[:, :2].any()) or not moves
+    def __init__(self, told: OdometryTopic, kind: str) -> None:
+        self._told, self._kind = told, kind
+        self._wheels = Wheels(told) if kind == JOINT_STATE else None
+        self._rows: list[tuple[float, ...]] = []
+        if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[told.use]:
+            raise InputError(f"{told.topic}: a {quoted(kind)} tells no {told.use}")
+
+    def add(self, t: float, message: Any) -> None:
+        """Take the message of time `t` [s]."""
+        if self._wheels is not None:
+            row = self._wheels.row(message)
+            if row is not None:
+                self._rows.append((t, *row))
+            return
+        nothing = (math.nan,) * 3
+        twist = twist_of(message) if self._kind in TWISTS else nothing
+        pose = pose_of(message) if self._kind in POSES else nothing
+        self._rows.append((t, *map(float, (*twist, *pose))))
+
+    def odometry(self, remarks: Remarks) -> Odometry:
+        """Return what all messages together tell; counts in `remarks` what was left out."""
+        rows = np.array(self._rows, float).reshape(len(self._rows), -1)
+        if self._wheels is not None or not len(rows):
+            rows = self._clean(rows, remarks)
+            assert self._wheels is not None
+            return Odometry(rows[:, 0], *self._wheels.twists(rows[:, 0], rows[:, 1:]))
+        if self._by_twist(rows[:, 1:]):
+            with np.errstate(invalid="ignore"):
+                sideways = np.abs(rows[:, 3]) > SIDEWAYS_SHARE * np.abs(rows[:, 1]) + 1e-3
+            remarks.count(SIDEWAYS, int(sideways.sum()))
+            return Odometry(*self._clean(rows[:, :3], remarks).T.copy())
+        rows = self._clean(rows[:, [0, 4, 5, 6]], remarks)
+        return Odometry(rows[:, 0], *twists_from_poses(rows[:, 0], rows[:, 1:]))
+
+    def _clean(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
+        return clean_rows(rows, self._told.topic, "odometry", REPEATED_ODOMETRY, remarks)
+
+    def _by_twist(self, rows: np.ndarray) -> bool:
+        """Say whether twists are used rather than poses; both stand in rows of shape (n, 6)."""
+        if self._told.use is not None or self._kind != NAV_ODOMETRY:
+            return self._told.use == "twist" or self._kind in TWISTS
+        moves = bool(np.ptp(rows[:, 3:], axis=0).any())
+        return bool(rows[:, :2].any()) or not moves
 
 
 def _rate(t: np.ndarray, values: np.ndarray) -> np.ndarray:
