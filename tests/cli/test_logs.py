@@ -88,9 +88,16 @@ def test_what_fits_no_log_is_refused(log, tmp_path):
     assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
 
 
-def test_a_log_without_sightings_does_not_run(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "header", "words"),
+    [
+        ("bearings.csv", "t,landmark,bearing", "no sightings"),
+        ("home.csv", "landmark,bearing", "saw at home"),
+    ],
+)
+def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
     folder = tmp_path / "blind"
     shutil.copytree(sample_drive(), folder)
-    (folder / "bearings.csv").write_text("t,landmark,bearing\n")
-    assert "no sightings" in refused(call("run", folder, "--out", tmp_path / "out"))
+    (folder / name).write_text(f"{header}\n")
+    assert words in refused(call("run", folder, "--out", tmp_path / "out"))
     assert not (tmp_path / "out").exists()

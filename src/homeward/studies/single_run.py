@@ -145,6 +145,8 @@ def prepare(
     )
     if not drive.sightings.t.size:
         raise InputError("no sightings of landmarks in it", Path(run.drive))
+    if not drive.home:
+        raise InputError("nothing in it tells what the camera saw at home", Path(run.drive))
     start = run.start or _default_start(run.estimator, drive)
     if start is not None:
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})

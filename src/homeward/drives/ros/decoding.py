@@ -19,7 +19,7 @@ from homeward.drives.ros.messages import typestore
 from homeward.drives.table import quoted
 from homeward.errors import InputError
 
-LARGEST_DEFINITION = 2**18
+LARGEST_DEFINITION = 2**16
 """Characters of a definition with everything it refers to."""
 LARGEST_MESSAGE = 2**26
 """Of a message that is decoded [byte]."""
@@ -27,6 +27,8 @@ MOST_NUMBERS = 10_000
 """In the parts of a message that have a fixed size."""
 MOST_ELEMENTS = 1_000_000
 """In a sequence."""
+DEEPEST = 20
+"""Types within types."""
 _NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _HEADER_FIRST = re.compile(r"\s*(?:#.*\n\s*)*(?:std_msgs/(?:msg/)?)?Header\s+\w+", re.ASCII)
 _IDL_MARK = "=" * 80 + "\n"
@@ -113,6 +115,8 @@ def _numbers(
     """Count the fixed numbers in a type, and collect its fields and those of its parts."""
     if name not in types or name in above or not _NAME.fullmatch(name):
         raise InputError(f"{channel.topic}: {channel.type} needs {quoted(name)}, which is not told")
+    if len(above) > DEEPEST:
+        raise InputError(f"{channel.topic}: {channel.type} is deeper than any message read")
     fields = types[name][1]
     total = 0
     for field, (node, what) in fields:
