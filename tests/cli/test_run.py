@@ -19,6 +19,7 @@ WRITTEN = {
     "landmarks.csv",
     "metrics.json",
     "report.html",
+    "run.mcap",
     "run.yaml",
 }
 

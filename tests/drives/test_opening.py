@@ -71,7 +71,8 @@ def test_refuses_what_no_reader_knows(tmp_path):
     (tmp_path / "empty").mkdir()
     assert refusal(tmp_path / "empty") == (
         "neither an MRCLAM folder (Barcodes.dat) "
-        "nor a drive folder (odometry.csv, bearings.csv, home.csv)"
+        "nor a drive folder (odometry.csv, bearings.csv, home.csv) "
+        "nor a log (a ROS bag or an MCAP file)"
     )
     (tmp_path / "file.txt").write_text("hello")
     assert refusal(tmp_path / "file.txt").startswith("neither an MRCLAM folder")

@@ -14,6 +14,7 @@ FILES = {
     "landmarks.csv",
     "metrics.json",
     "report.html",
+    "run.mcap",
     "run.yaml",
 }
 SETTINGS = {"estimator": "robust", "gate": 0.999, "start": None, "note": "</pre><script>"}

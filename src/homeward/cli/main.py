@@ -7,6 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from homeward.cli.convert import convert
+from homeward.cli.info import info
 from homeward.cli.observe import observe
 from homeward.cli.plan import plan
 from homeward.cli.reproduce import reproduce
@@ -36,5 +38,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, reproduce, observe, plan):
+for command in (run, simulate, reproduce, observe, plan, info, convert):
     app.command()(command)

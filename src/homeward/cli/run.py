@@ -18,7 +18,8 @@ def run(
     drive: Annotated[
         str,
         typer.Argument(
-            help="A drive folder, an MRCLAM folder, the run.yaml of an earlier run, or: sample."
+            help="A drive folder, a ROS bag or MCAP file, an MRCLAM folder, "
+            "the run.yaml of an earlier run, or: sample."
         ),
     ],
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out"),
@@ -39,6 +40,9 @@ def run(
         float | None, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
+    topics: Annotated[
+        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+    ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
@@ -49,8 +53,8 @@ def run(
 ) -> None:
     """Localise a robot along a drive, and write what came out.
 
-    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, report.html and
-    run.yaml, from which the run repeats.
+    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
+    report.html and run.yaml, from which the run repeats.
     """
     options = {
         "estimator": estimator,
@@ -59,6 +63,7 @@ def run(
         "home": None if home is None else three_numbers(home, "--home"),
         "home_noise_deg": home_noise_deg,
         "seed": seed,
+        "topics": None if topics is None else str(topics.resolve()),
         "smooth": smooth or None,
         "settings": nested(key_values(changes)) if changes else None,
     }

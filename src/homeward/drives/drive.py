@@ -95,6 +95,10 @@ class DriveSettings(Strict):
     """The camera as it sat when home was stored; None: as `sensor`."""
     odometry: OdometryNoise = OdometryNoise()
     start: Start | None = None
+    epoch: int | None = None
+    """Whole seconds to be added to every time of the drive to have its log's clock; None: 0. Logs
+    with Unix stamps are counted from their first whole second, since a double holds Unix time to
+    0.2 microseconds only."""
 
     @property
     def home_mount(self) -> Mount:

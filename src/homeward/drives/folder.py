@@ -79,7 +79,7 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
         name=folder.resolve().name,
         odometry=_read_odometry(folder / ODOMETRY, remarks),
         sightings=_read_sightings(folder / BEARINGS, remarks),
-        home=_read_home(folder / HOME, remarks),
+        home=read_home(folder / HOME, remarks),
         settings=_read_settings(folder / SETTINGS),
         truth=_read_truth(folder / TRUTH, remarks),
         remarks=remarks,
@@ -178,7 +178,8 @@ def _read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     return sightings
 
 
-def _read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
+def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
+    """Read a home.csv (landmark, bearing[, sigma]; rad); errors and remarks as `read_folder`."""
     columns = {"landmark": identifiers, "bearing": numbers}
     table = read_csv(path, columns, {"sigma": numbers_or_nothing})
     table.require_unique("landmark")

@@ -10,6 +10,7 @@ from pathlib import Path
 from homeward.drives.drive import Drive
 from homeward.drives.folder import is_drive_folder, read_folder
 from homeward.drives.mrclam import is_mrclam, read_mrclam
+from homeward.drives.ros.bag_folder import is_log
 from homeward.errors import InputError
 from homeward.frames import Pose
 
@@ -22,6 +23,13 @@ class Choices:
     home: Pose | None
     home_noise: float
     seed: int
+    topics: Path | None
+    tell: Callable[[float], None] | None
+
+    def refuse_topics(self, kind: str, path: Path) -> None:
+        """Raise InputError when topics were named: a drive of this kind has none."""
+        if self.topics is not None:
+            raise InputError(f"there are no topics to choose in a {kind}", path)
 
     def refuse(self, kind: str, path: Path) -> None:
         """Raise InputError when any was made: a drive of this kind brings its own home."""
@@ -46,15 +54,21 @@ def open_drive(
     home: Pose | None = None,
     home_noise: float = 0.0,
     seed: int = 0,
+    topics: str | os.PathLike[str] | None = None,
+    tell: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive of any known kind.
 
     Parameters
     ----------
     path : path-like
-        A drive folder or an MRCLAM folder.
+        A drive folder, an MRCLAM folder, a ROS bag or an MCAP file.
     robot, home, home_noise, seed
         As in `read_mrclam`; robot and home are needed there, and refused elsewhere.
+    topics : path-like, optional
+        As in `read_log`; refused elsewhere.
+    tell : callable, optional
+        Told the fraction done of a log, in [0, 1].
 
     Raises
     ------
@@ -64,9 +78,11 @@ def open_drive(
     place = Path(path)
     if not place.exists():
         raise InputError("no such file or folder", place)
+    named = None if topics is None else Path(topics)
+    choices = Choices(robot, home, home_noise, seed, named, tell)
     for reader in READERS:
         if reader.recognises(place):
-            return reader.read(place, Choices(robot, home, home_noise, seed))
+            return reader.read(place, choices)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
@@ -74,16 +90,27 @@ def open_drive(
 def _open_mrclam(path: Path, choices: Choices) -> Drive:
     if choices.robot is None or choices.home is None:
         raise InputError("an MRCLAM folder needs a robot and a home pose", path)
+    choices.refuse_topics("MRCLAM folder", path)
     return read_mrclam(path, choices.robot, choices.home, choices.home_noise, choices.seed)
 
 
 def _open_folder(path: Path, choices: Choices) -> Drive:
     choices.refuse("drive folder", path)
+    choices.refuse_topics("drive folder", path)
     return read_folder(path)
+
+
+def _open_log(path: Path, choices: Choices) -> Drive:
+    # Imported here alone: rosbags takes a while.
+    from homeward.drives.ros.reading import read_log
+
+    choices.refuse("log", path)
+    return read_log(path, choices.topics, choices.tell)
 
 
 READERS = (
     Reader("an MRCLAM folder (Barcodes.dat)", is_mrclam, _open_mrclam),
     Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
+    Reader("a log (a ROS bag or an MCAP file)", is_log, _open_log),
 )
 """In the order in which they are asked."""

@@ -30,7 +30,14 @@ def read_settings(path: Path, model: type[Model]) -> Model:
     InputError
         When the file is not YAML, has a key that the model does not know, or a value out of range.
     """
-    tree = _without_absent(_load(path))
+    with naming(path, "cannot be read"):
+        data = path.read_bytes()
+    return parse_settings(data, model, path)
+
+
+def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
+    """Parse the text of a settings model; as `read_settings`, errors speak of `path`."""
+    tree = _without_absent(_load(text, path))
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
     sections = {k: _without_absent(v) for k, v in tree.items()}
@@ -54,12 +61,10 @@ def settings_yaml(settings: Strict) -> str:
     return yaml.safe_dump(tree, sort_keys=False) if tree else ""
 
 
-def _load(path: Path) -> Any:
+def _load(text: bytes | str, path: Path) -> Any:
     """Parse YAML into text alone: the model knows the types, and YAML reads 1:30 as 90."""
-    with naming(path, "cannot be read"):
-        data = path.read_bytes()
     try:
-        return yaml.load(data, Loader=yaml.BaseLoader)
+        return yaml.load(text, Loader=yaml.BaseLoader)
     except yaml.MarkedYAMLError as error:
         row = None if error.problem_mark is None else error.problem_mark.line + 1
         raise InputError(f"not YAML: {error.problem}", path, row) from error

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import TextIO
 
@@ -36,16 +37,19 @@ def write_estimate(file: Path, track: Track) -> None:
     _write_csv(file, ESTIMATE_HEADER, rows)
 
 
-def write_trajectory(file: Path, track: Track) -> None:
+def write_trajectory(file: Path, track: Track, epoch: int = 0) -> None:
     """Write trajectory.tum, rows with a pose only: t x y z qx qy qz qw in the home frame.
 
-    The format of the TUM RGB-D benchmark, which evo reads.
+    The format of the TUM RGB-D benchmark, which evo reads. Times are those of the log's clock:
+    `epoch` [s] is added to those of the drive, without loss.
     """
     with file.open("w", encoding="utf-8", newline="\n") as out:
         for row in np.flatnonzero(track.has_pose):
             half = track.heading[row] / 2
             values = (track.x[row], track.y[row], 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
-            out.write(" ".join([repr(float(track.t[row])), *map(number, values)]) + "\n")
+            t = float(track.t[row])
+            time = str(Decimal(repr(t)) + epoch) if epoch else repr(t)
+            out.write(" ".join([time, *map(number, values)]) + "\n")
 
 
 def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:

@@ -17,6 +17,7 @@ from homeward.report.files import (
 )
 from homeward.report.output import whole_folder
 from homeward.report.page import write_page
+from homeward.report.recording import write_recording
 from homeward.report.summary import summarise
 from homeward.report.versions import versions
 from homeward.scoring import score
@@ -29,8 +30,8 @@ SETTINGS_FILE = "run.yaml"
 def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str, Any]) -> str:
     """Write everything that a run leaves behind, and return its summary in words.
 
-    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, report.html and
-    run.yaml. They replace those of an earlier run; nothing else in the folder is touched.
+    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap, report.html
+    and run.yaml. They replace those of an earlier run; nothing else in the folder is touched.
 
     Parameters
     ----------
@@ -59,9 +60,10 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
     run = {**settings, "versions": versions()}
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         write_estimate(scratch / "estimate.csv", track)
-        write_trajectory(scratch / "trajectory.tum", track)
+        write_trajectory(scratch / "trajectory.tum", track, drive.settings.epoch or 0)
         write_landmarks(scratch / "landmarks.csv", track.landmarks)
         write_metrics(scratch / "metrics.json", metrics)
+        write_recording(scratch / "run.mcap", drive, track)
         write_page(scratch / "report.html", drive, track, metrics, run)
         text = yaml.safe_dump(run, sort_keys=False, allow_unicode=True)
         (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")

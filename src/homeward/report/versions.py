@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-_PACKAGES = ("homeward", "numpy", "casadi", "gtsam", "pydantic", "matplotlib")
+_PACKAGES = ("homeward", "numpy", "casadi", "gtsam", "pydantic", "matplotlib", "rosbags")
 
 
 def versions() -> dict[str, str]:

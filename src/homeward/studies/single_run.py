@@ -47,6 +47,8 @@ class RunSettings(Strict):
     """For an MRCLAM folder: standard deviation of the home bearings [deg]."""
     seed: Annotated[int, Field(ge=0)] = 0
     """For an MRCLAM folder: of that noise."""
+    topics: str | None = None
+    """For a log: the path of a YAML file that says which topics hold what."""
     estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
@@ -103,7 +105,7 @@ def execute(
     InputError
         As `prepare`, and when an estimator cannot smooth.
     """
-    drive, estimator, complete = prepare(run)
+    drive, estimator, complete = prepare(run, progress)
     if not run.smooth:
         return drive, follow(drive, estimator, progress), complete
     if not isinstance(estimator, Localizer):
@@ -112,8 +114,10 @@ def execute(
     return drive, replace(track, notes=(*track.notes, SMOOTH_NOTE)), complete
 
 
-def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
-    """Open the drive and make the estimator of a run.
+def prepare(
+    run: RunSettings, progress: Callable[[float], None] | None = None
+) -> tuple[Drive, Estimator, RunSettings]:
+    """Open the drive, telling `progress`, and make the estimator of a run.
 
     Returns
     -------
@@ -127,7 +131,7 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
     Raises
     ------
     InputError
-        When the drive cannot be read, or the settings do not fit.
+        When the drive cannot be read or saw nothing, or the settings do not fit.
     """
     settings = estimator_settings(run.estimator, run.settings)
     drive = open_drive(
@@ -136,7 +140,13 @@ def prepare(run: RunSettings) -> tuple[Drive, Estimator, RunSettings]:
         home=None if run.home is None else Pose(*run.home),
         home_noise=float(np.radians(run.home_noise_deg)),
         seed=run.seed,
+        topics=run.topics,
+        tell=progress,
     )
+    if not drive.sightings.t.size:
+        raise InputError("no sightings of landmarks in it", Path(run.drive))
+    if not drive.home:
+        raise InputError("nothing in it tells what the camera saw at home", Path(run.drive))
     start = run.start or _default_start(run.estimator, drive)
     if start is not None:
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})

@@ -1,0 +1,58 @@
+"""`homeward convert`: a drive from one form into another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import progress, three_numbers
+
+
+def convert(
+    source: Annotated[
+        Path, typer.Argument(help="A drive folder, a ROS bag, an MCAP file, an MRCLAM folder.")
+    ],
+    target: Annotated[
+        Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")
+    ],
+    topics: Annotated[
+        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+    ] = None,
+    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
+    home: Annotated[
+        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
+    ] = None,
+    home_noise_deg: Annotated[
+        float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="MRCLAM: of that noise.")] = 0,
+) -> None:
+    """Write a drive as a drive folder, an MCAP file or a ROS bag; the way back is exact."""
+    import math
+
+    from homeward.drives.opening import open_drive
+    from homeward.drives.saving import save_drive
+    from homeward.frames import Pose
+
+    place = None if home is None else Pose(*three_numbers(home, "--home"))
+    with progress(f"reading {source}") as tell:
+        drive = open_drive(
+            source,
+            robot=robot,
+            home=place,
+            home_noise=math.radians(home_noise_deg),
+            seed=seed,
+            topics=topics,
+            tell=tell,
+        )
+    with progress(f"writing {target}") as tell:
+        kind = save_drive(drive, target, tell)
+    typer.echo(
+        f"{kind} {target}: {drive.odometry.t.size} twists, {drive.sightings.t.size} sightings, "
+        f"{len(drive.home)} home bearings"
+        + ("" if drive.truth is None else f", {drive.truth.t.size} true poses")
+    )
+    for reason, count in drive.remarks.items():
+        typer.echo(f"{count} {reason}")

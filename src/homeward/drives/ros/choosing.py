@@ -1,0 +1,119 @@
+"""Which topics of a log are used: what the user names, and guesses for the rest."""
+
+from __future__ import annotations
+
+from homeward.drives.ros.bearings import IN_IMAGE, POINT, READERS
+from homeward.drives.ros.messages import BEARINGS, POSE
+from homeward.drives.ros.odometry import JOINT_STATE, POSES, TWISTS
+from homeward.drives.ros.settings import (
+    BearingsTopic,
+    HomeFrom,
+    LogSettings,
+    OdometryTopic,
+    TruthTopic,
+)
+from homeward.drives.ros.survey import Survey, Topic
+from homeward.errors import InputError
+
+OUR_HOME = "/homeward/home"
+OUR_TRUTH = "/homeward/truth"
+OUR_SETTINGS = "/homeward/settings"
+OUR_ODOMETRY = "/homeward/odometry"
+OUR_BEARINGS = "/homeward/bearings"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+
+
+def choose(survey: Survey, told: LogSettings) -> LogSettings:
+    """Return what was told, with guesses where nothing was.
+
+    Parameters
+    ----------
+    survey : Survey
+        What the log has.
+    told : LogSettings
+        What the user says.
+
+    Raises
+    ------
+    InputError
+        When a topic that was named is not there or of a type that does not serve, or when several
+        topics would serve equally and none was named.
+    """
+    odometry = told.odometry or _guess_odometry(survey)
+    home = told.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
+    bearings = told.bearings or _guess_bearings(survey, home)
+    truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
+    bearings = tuple(_with_camera(survey, topic) for topic in bearings)
+    _check(survey, odometry, bearings, home, truth)
+    given = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
+    return told.model_copy(update={k: v for k, v in given.items() if v})
+
+
+def _guess_odometry(survey: Survey) -> OdometryTopic | None:
+    """Take the one topic of the best type; a command is worse than any measurement."""
+    found = _of_best_type(survey, TWISTS)
+    if len(found) > 1:
+        raise InputError(_ambiguous("odometry", found), survey.log.path)
+    return OdometryTopic(topic=found[0].name) if found else None
+
+
+def _guess_bearings(survey: Survey, home: HomeFrom | None) -> tuple[BearingsTopic, ...]:
+    """Take the one topic of the best type; of points, which are one landmark each, all."""
+    found = _of_best_type(survey, tuple(READERS), None if home is None else home.topic)
+    if len(found) > 1 and found[0].type != POINT:
+        raise InputError(_ambiguous("bearings", found), survey.log.path)
+    return tuple(BearingsTopic(topic=t.name) for t in found)
+
+
+def _of_best_type(survey: Survey, types: tuple[str, ...], taken: str | None = None) -> list[Topic]:
+    usable = [t for t in survey.topics if t.count and t.name != taken]
+    for kind in types:
+        if found := [t for t in usable if t.type == kind]:
+            return found
+    return []
+
+
+def _ambiguous(what: str, found: list[Topic]) -> str:
+    names = ", ".join(t.name for t in found)
+    return f"several topics of {found[0].type}: {names}; name one under {what} in a topics file"
+
+
+def _with_camera(survey: Survey, told: BearingsTopic) -> BearingsTopic:
+    """Name the CameraInfo in the nearest namespace, where one is needed and none was named."""
+    if told.camera is not None or survey.topic(told.topic).type not in IN_IMAGE:
+        return told
+    found = [t.name for t in survey.topics if t.type == CAMERA_INFO and t.count]
+    if not found:
+        return told
+    return told.model_copy(update={"camera": max(found, key=lambda n: _shared(n, told.topic))})
+
+
+def _shared(a: str, b: str) -> int:
+    """Count the leading parts that two topics share."""
+    pairs = list(zip(a.split("/"), b.split("/"), strict=False))
+    return next((i for i, (x, y) in enumerate(pairs) if x != y), len(pairs))
+
+
+def _has(survey: Survey, name: str, kind: str) -> bool:
+    return any(t.name == name and t.type == kind and t.count for t in survey.topics)
+
+
+def _check(
+    survey: Survey,
+    odometry: OdometryTopic | None,
+    bearings: tuple[BearingsTopic, ...],
+    home: HomeFrom | None,
+    truth: TruthTopic | None,
+) -> None:
+    """Refuse topics whose types do not serve."""
+    wanted: list[tuple[str, str | None, tuple[str, ...]]] = [
+        ("odometry", odometry.topic if odometry else None, (*TWISTS, *POSES, JOINT_STATE)),
+        *(("bearings", topic.topic, tuple(READERS)) for topic in bearings),
+        *(("camera", t.camera, (CAMERA_INFO,)) for t in bearings if isinstance(t.camera, str)),
+        ("home", home.topic if home else None, (BEARINGS,)),
+        ("truth", truth.topic if truth else None, POSES),
+    ]
+    for what, name, types in wanted:
+        if name is not None and survey.topic(name).type not in types:
+            kind = survey.topic(name).type
+            raise InputError(f"{name} is a {kind}, which tells no {what}", survey.log.path)

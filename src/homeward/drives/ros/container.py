@@ -1,0 +1,195 @@
+"""What the log files have in common: channels, and messages one after the other.
+
+rosbags decodes and writes messages; the files themselves are walked here, from front to end. Its
+own readers allocate what a length field claims, inflate what a chunk holds and keep the index of
+every message in memory, which a log of unknown origin must not be able to ask for.
+"""
+
+from __future__ import annotations
+
+import bz2
+import struct
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, Protocol
+
+import lz4.frame
+
+from homeward.drives.table import naming, quoted
+from homeward.errors import InputError
+
+if sys.version_info >= (3, 14):
+    from compression import zstd as zstd
+else:
+    from backports import zstd as zstd
+
+LARGEST_BLOCK = 256 * 2**20
+"""No chunk, no message and no index may be larger [byte]; recorders write chunks of 1 to 16 MiB."""
+LEAST_TOTAL = 256 * 2**20
+"""A log may always unpack to this much in all [byte]."""
+LARGEST_GROWTH = 100
+"""And beyond it to this many times the size of its file."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One topic as one publisher told it."""
+
+    topic: str
+    type: str
+    """As in ``nav_msgs/msg/Odometry``."""
+    encoding: str
+    """``ros1`` or ``cdr``; any other is listed, never decoded."""
+    definition: str = ""
+    """Text of the message definition; empty when the log holds none."""
+    syntax: str = "msg"
+    """Of the definition: ``msg`` or ``idl``."""
+
+
+class Message(NamedTuple):
+    """One message, not yet decoded."""
+
+    channel: Channel
+    receive: int
+    """When the recorder received it [ns]."""
+    data: bytes | memoryview
+
+
+class Log(Protocol):
+    """A log of any kind, which may be walked several times."""
+
+    path: Path
+    kind: str
+    """In words."""
+    done: float
+    """How far the walk is, in [0, 1]."""
+
+    def messages(self) -> Iterator[Message]:
+        """Walk the messages in the order of the file.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged, or asks for more memory than a log may.
+        """
+
+
+class Source:
+    """A file read from front to end; nothing is read before its length was found to be possible."""
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path, self._stream = path, stream
+        self.size = path.stat().st_size
+        self.at = 0
+
+    @property
+    def done(self) -> float:
+        """The fraction read."""
+        return self.at / max(self.size, 1)
+
+    def take(self, size: int, what: str) -> bytes:
+        """Read `size` bytes of `what`."""
+        self._check(size, what)
+        if size > LARGEST_BLOCK:
+            raise InputError(f"{what} at byte {self.at} has {size} bytes, too many", self.path)
+        data = self._stream.read(size)
+        self.at += size
+        return data
+
+    def skip(self, size: int, what: str) -> None:
+        """Pass over `size` bytes of `what`."""
+        self._check(size, what)
+        self._stream.seek(size, 1)
+        self.at += size
+
+    def _check(self, size: int, what: str) -> None:
+        if size > self.size - self.at:
+            raise InputError(
+                f"truncated or damaged: {what} at byte {self.at} is said to have {size} bytes, "
+                f"and {self.size - self.at} are left",
+                self.path,
+            )
+
+
+class Unpacker:
+    """Inflates the chunks of one file, none beyond what it declares."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._left = max(LEAST_TOTAL, LARGEST_GROWTH * path.stat().st_size)
+
+    def unpack(self, data: bytes | memoryview, compression: str, size: int) -> bytes | memoryview:
+        """Return a chunk's `size` bytes.
+
+        Raises
+        ------
+        InputError
+            For an unknown compression, another size than declared, or more than a log may hold.
+        """
+        self._claim(size)
+        if compression in ("", "none"):
+            raw: bytes | memoryview = data
+        elif compression in _INFLATERS:
+            try:
+                raw = _INFLATERS[compression](bytes(data), size + 1)
+            except (OSError, RuntimeError, EOFError, ValueError, zstd.ZstdError) as error:
+                raise InputError(
+                    f"a chunk is not {compression}: {in_short(error)}", self._path
+                ) from error
+        else:
+            raise InputError(f"chunks are compressed by {quoted(compression)}", self._path)
+        if len(raw) != size:
+            more = "more" if len(raw) > size else len(raw)
+            raise InputError(f"a chunk of {size} bytes unpacks to {more}", self._path)
+        return raw
+
+    def unpack_whole(self, data: bytes) -> bytes:
+        """Return what a zstd frame of unknown size holds."""
+        raw = _zstd(data, LARGEST_BLOCK + 1)
+        self._claim(len(raw))
+        return raw
+
+    def _claim(self, size: int) -> None:
+        self._left -= size
+        if size > LARGEST_BLOCK or self._left < 0:
+            raise InputError("unpacks to more than a log may hold", self._path)
+
+
+def _bz2(data: bytes, limit: int) -> bytes:
+    return bz2.BZ2Decompressor().decompress(data, limit)
+
+
+def _lz4(data: bytes, limit: int) -> bytes:
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit))
+
+
+def _zstd(data: bytes, limit: int) -> bytes:
+    return zstd.ZstdDecompressor().decompress(data, limit)
+
+
+_INFLATERS = {"bz2": _bz2, "lz4": _lz4, "zstd": _zstd}
+
+
+@contextmanager
+def walking(path: Path) -> Iterator[None]:
+    """Make an InputError of whatever a damaged file gives rise to."""
+    try:
+        with naming(path, "cannot be read"):
+            yield
+    except (struct.error, ValueError, KeyError, IndexError, OverflowError) as error:
+        raise InputError(f"damaged: {in_short(error)}", path) from error
+
+
+def in_short(error: Exception) -> str:
+    """Return what an error says as one line of bounded length; it may quote hostile text."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= 200 else text[:200] + "..."
+
+
+def ros2_type(name: str) -> str:
+    """Return a type's name with its ``/msg/`` in it, which ROS 1 leaves out."""
+    package, _, rest = name.partition("/")
+    return name if "/" in rest else f"{package}/msg/{rest}"

@@ -1,0 +1,142 @@
+"""MCAP files (mcap.dev/spec) of ROS 2 or ROS 1, walked from front to end."""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc32
+from collections.abc import Iterator
+from pathlib import Path
+
+from homeward.drives.ros.container import Channel, Message, Source, Unpacker, ros2_type, walking
+from homeward.errors import InputError
+
+MAGIC = b"\x89MCAP0\r\n"
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_CHUNK_INDEX, _STATISTICS = 0x08, 0x0B
+_KEPT = (_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX, _STATISTICS)
+_SYNTAX = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
+
+
+class Mcap:
+    """An MCAP file."""
+
+    kind = "MCAP"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done = 0.0
+
+    def messages(self) -> Iterator[Message]:
+        """Walk the messages; see `Log`."""
+        with walking(self.path), self.path.open("rb") as stream:
+            source = Source(self.path, stream)
+            source.take(len(MAGIC), "the first line")
+            yield from _Walk(self, source).messages()
+
+
+class _Walk:
+    """One walk through a file; at its end its index must tell of what was met."""
+
+    def __init__(self, log: Mcap, source: Source) -> None:
+        self._log, self._source = log, source
+        self._unpacker = Unpacker(log.path)
+        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._channels: dict[int, Channel] = {}
+        self._chunks: set[int] = set()
+        self._indexed: set[int] = set()
+        self._met = 0
+        self._counted: int | None = None
+
+    def messages(self) -> Iterator[Message]:
+        source, op = self._source, 0
+        while op != _FOOTER:
+            start = source.at
+            op, size = struct.unpack("<BQ", source.take(9, "a record"))
+            _check(op)
+            if op not in _KEPT:
+                source.skip(size, "a record")
+                continue
+            record = memoryview(source.take(size, "a record"))
+            self._log.done = source.done
+            if op == _CHUNK:
+                self._chunks.add(start)
+                for inner, content in _records(self._chunk(record)):
+                    yield from self._record(inner, content)
+            else:
+                yield from self._record(op, record)
+        if source.take(len(MAGIC), "the last line") != MAGIC:
+            raise InputError("damaged: it does not end as an MCAP file does", source.path)
+        self._check_index()
+
+    def _chunk(self, record: memoryview) -> memoryview:
+        size, crc = struct.unpack_from("<QI", record, 16)
+        compression, at = _string(record, 28)
+        (packed,) = struct.unpack_from("<Q", record, at)
+        if at + 8 + packed != len(record):
+            raise ValueError("a chunk of another size than it says")
+        raw = self._unpacker.unpack(record[at + 8 :], compression, size)
+        if crc and crc32(raw) != crc:
+            raise ValueError("a chunk with a wrong checksum")
+        return memoryview(raw)
+
+    def _record(self, op: int, record: memoryview) -> Iterator[Message]:
+        if op == _MESSAGE:
+            number, _, receive, _ = struct.unpack_from("<HIQQ", record)
+            self._met += 1
+            yield Message(self._channels[number], receive, record[22:])
+        elif op == _SCHEMA:
+            (number,) = struct.unpack_from("<H", record)
+            name, at = _string(record, 2)
+            encoding, at = _string(record, at)
+            definition, _ = _string(record, at)
+            self._schemas[number] = (name, encoding, definition)
+        elif op == _CHANNEL:
+            number, channel = self._read_channel(record)
+            self._channels.setdefault(number, channel)
+        elif op == _CHUNK_INDEX:
+            self._indexed.add(struct.unpack_from("<Q", record, 16)[0])
+        elif op == _STATISTICS:
+            (self._counted,) = struct.unpack_from("<Q", record)
+
+    def _read_channel(self, record: memoryview) -> tuple[int, Channel]:
+        number, schema = struct.unpack_from("<HH", record)
+        topic, at = _string(record, 4)
+        encoding, _ = _string(record, at)
+        name, syntax, definition = self._schemas.get(schema, ("", "", ""))
+        known = _SYNTAX.get(syntax)
+        return number, Channel(
+            topic, ros2_type(name), encoding, definition if known else "", known or "msg"
+        )
+
+    def _check_index(self) -> None:
+        counted = self._met if self._counted is None else self._counted
+        if (self._indexed and self._indexed != self._chunks) or counted != self._met:
+            raise InputError("damaged: its index tells of other messages", self._source.path)
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield the kind and content of each record in a chunk."""
+    at = 0
+    while at < len(data):
+        op, size = struct.unpack_from("<BQ", data, at)
+        _check(op)
+        end = at + 9 + size
+        if end > len(data):
+            raise ValueError(f"{size} bytes announced where {len(data) - at - 9} are left")
+        yield op, data[at + 9 : end]
+        at = end
+
+
+def _check(op: int) -> None:
+    """Refuse the one kind of record that cannot be; a file of zeros would have millions of it."""
+    if op == 0:
+        raise ValueError("a record of kind 0")
+
+
+def _string(data: memoryview, at: int) -> tuple[str, int]:
+    """Return the text at `at`, and where it ends."""
+    (size,) = struct.unpack_from("<I", data, at)
+    end = at + 4 + size
+    if end > len(data):
+        raise ValueError(f"a text of {size} bytes where {len(data) - at - 4} are left")
+    return str(data[at + 4 : end], "utf-8"), end

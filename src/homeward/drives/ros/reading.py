@@ -1,0 +1,203 @@
+"""A drive out of a log: a second walk, in which the chosen topics are decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
+from homeward.drives.ros.bag_folder import open_log
+from homeward.drives.ros.bearings import SightingRows
+from homeward.drives.ros.camera import CameraRows, Intrinsics
+from homeward.drives.ros.choosing import OUR_SETTINGS, choose
+from homeward.drives.ros.decoding import Decoder
+from homeward.drives.ros.home import home_during
+from homeward.drives.ros.odometry import OdometryRows, pose_of
+from homeward.drives.ros.rows import Remarks, clean_rows, in_order
+from homeward.drives.ros.settings import BearingsTopic, LogSettings
+from homeward.drives.ros.survey import Survey, Tell, survey
+from homeward.drives.ros.times import Clock
+from homeward.drives.settings import parse_settings, read_settings
+from homeward.drives.table import Table, quoted
+from homeward.errors import InputError
+from homeward.frames import Pose, between
+
+Taker: TypeAlias = Callable[[float, Any], None]
+"""Takes the time [s] of a message, and the message."""
+
+
+def read_log(path: Path, topics: Path | None = None, tell: Tell | None = None) -> Drive:
+    """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or the folder of a ROS 2 bag.
+    topics : Path, optional
+        A YAML file of `LogSettings`; what it does not say is guessed.
+    tell : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Returns
+    -------
+    Drive
+        Times are header stamps unless asked otherwise, counted from `DriveSettings.epoch` where
+        they are Unix time. Its remarks count what was left out.
+
+    Raises
+    ------
+    InputError
+        When the log is damaged, or the topics in it do not make a drive.
+    """
+    told = LogSettings() if topics is None else read_settings(topics, LogSettings)
+    first_half = None if tell is None else lambda done: tell(done / 2)
+    known = survey(open_log(path), keep=(OUR_SETTINGS,), tell=first_half)
+    plan = choose(known, told)
+    try:
+        return _Reading(known, plan, topics).drive(tell)
+    except InputError as error:
+        # It names the log, unless it names another file already.
+        raise error if error.file is not None else InputError(error.what, path) from error
+
+
+class _Reading:
+    """The second walk: who takes which topic, and what they make of it together."""
+
+    def __init__(self, known: Survey, plan: LogSettings, topics: Path | None) -> None:
+        self._known, self._plan, self._topics = known, plan, topics
+        self._path, self._decoder = known.log.path, Decoder()
+        if plan.odometry is None:
+            raise InputError("no topic with odometry in it; homeward info lists what there is")
+        self._settings, epoch = self._drive_settings()
+        self._clock = Clock(known, plan, epoch)
+        self._remarks = Remarks()
+        self._takers: dict[str, list[Taker]] = {}
+        told = plan.odometry
+        self._odometry = OdometryRows(told, known.topic(told.topic).type)
+        self._take(told.topic, self._odometry.add)
+        self._seen = [self._take_sightings(topic) for topic in plan.bearings]
+        self._cameras = [self._take_camera(topic) for topic in plan.bearings]
+        self._at_home: SightingRows | None = None
+        if plan.home is not None and plan.home.topic is not None:
+            self._at_home = self._take_sightings(BearingsTopic(topic=plan.home.topic))
+        self._poses: list[tuple[float, ...]] = []
+        if plan.truth is not None:
+            self._take(plan.truth.topic, self._add_pose)
+
+    def drive(self, tell: Tell | None) -> Drive:
+        """Walk, and put together what was met."""
+        self._walk(tell)
+        odometry = self._odometry.odometry(self._remarks)
+        sightings = self._sightings()
+        return Drive(
+            name=self._path.resolve().stem,
+            odometry=odometry,
+            sightings=sightings,
+            home=self._home(odometry, sightings),
+            settings=self._clock.in_settings(self._settings),
+            truth=self._truth(),
+            remarks=dict(self._remarks),
+        )
+
+    def _drive_settings(self) -> tuple[DriveSettings, int | None]:
+        """Return the drive's settings, the user's before the log's own, and the log's epoch [s]."""
+        told = self._plan.drive
+        kept = self._known.kept.get(OUR_SETTINGS)
+        if kept is None:
+            return told or DriveSettings(), None
+        text = self._decoder.decode(kept.channel, kept.data)
+        if not isinstance(getattr(text, "data", None), str):
+            raise InputError(f"{OUR_SETTINGS} is a {quoted(kept.channel.type)}, not text")
+        place = Path(f"{self._path}, {OUR_SETTINGS}")
+        own = parse_settings(text.data, DriveSettings, place)
+        return told or own, own.epoch or 0
+
+    def _take(self, topic: str, taker: Taker) -> None:
+        self._takers.setdefault(topic, []).append(taker)
+
+    def _take_sightings(self, told: BearingsTopic) -> SightingRows:
+        rows = SightingRows(told, self._known.topic(told.topic).type, self._remarks)
+        self._take(told.topic, rows.add)
+        return rows
+
+    def _take_camera(self, told: BearingsTopic) -> Callable[[], Intrinsics | None]:
+        """Return what tells the camera of a topic when the walk is over."""
+        if not isinstance(told.camera, str):
+            model = told.camera
+            return lambda: model
+        rows = CameraRows(told.camera, told.rectified)
+        self._take(told.camera, rows.add)
+        return rows.model
+
+    def _add_pose(self, t: float, message: Any) -> None:
+        self._poses.append((t, *map(float, pose_of(message))))
+
+    def _walk(self, tell: Tell | None) -> None:
+        log, clock = self._known.log, self._clock
+        for number, message in enumerate(log.messages()):
+            topic = message.channel.topic
+            if topic in self._takers:
+                decoded = self._decoder.decode(message.channel, message.data)
+                try:
+                    t = clock.time(message, decoded)
+                    for taker in self._takers[topic]:
+                        taker(t, decoded)
+                except (AttributeError, TypeError, ValueError, IndexError) as error:
+                    # The definition in the log lacks a field, or has another kind of it.
+                    kind = quoted(message.channel.type)
+                    raise InputError(f"{topic}: its {kind} is none that is known here") from error
+            if tell is not None and number % 500 == 0:
+                tell((1 + log.done) / 2)
+
+    def _sightings(self) -> Sightings:
+        parts = [r.columns(c()) for r, c in zip(self._seen, self._cameras, strict=True)]
+        if not parts:
+            nothing = np.empty(0)
+            return Sightings(nothing, np.empty(0, object), nothing, nothing)
+        columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+        order = in_order(columns["t"], "sightings", self._remarks)
+        rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
+        _require_sigma(rows)
+        bearing = wrapped(rows, "bearing", self._remarks)
+        sightings = Sightings(rows["t"], rows["landmark"], bearing, rows["sigma"])
+        count_repeats(sightings, self._remarks)
+        return sightings
+
+    def _home(self, odometry: Odometry, sightings: Sightings) -> dict[str, HomeBearing]:
+        told = self._plan.home
+        if told is None:
+            return {}
+        if told.csv is not None:
+            beside = self._topics.parent if self._topics is not None else self._path.parent
+            return read_home(beside / told.csv, self._remarks)
+        if told.during is not None:
+            return home_during(told.during, odometry, sightings)
+        assert self._at_home is not None
+        columns = self._at_home.columns(None)
+        first = columns["t"] == columns["t"][:1]
+        rows = np.flatnonzero(first) + 1
+        table = Table(self._path, rows, {n: c[first] for n, c in columns.items()})
+        table.require_unique("landmark")
+        _require_sigma(table)
+        bearings = wrapped(table, "bearing", self._remarks).tolist()
+        seen = map(HomeBearing, bearings, table["sigma"].tolist())
+        return dict(zip(table["landmark"].tolist(), seen, strict=True))
+
+    def _truth(self) -> Truth | None:
+        told = self._plan.truth
+        if told is None or not self._poses:
+            return None
+        rows = clean_rows(self._poses, told.topic, "true poses", REPEATED_TRUTH, self._remarks)
+        t, x, y, heading = rows.T.copy()
+        if told.home is None:
+            return Truth(t, x, y, heading)
+        return Truth(t, *between(Pose(*told.home), Pose(x, y, heading)))
+
+
+def _require_sigma(table: Table) -> None:
+    sigma = table["sigma"]
+    table.require("sigma", np.isnan(sigma) | ((sigma > 0) & np.isfinite(sigma)), "not above 0")

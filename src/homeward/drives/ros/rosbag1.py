@@ -1,0 +1,156 @@
+"""ROS 1 bags, format 2.0 (wiki.ros.org/Bags/Format/2.0), walked from front to end."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeAlias
+
+from homeward.drives.ros.container import Channel, Message, Source, Unpacker, ros2_type, walking
+from homeward.errors import InputError
+
+MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
+LARGEST_HEADER = 2**20
+"""Of a record [byte]."""
+
+Fields: TypeAlias = dict[bytes, memoryview]
+
+
+class Rosbag1:
+    """A ROS 1 bag."""
+
+    kind = "ROS 1 bag"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done = 0.0
+
+    def messages(self) -> Iterator[Message]:
+        """Walk the messages; see `Log`."""
+        with walking(self.path), self.path.open("rb") as stream:
+            source = Source(self.path, stream)
+            source.take(len(MAGIC), "the first line")
+            yield from _Walk(self, source).messages()
+
+
+class _Walk:
+    """One walk through a bag; at its end the bag's index must tell of what was met."""
+
+    def __init__(self, log: Rosbag1, source: Source) -> None:
+        self._log, self._source = log, source
+        self._unpacker = Unpacker(log.path)
+        self._channels: dict[int, Channel] = {}
+        self._chunks: set[int] = set()
+        self._indexed: set[int] = set()
+        self._met = self._counted = 0
+        self._declared: tuple[int, int] | None = None
+
+    def messages(self) -> Iterator[Message]:
+        source = self._source
+        while source.at < source.size:
+            start = source.at
+            fields, size = self._head()
+            op = fields[b"op"][0]
+            if op == _CHUNK:
+                self._chunks.add(start)
+                chunk = source.take(size, "a chunk")
+                self._log.done = source.done
+                yield from self._chunk(fields, chunk)
+            elif op in (_CONNECTION, _CHUNK_INFO, _HEADER, _MESSAGE):
+                record = memoryview(source.take(size, "a record"))
+                yield from self._record(op, fields, record)
+            else:
+                source.skip(size, "a record")
+        self._check_index()
+
+    def _head(self) -> tuple[Fields, int]:
+        """Read the header of a record of the file, and the size of its data."""
+        (size,) = struct.unpack("<I", self._source.take(4, "a record's header"))
+        if size > LARGEST_HEADER:
+            raise InputError(f"damaged: a record's header of {size} bytes", self._source.path)
+        fields = _fields(memoryview(self._source.take(size, "a record's header")))
+        (data_size,) = struct.unpack("<I", self._source.take(4, "a record"))
+        return fields, data_size
+
+    def _chunk(self, fields: Fields, data: bytes) -> Iterator[Message]:
+        (size,) = struct.unpack("<I", fields[b"size"])
+        raw = self._unpacker.unpack(data, str(fields[b"compression"], "utf-8"), size)
+        for inner, record in _records(memoryview(raw)):
+            yield from self._record(inner[b"op"][0], inner, record)
+
+    def _record(self, op: int, fields: Fields, data: memoryview) -> Iterator[Message]:
+        if op == _MESSAGE:
+            (number,) = struct.unpack("<I", fields[b"conn"])
+            seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
+            self._met += 1
+            yield Message(self._channels[number], seconds * 10**9 + nanoseconds, data)
+        elif op == _CONNECTION:
+            (number,) = struct.unpack("<I", fields[b"conn"])
+            self._channels.setdefault(number, _channel(fields, data))
+        elif op == _CHUNK_INFO:
+            self._indexed.add(struct.unpack("<Q", fields[b"chunk_pos"])[0])
+            self._counted += sum(count for _, count in struct.iter_unpack("<II", data))
+        elif op == _HEADER:
+            self._read_bag_header(fields)
+
+    def _read_bag_header(self, fields: Fields) -> None:
+        path = self._source.path
+        if len(fields.get(b"encryptor", b"")):
+            raise InputError("is encrypted", path)
+        (index,) = struct.unpack("<Q", fields[b"index_pos"])
+        (chunks,) = struct.unpack("<I", fields[b"chunk_count"])
+        if index == 0:
+            raise InputError(
+                "was not closed by its recorder and has no index; rosbag reindex mends it", path
+            )
+        if index > self._source.size:
+            raise InputError("truncated: its index lies beyond its end", path)
+        self._declared = (index, chunks)
+
+    def _check_index(self) -> None:
+        whole = self._declared is not None and self._declared[1] == len(self._chunks)
+        if not whole or self._indexed != self._chunks or self._counted != self._met:
+            raise InputError("damaged: its index tells of other messages", self._source.path)
+
+
+def _records(data: memoryview) -> Iterator[tuple[Fields, memoryview]]:
+    """Yield header and data of each record in a chunk."""
+    at = 0
+    while at < len(data):
+        header, at = _sized(data, at)
+        content, at = _sized(data, at)
+        yield _fields(header), content
+
+
+def _fields(header: memoryview) -> Fields:
+    """Return the fields of a record's header."""
+    fields: Fields = {}
+    at = 0
+    while at < len(header):
+        field, at = _sized(header, at)
+        name, equals, _ = bytes(field).partition(b"=")
+        if not equals:
+            raise ValueError("a header field without a name")
+        fields[name] = field[len(name) + 1 :]
+    return fields
+
+
+def _sized(data: memoryview, at: int) -> tuple[memoryview, int]:
+    """Return what a length field at `at` announces, and where that ends."""
+    (size,) = struct.unpack_from("<I", data, at)
+    end = at + 4 + size
+    if end > len(data):
+        raise ValueError(f"{size} bytes announced where {len(data) - at - 4} are left")
+    return data[at + 4 : end], end
+
+
+def _channel(fields: Fields, data: memoryview) -> Channel:
+    told = _fields(data)
+    return Channel(
+        topic=str(fields[b"topic"], "utf-8"),
+        type=ros2_type(str(told[b"type"], "utf-8")),
+        encoding="ros1",
+        definition=str(told.get(b"message_definition", memoryview(b"")), "utf-8", "replace"),
+    )

@@ -1,0 +1,69 @@
+"""Rows of numbers out of messages: put in order, finite, one a stamp; what is left out counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.folder import without_repeats
+from homeward.drives.table import Table
+from homeward.errors import InputError
+
+NOT_FINITE = "{} with a number that is not finite, left out"
+LATE = "{} that came late, put in order by their stamps"
+
+
+class Remarks(dict[str, int]):
+    """Counts by reason in words."""
+
+    def count(self, reason: str, number: int = 1) -> None:
+        """Add to the count of a reason."""
+        if number:
+            self[reason] = self.get(reason, 0) + number
+
+
+def in_order(t: np.ndarray, what: str, remarks: Remarks) -> np.ndarray:
+    """Return the order of times [s], shape (n,); equal ones stay as they came."""
+    if t.size:
+        remarks.count(LATE.format(what), int((t < np.maximum.accumulate(t)).sum()))
+    return np.argsort(t, kind="stable")
+
+
+def clean_rows(
+    rows: list[tuple[float, ...]] | np.ndarray,
+    topic: str,
+    what: str,
+    repeats: str,
+    remarks: Remarks,
+) -> np.ndarray:
+    """Return rows in order of time, finite, and of equal stamps the last.
+
+    Parameters
+    ----------
+    rows : list or ndarray, shape (n, k)
+        The first column is the time [s].
+    topic : str
+        Where they are from.
+    what, repeats : str
+        What they are, and the reason under which equal stamps are counted.
+    remarks : Remarks
+        Where everything that is left out is counted.
+
+    Raises
+    ------
+    InputError
+        When nothing is left.
+    """
+    table = np.array(rows, float).reshape(len(rows), -1)
+    finite = np.isfinite(table).all(axis=1)
+    remarks.count(NOT_FINITE.format(what), int((~finite).sum()))
+    table = table[finite]
+    if not len(table):
+        raise InputError(f"{topic}: no message with finite numbers that tells {what}")
+    table = table[in_order(table[:, 0], what, remarks)]
+    row = np.arange(len(table))
+    kept = without_repeats(
+        Table(Path(topic), row, {"t": table[:, 0], "row": row}), remarks, repeats
+    )
+    return np.asarray(table[kept["row"]])

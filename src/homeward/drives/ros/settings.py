@@ -1,0 +1,89 @@
+"""What a user can say of a log: which topics, what of them, and where home is."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+from pydantic import field_validator, model_validator
+
+from homeward.drives.drive import DriveSettings, Finite, NonNegative, Positive, Strict
+from homeward.drives.ros.camera import Intrinsics
+
+
+class OdometryTopic(Strict):
+    """Where the odometry is."""
+
+    topic: str
+    use: Literal["twist", "pose"] | None = None
+    """What of a nav_msgs/Odometry: its twist, or its poses, differentiated; None: the twist, unless
+    it is always zero."""
+    left: tuple[str, ...] = ()
+    """Joints of the left wheels in a sensor_msgs/JointState; none: every name with left in it."""
+    right: tuple[str, ...] = ()
+    """And of the right ones."""
+    wheel_radius: Positive | None = None
+    """[m]"""
+    track_width: Positive | None = None
+    """Between left and right wheels [m]."""
+
+
+class BearingsTopic(Strict):
+    """Where sightings of landmarks are."""
+
+    topic: str
+    landmark: str | None = None
+    """Id of the landmark of a geometry_msgs/PointStamped; None: the last part of the topic."""
+    camera: str | Intrinsics | None = None
+    """For points in an image: the topic of the sensor_msgs/CameraInfo, or the model itself."""
+    rectified: bool = False
+    """Whether they are points of the rectified image."""
+    axes: Literal["body", "optical"] | None = None
+    """For points in space: x ahead and y to the left, or z ahead and x to the right; None: optical
+    where the name of the frame says so."""
+    sigma: Positive | None = None
+    """Standard deviation of a bearing that has none of its own [rad]."""
+
+
+class HomeFrom(Strict):
+    """Where the home bearings are: one of these."""
+
+    topic: str | None = None
+    """A homeward_msgs/Bearings of what the camera saw at home; its first message counts."""
+    csv: str | None = None
+    """A home.csv, beside the YAML file or absolute."""
+    during: tuple[NonNegative, NonNegative] | None = None
+    """The robot stood at home from so many seconds after the start until so many [s]."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if sum(value is not None for value in (self.topic, self.csv, self.during)) != 1:
+            raise ValueError("give one of topic, csv and during")
+        if self.during is not None and self.during[0] >= self.during[1]:
+            raise ValueError("during must be [from, until]")
+        return self
+
+
+class TruthTopic(Strict):
+    """Where true poses are, for scoring alone."""
+
+    topic: str
+    home: tuple[Finite, Finite, Finite] | None = None
+    """Home in the frame of these poses: x [m], y [m], heading [rad]; None: they are in home's."""
+
+
+class LogSettings(Strict):
+    """Everything that the topics file may say; every key may be absent, and is guessed then."""
+
+    clock: Literal["header", "receive"] = "header"
+    """Whether header stamps are the times, or when the recorder received a message."""
+    odometry: OdometryTopic | None = None
+    bearings: tuple[BearingsTopic, ...] = ()
+    home: HomeFrom | None = None
+    truth: TruthTopic | None = None
+    drive: DriveSettings | None = None
+    """What drive.yaml says of a drive folder."""
+
+    @field_validator("bearings", mode="before")
+    @classmethod
+    def _one_or_several(cls, value: Any) -> Any:
+        return [value] if isinstance(value, dict) else value

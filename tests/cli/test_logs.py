@@ -1,0 +1,103 @@
+"""`homeward info` and `homeward convert` as a user would call them."""
+
+import shutil
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.drives.drive import DriveSettings
+from homeward.drives.ros.settings import LogSettings
+from homeward.drives.settings import read_settings
+from homeward.studies.single_run import sample_drive
+
+
+def call(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def refused(result):
+    assert result.exit_code == 2, result.output
+    (line,) = result.stderr.strip().splitlines()
+    return line
+
+
+@pytest.fixture
+def log(tmp_path):
+    target = tmp_path / "sample.mcap"
+    assert call("convert", sample_drive(), target).exit_code == 0
+    return target
+
+
+def test_info_lists_topics_and_prints_the_topics_file_that_is_used(log, tmp_path):
+    result = call("info", log)
+    assert result.exit_code == 0, result.output
+    head, columns, *rows = result.stdout.splitlines()
+    assert "MCAP, 5 topics" in head
+    assert columns.split()[:3] == ["topic", "type", "messages"]
+    (odometry,) = [row for row in rows if row.startswith("/homeward/odometry")]
+    assert "3604" in odometry
+    assert "20.0 Hz" in odometry
+    topics = tmp_path / "topics.yaml"
+    topics.write_text(result.stdout.partition("would say it:\n")[2])
+    assert read_settings(topics, LogSettings).odometry.topic == "/homeward/odometry"
+    assert call("info", log, "--topics", topics).stdout == result.stdout
+
+
+def test_info_of_a_drive_folder(tmp_path):
+    assert "bearings.csv" in call("info", sample_drive()).stdout
+    assert "no such file" in refused(call("info", tmp_path / "none"))
+    (tmp_path / "notes.txt").write_text("hello")
+    assert "neither" in refused(call("info", tmp_path / "notes.txt"))
+
+
+def test_convert_there_and_back(log, tmp_path):
+    back = tmp_path / "back"
+    result = call("convert", log, back)
+    assert result.exit_code == 0, result.output
+    assert "3604 twists" in result.stdout
+    for name in ("odometry.csv", "bearings.csv", "home.csv", "truth.csv"):
+        assert (back / name).read_bytes() == (sample_drive() / name).read_bytes(), name
+    told = [yaml.safe_load((f / "drive.yaml").read_text()) for f in (back, sample_drive())]
+    assert DriveSettings(**told[0]) == DriveSettings(**told[1])
+    assert "exists already" in refused(call("convert", log, back))
+
+
+def test_a_log_runs_as_its_folder_does(tmp_path):
+    folder = tmp_path / "short"
+    shutil.copytree(sample_drive(), folder)
+    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
+        head, *rows = (folder / name).read_text().splitlines()
+        kept = [row for row in rows if float(row.split(",")[0]) <= 5.0]
+        (folder / name).write_text("\n".join([head, *kept]) + "\n")
+    assert call("convert", folder, tmp_path / "short.bag").exit_code == 0
+    for source in ("short", "short.bag"):
+        result = call("run", tmp_path / source, "--out", tmp_path / f"out-{source}")
+        assert result.exit_code == 0, result.output
+    one, other = tmp_path / "out-short", tmp_path / "out-short.bag"
+    for name in ("estimate.csv", "trajectory.tum", "landmarks.csv"):
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+
+
+def test_what_fits_no_log_is_refused(log, tmp_path):
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("clock: header\n")
+    assert "no topics" in refused(call("run", sample_drive(), "--topics", topics))
+    assert "cannot be chosen" in refused(call("run", log, "--robot", 2, "--out", tmp_path / "x"))
+    assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("name", "header", "words"),
+    [
+        ("bearings.csv", "t,landmark,bearing", "no sightings"),
+        ("home.csv", "landmark,bearing", "saw at home"),
+    ],
+)
+def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
+    folder = tmp_path / "blind"
+    shutil.copytree(sample_drive(), folder)
+    (folder / name).write_text(f"{header}\n")
+    assert words in refused(call("run", folder, "--out", tmp_path / "out"))
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,196 @@
+"""What each kind of message with landmarks tells, and cameras."""
+
+import math
+
+import numpy as np
+import pytest
+from drives.ros.build import EPOCH, SUFFIXES, point, pose, stamps
+from drives.ros.rig import NANO, bearings_message
+
+from homeward.drives.ros.camera import Intrinsics
+from homeward.errors import InputError
+
+
+def test_our_own_bearings_with_and_without_sigmas(made):
+    def fill(log):
+        t = stamps(2)
+        log.write("/b", t[0], bearings_message(log, t[0], ["a", "b"], [0.5, -0.5]))
+        log.write("/b", t[1], bearings_message(log, t[1], ["a"], [7.0], [0.02]))
+
+    drive = made(fill, "bearings: {topic: /b, sigma: 0.1}\n")
+    assert drive.sightings.landmark.tolist() == ["a", "b", "a"]
+    assert drive.sightings.bearing.tolist() == pytest.approx([0.5, -0.5, 7.0 - math.tau])
+    assert drive.sightings.sigma.tolist() == [0.1, 0.1, 0.02]
+    with pytest.raises(InputError, match="1 bearings"):
+        made(
+            lambda log: log.write(
+                "/b", EPOCH * NANO, bearings_message(log, EPOCH * NANO, ["a", "b"], [0.5])
+            )
+        )
+
+
+def test_points_one_topic_a_landmark(made):
+    def fill(log):
+        (t,) = stamps(1)
+        kind = "geometry_msgs/msg/PointStamped"
+        for name, frame, place in (
+            ("door", "base_link", (2.0, 2.0, 9.0)),
+            ("shelf", "camera_optical_frame", (1.0, 5.0, 1.0)),
+            ("gone", "base_link", (math.nan, 0.0, 0.0)),
+        ):
+            header = log.header(t, frame)
+            log.write(f"/mark/{name}", t, log.make(kind, header=header, point=point(log, *place)))
+
+    drive = made(fill)
+    seen = dict(zip(drive.sightings.landmark, drive.sightings.bearing, strict=True))
+    assert seen == pytest.approx({"door": math.pi / 4, "shelf": -math.pi / 4})
+    assert sum(drive.remarks.values()) == 1
+
+
+def pose_array(log, t, frame, places):
+    poses = [pose(log, x, y) for x, y in places]
+    return log.make("geometry_msgs/msg/PoseArray", header=log.header(t, frame), poses=poses)
+
+
+def test_pose_arrays_number_their_landmarks(made):
+    (t,) = stamps(1)
+    places = [(1.0, 1.0), (0.0, 0.0), (-1.0, 0.0)]
+    drive = made(lambda log: log.write("/poses", t, pose_array(log, t, "base_link", places)))
+    assert drive.sightings.landmark.tolist() == ["0", "2"]
+    assert drive.sightings.bearing.tolist() == pytest.approx([math.pi / 4, math.pi])
+    with pytest.raises(InputError, match="does not move with the robot"):
+        made(lambda log: log.write("/poses", t, pose_array(log, t, "map", places)))
+
+
+def camera_info(log, t, distortion=()):
+    lower = {"d": np.array(distortion, float), "k": np.array([500.0, 0, 320, 0, 500, 240, 0, 0, 1])}
+    lower |= {"r": np.eye(3).ravel(), "p": np.array([400.0, 0, 300, 0, 0, 400, 240, 0, 0, 0, 1, 0])}
+    if "D" in dict(log._store.fielddefs["sensor_msgs/msg/CameraInfo"][1]):
+        lower = {name.upper(): value for name, value in lower.items()}
+    region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+    return log.make(
+        "sensor_msgs/msg/CameraInfo",
+        header=log.header(t, "optical"),
+        height=480,
+        width=640,
+        distortion_model="plumb_bob",
+        binning_x=0,
+        binning_y=0,
+        roi=log.make("sensor_msgs/msg/RegionOfInterest", **region),
+        **lower,
+    )
+
+
+def tags(log, t, ids):
+    corner = log.make("apriltag_msgs/msg/Point", x=0.0, y=0.0)
+    found = [
+        log.make(
+            "apriltag_msgs/msg/AprilTagDetection",
+            family="36h11",
+            id=number,
+            hamming=0,
+            goodness=0.0,
+            decision_margin=50.0,
+            centre=log.make("apriltag_msgs/msg/Point", x=column, y=100.0),
+            corners=[corner] * 4,
+            homography=np.zeros(9),
+        )
+        for number, column in ids.items()
+    ]
+    kind = "apriltag_msgs/msg/AprilTagDetectionArray"
+    return log.make(kind, header=log.header(t, "optical"), detections=found)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_fiducials_through_a_camera(made, suffix):
+    def fill(log):
+        t = stamps(2)
+        log.write("/front/tags", t[0], tags(log, t[0], {7: 820.0, 3: 320.0}))
+        log.write("/rear/camera_info", t[0], camera_info(log, t[0], [9.0]))
+        log.write("/front/camera_info", t[1], camera_info(log, t[1]))
+
+    drive = made(fill, suffix=suffix)
+    assert drive.sightings.landmark.tolist() == ["7", "3"]
+    assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
+    rectified = made(fill, "bearings: {topic: /front/tags, rectified: true}\n", suffix=suffix)
+    assert rectified.sightings.bearing[0] == pytest.approx(-math.atan2(520, 400))
+    told = "bearings: {topic: /front/tags, camera: {fx: 250, fy: 250, cx: 320, cy: 240}}\n"
+    assert made(fill, told, suffix=suffix).sightings.bearing[0] == pytest.approx(-math.atan(2))
+
+
+def test_fiducials_without_a_camera_say_what_they_need(made):
+    (t,) = stamps(1)
+    with pytest.raises(InputError, match="camera model"):
+        made(lambda log: log.write("/tags", t, tags(log, t, {1: 5.0})))
+
+
+def test_detections_by_their_own_id_or_their_likeliest_class(made):
+    def fill(log):
+        (t,) = stamps(1)
+        make, zeros = log.make, np.zeros(36)
+        covered = make(
+            "geometry_msgs/msg/PoseWithCovariance", pose=pose(log, 0, 0), covariance=zeros
+        )
+
+        def detection(name, column, *classes):
+            place = make("vision_msgs/msg/Point2D", x=column, y=0.0)
+            centre = make("vision_msgs/msg/Pose2D", position=place, theta=0.0)
+            results = [
+                make(
+                    "vision_msgs/msg/ObjectHypothesisWithPose",
+                    hypothesis=make("vision_msgs/msg/ObjectHypothesis", class_id=c, score=s),
+                    pose=covered,
+                )
+                for c, s in classes
+            ]
+            box = make("vision_msgs/msg/BoundingBox2D", center=centre, size_x=1.0, size_y=1.0)
+            header = log.header(t, "optical")
+            kind = "vision_msgs/msg/Detection2D"
+            return make(kind, header=header, results=results, bbox=box, id=name)
+
+        found = [
+            detection("chair 1", 820.0, ("chair", 0.9)),
+            detection("", 320.0, ("lamp", 0.2), ("door", 0.7)),
+            detection("", 320.0),
+        ]
+        kind = "vision_msgs/msg/Detection2DArray"
+        log.write("/camera_info", t, camera_info(log, t))
+        log.write("/found", t, make(kind, header=log.header(t, "optical"), detections=found))
+
+    drive = made(fill)
+    assert drive.sightings.landmark.tolist() == ["chair 1", "door"]
+    assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
+    assert drive.remarks == {"sightings without an id": 1}
+
+
+@pytest.mark.parametrize(
+    ("model", "k"),
+    [
+        ("plumb_bob", (-0.28, 0.07, 2e-4, 1e-5, 0.0)),
+        ("rational_polynomial", (0.5, 0.1, 1e-4, 2e-4, 0.01, 0.8, 0.2, 0.03)),
+        ("equidistant", (-0.02, 0.005, -0.001, 0.0002)),
+    ],
+)
+def test_a_lens_is_undone(model, k):
+    bearing, up = (
+        g.ravel() for g in np.meshgrid(np.linspace(-0.7, 0.7, 15), np.linspace(-0.3, 0.3, 5))
+    )
+    x, y = np.tan(-bearing), up
+    r2 = x * x + y * y
+    if model == "equidistant":
+        angle = np.arctan(np.sqrt(r2))
+        a2 = angle**2
+        scale = (
+            angle
+            * (1 + a2 * (k[0] + a2 * (k[1] + a2 * (k[2] + a2 * k[3]))))
+            / np.sqrt(np.maximum(r2, 1e-30))
+        )
+        xd, yd = x * scale, y * scale
+    else:
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*k, 0.0, 0.0, 0.0)[:8]
+        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    camera = Intrinsics(fx=500, fy=510, cx=320, cy=240, model=model, distortion=k)
+    there = camera.bearings(500 * xd + 320, 510 * yd + 240)
+    assert there == pytest.approx(bearing, abs=1e-6)

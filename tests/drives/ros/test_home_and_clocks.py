@@ -1,0 +1,139 @@
+"""Where home and truth come from, which clock counts, and topics files."""
+
+import math
+
+import pytest
+from drives.ros.build import EPOCH, SECOND, odometry, pose, stamps, twist
+from drives.ros.rig import bearings_message
+
+from homeward.errors import InputError
+
+
+def standing_then_driving(log):
+    for i, t in enumerate(stamps(40)):
+        log.write("/odom", t, odometry(log, t, 0.0 if i < 20 else 0.3, 0.0))
+        wobble = 0.01 if i % 2 else -0.01
+        seen = bearings_message(log, t, ["a", "b"], [math.pi - 0.001 + wobble, 0.5 - wobble])
+        log.write("/b", t, seen)
+
+
+def test_home_is_what_was_seen_while_standing_there(made):
+    drive = made(standing_then_driving, "home: {during: [0.0, 1.95]}\n", odometry_too=False)
+    assert drive.home["b"].bearing == pytest.approx(0.5)
+    assert abs(drive.home["a"].bearing) == pytest.approx(math.pi - 0.001)
+    with pytest.raises(InputError, match="does not stand"):
+        made(standing_then_driving, "home: {during: [1.0, 3.5]}\n", odometry_too=False)
+    with pytest.raises(InputError, match="nothing was seen"):
+        made(standing_then_driving, "home: {during: [50.0, 60.0]}\n", odometry_too=False)
+
+
+def test_home_from_a_csv_beside_the_topics_file(made, tmp_path):
+    (tmp_path / "home.csv").write_text("landmark,bearing\na,0.25\n")
+    drive = made(standing_then_driving, "home: {csv: home.csv}\n", odometry_too=False)
+    assert drive.home["a"].bearing == 0.25
+
+
+def test_truth_is_turned_into_the_home_frame(made):
+    def fill(log):
+        for t in stamps(3):
+            placed = pose(log, 1.0, 3.0, math.pi / 2)
+            kind = "geometry_msgs/msg/PoseStamped"
+            log.write("/mocap", t, log.make(kind, header=log.header(t, "map"), pose=placed))
+
+    drive = made(fill, "truth: {topic: /mocap, home: [1.0, 1.0, 1.5707963267948966]}\n")
+    assert drive.truth.x == pytest.approx([2.0] * 3)
+    assert drive.truth.y == pytest.approx([0.0] * 3, abs=1e-12)
+    assert drive.truth.heading == pytest.approx([0.0] * 3, abs=1e-12)
+
+
+def test_settings_of_the_drive_in_the_topics_file(made):
+    drive = made(lambda log: None, "drive: {sensor: {x: 0.2, yaw: 0.1}}\n")
+    assert (drive.settings.sensor.x, drive.settings.sensor.yaw) == (0.2, 0.1)
+
+
+def test_receive_times_when_asked(made):
+    def fill(log):
+        for t in stamps(10):
+            log.write("/odom", t + SECOND // 4, odometry(log, t, 0.2, 0.1))
+
+    by_header = made(fill, odometry_too=False)
+    by_recorder = made(fill, "clock: receive\n", odometry_too=False)
+    assert by_header.odometry.t[0] == 0.0
+    assert by_recorder.odometry.t[0] == 0.25
+
+
+def test_a_topic_without_headers_is_put_on_the_clock_of_the_others(made):
+    def fill(log):
+        for t in stamps(10):
+            # Headers of a simulation's clock, recorded by the wall's.
+            log.write("/b", t, bearings_message(log, t - EPOCH * SECOND + SECOND, ["a"], [0.5]))
+            log.write("/cmd_vel", t, twist(log, 0.2, 0.1))
+
+    drive = made(fill, odometry_too=False)
+    assert drive.settings.epoch is None
+    assert drive.odometry.t == pytest.approx(drive.sightings.t)
+
+
+def test_clocks_that_cannot_be_are_refused_with_what_helps(made):
+    def other_clock(log):
+        for t in stamps(5):
+            log.write("/b", t, bearings_message(log, 5 * SECOND, ["a"], [0.5]))
+
+    def unset(log):
+        for t in stamps(5):
+            log.write("/b", t, bearings_message(log, 0, ["a"], [0.5]))
+
+    def set_back(log):
+        for i, t in enumerate(stamps(10)):
+            log.write(
+                "/b", t, bearings_message(log, t - (5 * SECOND if i > 4 else 0), ["a"], [0.5])
+            )
+
+    for fill, words in (
+        (other_clock, "different clocks"),
+        (unset, "no times"),
+        (set_back, "runs back"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            made(fill)
+        assert "clock: receive" in str(caught.value)
+        assert made(fill, "clock: receive\n").sightings.t.size
+
+
+def test_messages_slightly_out_of_order_are_put_in_order(made):
+    def fill(log):
+        t = stamps(10)
+        for i in (0, 1, 3, 2, 4, 5, 6, 7, 8, 9):
+            log.write("/odom", t[i], odometry(log, t[i], 0.1 * i, 0.0))
+
+    drive = made(fill, odometry_too=False)
+    assert drive.odometry.v.tolist() == [0.1 * i for i in range(10)]
+
+
+def test_several_equal_topics_must_be_named(made):
+    def fill(log):
+        for t in stamps(5):
+            log.write("/odom_filtered", t, odometry(log, t, 0.9, 0.0))
+
+    with pytest.raises(InputError, match="/odom, /odom_filtered"):
+        made(fill)
+    assert made(fill, "odometry: {topic: /odom_filtered}\n").odometry.v[0] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("topics", "words"),
+    [
+        ("odometry: {topic: /none}\n", "there are: /odom"),
+        ("bearings: {topic: /odom}\n", "tells no bearings"),
+        ("odometry: {topic: /odom, use: scent}\n", "odometry.use"),
+        ("home: {}\n", "one of topic, csv and during"),
+        ("home: {during: [3, 1]}\n", "from, until"),
+        ("colour: red\n", "colour"),
+        ("drive: {sensor: {x: far}}\n", "drive.sensor.x"),
+        ("- 1\n", "not a mapping"),
+    ],
+)
+def test_topics_files_that_cannot_be(made, topics, words):
+    with pytest.raises(InputError, match=words) as caught:
+        made(lambda log: None, topics)
+    assert len(str(caught.value).splitlines()) == 1

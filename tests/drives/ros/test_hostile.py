@@ -1,0 +1,300 @@
+"""Logs that are damaged or meant to do harm: one clear line, in bounded memory and time."""
+
+import json
+import random
+import struct
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+from drives.ros import crafted
+from drives.ros.crafted import (
+    bag,
+    cdr_odometry,
+    chunk,
+    mcap,
+    mcap_messages,
+    ros1_messages,
+    ros1_odometry,
+)
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.opening import open_drive
+from homeward.drives.saving import save_drive
+from homeward.errors import InputError
+
+GIB = 2**30
+FIVE_CDR = [cdr_odometry(i) for i in range(5)]
+FIVE_ROS1 = [ros1_odometry(i) for i in range(5)]
+IN_MCAP, IN_BAG = mcap_messages(FIVE_CDR), ros1_messages(FIVE_ROS1)
+
+
+def refusal(path):
+    """The one line with which a log is refused; it names the file."""
+    with pytest.raises(InputError) as caught:
+        open_drive(path)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    assert path.name in message
+    assert len(message) < 600
+    return message
+
+
+def small_drive():
+    t = np.arange(20) / 10 + 1.7e9
+    ids = np.array(["a", "b"] * 10, object)
+    sightings = Sightings(t, ids, np.full(20, 0.5), np.full(20, 0.01))
+    return Drive("x", Odometry(t, t * 0 + 0.1, t * 0), sightings, {"a": HomeBearing(0.1)})
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A small log of each kind: {suffix: bytes}."""
+    folder = tmp_path_factory.mktemp("whole")
+    files = {}
+    for suffix in (".bag", ".mcap", ".db3"):
+        save_drive(small_drive(), folder / f"x{suffix}")
+        files[suffix] = (folder / f"x{suffix}").read_bytes()
+    return files
+
+
+def test_crafted_files_are_read_when_nothing_is_wrong(tmp_path):
+    path = tmp_path / "log"
+    good = {
+        "mcap": mcap(IN_MCAP, statistics=5),
+        "mcap in chunks": mcap(
+            *(chunk(IN_MCAP, how) for how in ("", "lz4", "zstd")), statistics=15
+        ),
+        "bag": bag(IN_BAG, 5),
+        **{how: bag(IN_BAG, 5, how) for how in ("bz2", "lz4")},
+    }
+    for name, data in good.items():
+        path.write_bytes(data)
+        drive = open_drive(path)
+        assert set(drive.odometry.v.tolist()) == {0.1}, name
+        assert drive.odometry.t.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0], (name, drive.odometry)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+def test_truncated_anywhere(tmp_path, whole, suffix):
+    data, path = whole[suffix], tmp_path / f"cut{suffix}"
+    for size in [20, 100, *range(200, len(data) - 1, len(data) // 15), len(data) - 1]:
+        path.write_bytes(data[:size])
+        refusal(path)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+def test_bytes_changed_anywhere(tmp_path, whole, suffix):
+    path, chance = tmp_path / f"changed{suffix}", random.Random(5)
+    for _ in range(60):
+        data = bytearray(whole[suffix])
+        at = chance.randrange(len(data))
+        data[at : at + chance.choice([1, 4, 8])] = chance.choice(
+            [b"\xff" * 8, b"\xff\xff\xff\x7f", bytes([chance.randrange(256)]), b""]
+        )
+        path.write_bytes(data)
+        try:
+            open_drive(path)
+        except InputError as error:
+            assert len(str(error).splitlines()) == 1  # noqa: PT017
+
+
+BOMBS_MIB = {"lz4": 2048, "zstd": 2048, "bz2": 32}
+"""To what the bombs would unpack; bz2 takes too long to make for more [MiB]."""
+MEMORY = 1.2
+"""What the process may have at all, of which Python with its libraries takes a part [GiB]."""
+WORKER = """
+    import json, resource, sys
+    from pathlib import Path
+    from homeward.drives.opening import open_drive
+    from homeward.errors import InputError
+    limit = int(float(sys.argv[2]) * 2**30)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+    told = {}
+    for path in sorted(Path(sys.argv[1]).iterdir()):
+        try:
+            open_drive(path)
+            told[path.name] = "was read"
+        except InputError as error:
+            told[path.name] = str(error)
+        except BaseException as error:
+            told[path.name] = "raised " + repr(error)
+    print(json.dumps(told))
+"""
+
+
+def test_bombs_and_lengths_in_bounded_memory_and_time(tmp_path):
+    huge = {how: crafted.packed_zeros(how, mib) for how, mib in BOMBS_MIB.items()}
+    declared = 2**31
+    words = "than a log may hold|unpacks to more|too many|truncated|damaged|does not fit"
+    files = {}
+    for how in ("lz4", "zstd"):
+        files[f"honest-{how}.mcap"] = mcap(chunk(b"", how, size=declared, packed=huge[how]))
+        files[f"lying-{how}.mcap"] = mcap(chunk(b"", how, size=1000, packed=huge[how]))
+    # A record that nobody reads, of 100 MiB, in each of many chunks.
+    block = crafted.record(128, bytes(100 * 2**20))
+    many = chunk(b"", "zstd", size=len(block), packed=crafted.PACK["zstd"](block))
+    files["many.mcap"] = mcap(*[many] * 200)
+    for how in ("lz4", "bz2"):
+        files[f"honest-{how}.bag"] = bag(b"", 5, how, size=declared, packed=huge[how])
+        files[f"lying-{how}.bag"] = bag(b"", 5, how, size=1000, packed=huge[how])
+    two_gib = struct.pack("<I", 2**31 - 1)
+    files["record.mcap"] = mcap(crafted.record(5, bytes(40), size=2**31))
+    files["record-64.mcap"] = mcap(crafted.record(5, bytes(40), size=2**64 - 1))
+    files["in-chunk.mcap"] = mcap(chunk(IN_MCAP + crafted.record(5, bytes(40), size=2**62)))
+    files["string.mcap"] = mcap(mcap_messages([FIVE_CDR[0][:12] + two_gib + FIVE_CDR[0][16:]]))
+    files["header.bag"] = b"#ROSBAG V2.0\n" + two_gib + bytes(100)
+    in_chunk = IN_BAG + crafted.fields(op=b"\x02", conn=crafted.u32(0), time=bytes(8)) + two_gib
+    files["message.bag"] = bag(in_chunk + bytes(50), 6)
+    files["chunk.bag"] = bag(IN_BAG, 5, size=2**32 - 1)
+    array = (
+        "std_msgs/Header header\nfloat64[2000000000] v\n" + crafted.HEADER_TEXT + crafted.TIME_TEXT
+    )
+    files["array.mcap"] = mcap(mcap_messages(FIVE_CDR, definition=array.format(seq="")))
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    column = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, "
+    column += "data BLOB GENERATED ALWAYS AS (zeroblob(999999999)))"
+    one = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1)"
+    crafted.database(tmp_path / "computed.db3", crafted.TOPICS, crafted.ODOM, column, one)
+    result = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(WORKER), str(tmp_path), str(MEMORY)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stderr
+    told = json.loads(result.stdout)
+    assert set(told) == {*files, "computed.db3"}
+    for name, message in told.items():
+        assert name in message, (name, message)
+        assert not message.startswith(("raised", "was read")), (name, message)
+        assert any(word in message for word in [*words.split("|"), "too big", "larger"]), (
+            name,
+            message,
+        )
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "neither"),
+        (b"hello, I am no bag\n" * 100, "neither"),
+        (b"#ROSBAG V1.2\n" + b"text " * 100, "before 2.0"),
+        (b"#ROSBAG V2.0\n" + b"text, not records " * 300, "damaged"),
+        (b"\x89MCAP0\r\n" + b"text, not records " * 300, "damaged"),
+        (b"SQLite format 3\x00" + b"text, not pages " * 300, "sqlite"),
+        (mcap(chunk(IN_MCAP, "brotli", packed=IN_MCAP)), "'brotli'"),
+        (bag(IN_BAG, 5, "snappy", packed=IN_BAG), "'snappy'"),
+        (mcap(chunk(IN_MCAP, "zstd", packed=b"not a frame at all")), "not zstd"),
+        (bag(IN_BAG, 5, "bz2", packed=b"not a frame at all"), "not bz2"),
+        (mcap(IN_MCAP, statistics=99), "index"),
+        (mcap(chunk(IN_MCAP), chunk_index=12345), "index"),
+        (bag(IN_BAG, 5, counted=2**32 - 1), "index"),
+        (bag(IN_BAG, 5, chunks=7), "index"),
+        (bag(IN_BAG, 5).replace(b"index_pos=", b"index_pos=\xff\xff", 1), "damaged"),
+        (mcap(mcap_messages([b"\x00\x01\x00\x00" + b"odd"])), "too short"),
+        (mcap(mcap_messages([p + bytes(40) for p in FIVE_CDR])), "does not fit"),
+        (
+            mcap(mcap_messages(FIVE_CDR, definition="std_msgs/Header header\n$$$\n")),
+            "cannot be read",
+        ),
+        (
+            mcap(mcap_messages(FIVE_CDR, definition="std_msgs/Header header\nodd/Odd x\n")),
+            "not told",
+        ),
+        (
+            mcap(
+                mcap_messages(
+                    FIVE_CDR, definition="std_msgs/Header header\nhomeward_msgs/Odometry o\n"
+                )
+            ),
+            "not told",
+        ),
+        (mcap(mcap_messages([cdr_odometry(0, np.nan)])), "finite"),
+        (mcap(mcap_messages([*FIVE_CDR[3:], FIVE_CDR[0]])), "runs back"),
+        (mcap(mcap_messages(FIVE_CDR, kind="sensor_msgs/msg/Imu")), "no topic with odometry"),
+    ],
+)
+def test_refused_in_one_line(tmp_path, data, words):
+    path = tmp_path / "hostile"
+    path.write_bytes(data)
+    if words == "neither":
+        path = path.rename(tmp_path / "hostile.bag")
+    assert words in refusal(path)
+
+
+def test_a_type_that_would_become_code_does_not(tmp_path):
+    evil = 'homeward_msgs/msg/Odometry"""\nraise SystemExit("run")\n"""'
+    path = tmp_path / "evil.mcap"
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR, kind=evil)))
+    assert "no topic with odometry" in refusal(path)
+    field = crafted.DEFINITION.replace("float64 v ", "float64 class ", 1)
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=field)))
+    refusal(path)
+
+
+def test_definitions_that_would_take_for_ever(tmp_path):
+    line = "=" * 80 + "\nMSG: p/T{}\n"
+    many = "".join(line.format(i) + f"p/T{i + 1}[] a\np/T{i + 1}[] b\n" for i in range(60))
+    deep = "".join(line.format(i) + f"p/T{i + 1} a\n" for i in range(60))
+    end = line.format(60) + "float64 x\n" + crafted.HEADER_TEXT.format(seq="") + crafted.TIME_TEXT
+    path = tmp_path / "long.mcap"
+    for text in (many + end, deep + end, "float64 x\n" * 20_000, " \n" * 100_000):
+        whole = "std_msgs/Header header\n" + ("p/T0 a\n" if "T0" in text else "") + text
+        path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=whole)))
+        assert "larger" in (told := refusal(path)) or "deeper" in told or "cannot be read" in told
+
+
+def test_databases_that_are_no_bags(tmp_path):
+    path = tmp_path / "log.db3"
+    crafted.database(path, "CREATE TABLE songs(id)")
+    assert "without" in refusal(path)
+    path.unlink()
+    words = ("INSERT INTO messages VALUES (1, 1, 1, 'text')",)
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, words)
+    assert "not bytes" in refusal(path)
+    path.unlink()
+    nowhere = ("INSERT INTO messages VALUES (1, 77, 1, ?)", (FIVE_CDR[0],))
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, nowhere)
+    assert "77" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "words"),
+    [
+        ("text", "not YAML with"),
+        ("rosbag2_bagfile_information: 3", "not a mapping"),
+        ("rosbag2_bagfile_information: {relative_file_paths: []}", "names no files"),
+        ("rosbag2_bagfile_information: {relative_file_paths: [../secret]}", "not there: 'secret'"),
+        ("rosbag2_bagfile_information: {relative_file_paths: [.]}", "not there"),
+        ("a: &a [x]\nb: [*a, *a", "not YAML with"),
+        (
+            "rosbag2_bagfile_information: {relative_file_paths: [x.mcap], compression_mode: file, "
+            "compression_format: rar}",
+            "'rar'",
+        ),
+    ],
+)
+def test_bag_folders_with_odd_metadata(tmp_path, metadata, words):
+    (tmp_path / "secret").write_text("not in the bag")
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text(metadata)
+    with pytest.raises(InputError, match=words):
+        open_drive(folder)
+
+
+def test_from_the_command_line_nothing_is_written(tmp_path):
+    path, out = tmp_path / "cut.bag", tmp_path / "out"
+    path.write_bytes(bag(IN_BAG, 5)[:5000])
+    for words in (["run", path, "--out", out], ["convert", path, out], ["info", path]):
+        result = CliRunner().invoke(app, [str(word) for word in words])
+        assert result.exit_code == 2, result.output
+        assert len(result.stderr.strip().splitlines()) == 1
+        assert not out.exists()
