@@ -182,3 +182,28 @@ def test_progress_rises_to_one_and_is_not_told_too_often():
 def test_the_library_prints_nothing(capsys):
     follow([0.0, 1.0], [(0.5, "a", 0.1)])
     assert capsys.readouterr() == ("", "")
+
+
+def test_what_is_known_of_the_landmarks_is_kept_about_every_second():
+    class Learner(Recorder):
+        """Sees a second landmark, and changes its mind about the first."""
+
+        def landmarks(self):
+            t = max((t for _, t, _ in self.calls), default=0.0)
+            known = [LandmarkEstimate("a", t, 2.0, moved_probability=t / 10)]
+            return known + [LandmarkEstimate("b", 3.0, 4.0)] * (t > 2.5)
+
+    fed = drive(np.arange(0, 5, 0.05), [(0.333 * k, "a", 0.1) for k in range(15)])
+    history = run(fed, Learner()).history
+    assert history.landmark == ("a", "b")
+    assert np.diff(history.t).min() >= 1.0
+    assert np.diff(history.t).max() < 1.2
+    np.testing.assert_allclose(history.x[:, 0], history.t)
+    np.testing.assert_allclose(history.moved_probability[:, 0], history.t / 10)
+    assert (np.isfinite(history.x[:, 1]) == (history.t > 2.5)).all()
+    assert history.at(np.array([-1.0, history.t[2], 99.0])).tolist() == [-1, 2, history.t.size - 1]
+
+
+def test_a_long_drive_keeps_no_more_of_its_landmarks_than_is_of_use():
+    fed = drive(np.arange(0, 9000, 0.9), [(0.0, "a", 0.1)])
+    assert run(fed, Recorder()).history.t.size <= 2001

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,8 @@ LONGEST_S = 7 * 86400.0
 """A drive that spans more than this holds a wrong stamp [s]."""
 PROGRESS_S = 0.05
 """Progress is told at most this often [s of wall time]."""
+REMEMBER_S, MOST_REMEMBERED = 1.0, 2000
+"""What is known of the landmarks is kept so often [s], of a long drive at most so many times."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,26 @@ class Innovations:
     """Its predicted standard deviation [rad]."""
     accepted: np.ndarray
     """bool; False when a gate rejected the sighting."""
+
+
+@dataclass(frozen=True)
+class LandmarkHistory:
+    """What was known of the landmarks along the way: k times, q landmarks, NaN where unknown."""
+
+    t: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """(k,), strictly increasing [s]; each row is as causal as the track."""
+    landmark: tuple[str, ...] = ()
+    """Ids of the q landmarks."""
+    x: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    """(k, q), in the home frame [m]."""
+    y: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    """(k, q), in the home frame [m]."""
+    moved_probability: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    """(k, q), that it stands elsewhere than when home was stored."""
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """Return the last row not after each time `t` [s], shape (m,); -1 before the first."""
+        return np.asarray(np.searchsorted(self.t, t, side="right") - 1)
 
 
 @dataclass(frozen=True)
@@ -67,6 +89,8 @@ class Track:
     landmarks: list[LandmarkEstimate]
     counts: Counts
     notes: tuple[str, ...]
+    history: LandmarkHistory = field(default_factory=LandmarkHistory)
+    """Of the landmarks, about every second."""
 
     @property
     def has_pose(self) -> np.ndarray:
@@ -116,6 +140,7 @@ def run(
     grid = _grid(drive.span, stamps)
     order = _order(drive.odometry.t, stamps, grid)
     rows = _Rows(stamps.size + grid.size)
+    every = max(REMEMBER_S, (drive.span[1] - drive.span[0]) / MOST_REMEMBERED)
     update_seconds: list[float] = []
 
     odometry = zip(
@@ -139,6 +164,8 @@ def run(
         else:
             t = next(grid_points)
             rows.keep(t, estimator.estimate(t))
+        if kind != _ODOMETRY:
+            rows.remember(t, estimator, every)
         if progress is not None and time.perf_counter() - told > PROGRESS_S:
             told = time.perf_counter()
             progress(done / len(order))
@@ -189,6 +216,7 @@ class _Rows:
         self.status: list[Status] = []
         self.reason: list[str] = []
         self.innovations: list[tuple[float, str, float, float, bool]] = []
+        self.known: list[tuple[float, list[LandmarkEstimate]]] = []
 
     def keep(self, t: float, estimate: Estimate) -> None:
         """Keep an estimate as the next row."""
@@ -203,6 +231,21 @@ class _Rows:
             (t, i.landmark, i.value, i.sigma, i.accepted) for i in estimate.innovations
         )
         self.filled += 1
+
+    def remember(self, t: float, estimator: Estimator, every: float) -> None:
+        """Keep what is known of the landmarks at `t` [s], unless that was done lately."""
+        if not self.known or t - self.known[-1][0] >= every:
+            self.known.append((t, estimator.landmarks()))
+
+    def history(self) -> LandmarkHistory:
+        """Return what was known of the landmarks along the way."""
+        names = sorted({m.landmark for _, landmarks in self.known for m in landmarks})
+        column = {name: i for i, name in enumerate(names)}
+        values = np.full((3, len(self.known), len(names)), np.nan)
+        for row, (_, landmarks) in enumerate(self.known):
+            for m in landmarks:
+                values[:, row, column[m.landmark]] = m.x, m.y, m.moved_probability
+        return LandmarkHistory(np.array([t for t, _ in self.known]), tuple(names), *values)
 
     def track(self, estimator: Estimator, update_seconds: np.ndarray, run_seconds: float) -> Track:
         """Return the finished track."""
@@ -230,4 +273,5 @@ class _Rows:
             landmarks=estimator.landmarks(),
             counts=estimator.counts,
             notes=estimator.notes,
+            history=self.history(),
         )
