@@ -1,28 +1,49 @@
-"""Make the pictures of README and docs again: `.venv/bin/python docs/make_pictures.py`."""
+"""Make the pictures of README and docs again: `.venv/bin/python docs/make_pictures.py`.
 
+Pages are drawn by Chromium, which must be on the PATH.
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
-from homeward.observability.study import observe
-from homeward.report.canvas import png
-from homeward.report.map_figure import draw_map
-from homeward.report.observe_figures import draw_family
-from homeward.report.plan_figures import draw_begin
-from homeward.studies.planning.analysis import analyse
-from homeward.studies.planning.settings import load_plan
-from homeward.studies.single_run import SAMPLE, RunSettings, prepare
-from homeward.track import run
+from homeward.report.run_folder import write_run
+from homeward.studies.single_run import SAMPLE, RunSettings, execute
 
 IMAGES = Path(__file__).parent / "images"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+SIZE, MOMENT_S = (860, 1400), 87.0
 
 
 def main() -> None:
-    """Draw the map of the sample drive, a family of homes, and the map of the example plan."""
-    drive, estimator, _ = prepare(RunSettings(drive=SAMPLE))
-    track = run(drive, estimator)
-    (IMAGES / "sample-map.png").write_bytes(png(draw_map(track, drive.truth), dpi=110))
-    (IMAGES / "observe-two.png").write_bytes(png(draw_family(observe(2)), dpi=90))
-    plan = analyse(load_plan("warehouse"))
-    (IMAGES / "plan-warehouse.png").write_bytes(png(draw_begin(plan), dpi=90))
+    """Picture the top of the sample drive's report."""
+    if CHROMIUM is None:
+        sys.exit("no chromium on the PATH")
+    drive, track, settings = execute(RunSettings(drive=SAMPLE))
+    with tempfile.TemporaryDirectory() as scratch:
+        write_run(Path(scratch), drive, track, settings.model_dump(mode="json"))
+        _picture(Path(scratch) / "report.html", IMAGES / "sample-report.png")
+
+
+def _picture(page: Path, file: Path) -> None:
+    """Draw the top of a page, at a moment of its drive."""
+    subprocess.run(
+        [
+            str(CHROMIUM),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+            "--virtual-time-budget=8000",
+            f"--window-size={SIZE[0]},{SIZE[1]}",
+            f"--screenshot={file}",
+            f"{page.as_uri()}#t={MOMENT_S}",
+        ],
+        check=True,
+        capture_output=True,
+    )
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.estimator import Counts, LandmarkEstimate, Status
-from homeward.track import Innovations, Track
+from homeward.track import Innovations, LandmarkHistory, Track
 
 FILES = {
     "estimate.csv",
@@ -65,5 +65,16 @@ def made_up(ids=("a", "b", "c", "d"), seconds=20.0, truth=True):
         ],
         counts=counts,
         notes=("The scale rests on <odometry>.",),
+        history=_history(t[found][::10], ids),
     )
     return drive, track
+
+
+def _history(t, ids):
+    """The first landmark turns out to have moved half-way; the last is never placed."""
+    x = np.tile(1.0 + np.arange(len(ids)) / 4, (t.size, 1))
+    x[:, -1] = np.nan
+    probability = np.full(x.shape, 0.001)
+    probability[:, 0] = np.where(t > t.mean(), 0.999, 0.1)
+    probability[:, -1] = np.nan
+    return LandmarkHistory(t, tuple(ids), x, np.where(np.isfinite(x), 2.0, np.nan), probability)

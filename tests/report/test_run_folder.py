@@ -30,9 +30,9 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def unfigured(monkeypatch):
-    """Spare a test the time that figures take."""
-    monkeypatch.setattr(page, "_figures", lambda drive, track: {})
+def unplotted(monkeypatch):
+    """Spare a test the time that plots take."""
+    monkeypatch.setattr(page, "_plots", lambda drive, track: {})
 
 
 def test_exactly_the_promised_files(folder):
@@ -95,7 +95,7 @@ def test_run_yaml_holds_every_setting_and_the_versions(folder):
     assert run == SETTINGS
 
 
-@pytest.mark.usefixtures("unfigured")
+@pytest.mark.usefixtures("unplotted")
 def test_an_estimator_that_says_nothing_of_landmarks(tmp_path):
     drive, track = made_up()
     silent = dataclasses.replace(track, landmarks=[LandmarkEstimate(i) for i in "abcd"])
@@ -103,7 +103,7 @@ def test_an_estimator_that_says_nothing_of_landmarks(tmp_path):
     assert set(rows_of(tmp_path / "landmarks.csv")[0].values()) == {"a", "0", ""}
 
 
-@pytest.mark.usefixtures("unfigured")
+@pytest.mark.usefixtures("unplotted")
 def test_an_earlier_run_is_replaced_and_the_users_own_files_stay(tmp_path):
     write_run(tmp_path, *made_up(), {"run": 1})
     (tmp_path / "my notes.txt").write_text("keep me")
@@ -129,7 +129,7 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_nothing_is_half_written(tmp_path, monkeypatch, unfigured, failure):
+def test_nothing_is_half_written(tmp_path, monkeypatch, unplotted, failure):
     def fail(file, *_):
         file.write_text("half")
         raise failure
@@ -146,7 +146,7 @@ def test_nothing_is_half_written(tmp_path, monkeypatch, unfigured, failure):
     assert not new.exists()
 
 
-@pytest.mark.usefixtures("unfigured")
+@pytest.mark.usefixtures("unplotted")
 def test_a_folder_that_is_not_whole_does_not_look_whole(tmp_path, monkeypatch):
     moved = []
 

@@ -7,7 +7,7 @@ import pytest
 from made_up_run import START, made_up
 
 from homeward.report import words
-from homeward.report.summary import summarise
+from homeward.report.summary import sentence, summarise
 from homeward.scoring import score
 
 
@@ -17,6 +17,23 @@ def test_summary_of_the_usual_run():
         "Localised for 178 of 180 s (99 %), 1 % on odometry alone; the first pose came after "
         "2.0 s. Position error 0.050 m RMSE, 0.050 m median, 0.050 m at worst; heading 0° RMSE. "
         "One landmark was moved since home was stored: a. 7,197 sightings used, 3 rejected."
+    )
+
+
+def test_one_sentence_says_it():
+    drive, track = made_up(seconds=180.0)
+    assert sentence(track, score(track, drive.truth)) == (
+        "In 180 s the robot was localised for 99 % of the time, 0.050 m off (RMSE), "
+        "and 1 of four landmarks had moved: a."
+    )
+    none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
+    assert sentence(none, score(none, None)).startswith("In 180 s no pose was found: 2 of the")
+    still = dataclasses.replace(
+        track, landmarks=[dataclasses.replace(m, moved=False) for m in track.landmarks]
+    )
+    assert sentence(still, score(still, None)) == (
+        "In 180 s the robot was localised for 99 % of the time, "
+        "and none of four landmarks had moved."
     )
 
 

@@ -1,4 +1,4 @@
-"""What all figures share: palette, type, thinning, and the way to SVG and PNG.
+"""What all figures by matplotlib share: type, and the way to SVG and PNG.
 
 Figures are made through matplotlib's objects alone, so nothing here touches pyplot's global state.
 """
@@ -7,37 +7,16 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from homeward.estimator import Status
+from homeward.report.palette import INK, MUTED, RULE
 
-# Okabe and Ito's palette, told apart by colour-blind readers too.
-INK = "#22262b"
-MUTED = "#8a9097"
-RULE = "#e3e6e9"
-BLUE = "#0072b2"
-SKY = "#56b4e9"
-ORANGE = "#e69f00"
-VERMILLION = "#d55e00"
-GREEN = "#009e73"
-
-STATUS_COLOURS = {
-    Status.WAITING: "#d5d9dd",
-    Status.MAPPING: "#aab1b8",
-    Status.UNVERIFIED: ORANGE,
-    Status.LOCALISED: BLUE,
-    Status.COASTING: SKY,
-}
-MOVED = VERMILLION
 WIDTH_IN = 7.2
 """Width of every figure [inch]; the page scales it."""
 
@@ -78,9 +57,7 @@ _STYLE: dict[str, Any] = {
 def style(salt: str = "homeward") -> Iterator[None]:
     """Draw in homeward's style within this block; `salt` makes ids in the SVG unique to it."""
     rc: Any = {**_STYLE, "svg.hashsalt": salt}
-    with matplotlib.rc_context(rc), warnings.catch_warnings():
-        # A landmark may have any name; a letter that matplotlib's font lacks, the browser has.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+    with matplotlib.rc_context(rc):
         yield
 
 
@@ -127,42 +104,3 @@ def svg_file(drawing: str) -> str:
     """Return an element from `svg` as a file of its own."""
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.replace("<svg", head, 1) + "\n"
-
-
-def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
-    """Return the rows that draw a line like `values`: its extremes and its breaks (NaN) stay.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        What is drawn.
-    most : int
-        How many rows may stay, roughly.
-    """
-    if values.size <= most:
-        return np.arange(values.size)
-    keep: set[int] = {0, values.size - 1}
-    for part in np.array_split(np.arange(values.size), most // 2):
-        known = part[np.isfinite(values[part])]
-        if known.size < part.size:
-            keep.add(int(part[~np.isfinite(values[part])][0]))
-        if known.size:
-            keep.add(int(known[np.argmin(values[known])]))
-            keep.add(int(known[np.argmax(values[known])]))
-    return np.array(sorted(keep))
-
-
-def runs(labels: list[Status]) -> Iterator[tuple[int, int, Status]]:
-    """Yield (first row, row after the last, label) of each run of equal labels."""
-    start = 0
-    for row in range(1, len(labels) + 1):
-        if row == len(labels) or labels[row] is not labels[start]:
-            yield start, row, labels[start]
-            start = row
-
-
-def bare(axes: Axes) -> None:
-    """Take grid, ticks and frame from axes."""
-    axes.grid(False)
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)

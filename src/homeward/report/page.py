@@ -9,22 +9,19 @@ from typing import Any
 
 import numpy as np
 import yaml
-from markupsafe import Markup
+from bokeh.models import UIElement
 
 from homeward.drives.drive import Drive
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.report import words
-from homeward.report.canvas import STATUS_COLOURS, svg
-from homeward.report.map_figure import draw_map, undrawn
-from homeward.report.summary import summarise
+from homeward.report.map_plot import map_plot, undrawn
+from homeward.report.moments import moments
+from homeward.report.palette import STATUS_COLOURS
+from homeward.report.plots import embedded, script
+from homeward.report.summary import sentence, summarise
 from homeward.report.template import render
-from homeward.report.time_figures import (
-    MOST_ROWS,
-    draw_errors,
-    draw_innovations,
-    draw_sightings,
-    draw_sigmas,
-)
+from homeward.report.time_plots import consistency_plots, error_plots, sigma_plots, time_range
+from homeward.report.timeline import MOST_ROWS, timeline
 from homeward.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track
 
@@ -47,6 +44,7 @@ def write_page(
     run : mapping
         What run.yaml holds: every setting, and the versions.
     """
+    plots = _plots(drive, track)
     html = render(
         "report.html.j2",
         words=words,
@@ -54,9 +52,13 @@ def write_page(
         drive=drive,
         track=track,
         metrics=metrics,
+        sentence=sentence(track, metrics),
         summary=summarise(drive, track, metrics),
         headline=_headline(track, metrics),
-        figures=_figures(drive, track),
+        plots=plots,
+        embedded=embedded(plots),
+        script=script(),
+        moments=moments(drive, track) if track.t.size else None,
         undrawn=[words.name(i) for i in undrawn(track, drive.truth)],
         error_rows=_error_rows(metrics.accuracy),
         landmarks=sorted(track.landmarks, key=_rank),
@@ -78,27 +80,27 @@ def _headline(track: Track, metrics: Metrics) -> list[tuple[str, str]]:
     if metrics.accuracy is not None:
         rows.append(("position RMSE", words.quantity(metrics.accuracy.position.rmse, "m")))
         rows.append(("heading RMSE", words.degrees(metrics.accuracy.heading.rmse)))
-    if any(m.moved is not None for m in track.landmarks):
-        moved = sum(bool(m.moved) for m in track.landmarks)
-        rows.append(("landmarks moved", f"{moved:,} of {len(track.landmarks):,}"))
+    judged = [m.moved for m in track.landmarks if m.moved is not None]
+    if judged:
+        rows.append(("landmarks moved", f"{sum(judged):,} of {len(judged):,}"))
     return rows
 
 
-def _figures(drive: Drive, track: Track) -> dict[str, Markup]:
-    """Return the figures that this run has something for, as SVG by name."""
+def _plots(drive: Drive, track: Track) -> dict[str, UIElement]:
+    """Return the plots that this run has something for, by name."""
     if not track.t.size:
         return {}
-    figures = {"map": (draw_map(track, drive.truth), "Map of the path and the landmarks")}
+    span = time_range(track)
+    plots: dict[str, UIElement] = {"map": map_plot(track, drive.truth)}
     if drive.truth is not None and track.has_pose.any():
-        figures["errors"] = (draw_errors(track, drive.truth), "Errors over time")
+        plots["errors"] = error_plots(track, drive.truth, span)
     elif track.has_pose.any():
-        figures["sigmas"] = (draw_sigmas(track), "Standard deviations over time")
-    if track.innovations.t.size:
-        figures["innovations"] = (draw_innovations(track), "Innovations over time")
+        plots["sigmas"] = sigma_plots(track, span)
     if drive.sightings.t.size:
-        figures["sightings"] = (draw_sightings(track, drive.sightings), "Who was seen when")
-    # matplotlib has escaped every text in them.
-    return {key: Markup(svg(figure, label)) for key, (figure, label) in figures.items()}
+        plots["timeline"] = timeline(track, drive.sightings, span)
+    if track.innovations.t.size:
+        plots["consistency"] = consistency_plots(track, span)
+    return plots
 
 
 def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]:

@@ -10,17 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 
 from homeward.angles import wrap
-from homeward.report.canvas import (
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    VERMILLION,
-    new_figure,
-    style,
-)
-from homeward.report.map_figure import HOUSE
+from homeward.report.canvas import new_figure, style
+from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, VERMILLION
 from homeward.studies.paper.cases import FILTERS, Reproduction
 from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS
 from homeward.studies.paper.world import CaseName, World

@@ -12,6 +12,37 @@ OUTSIDE_3_SIGMA = 0.05
 """Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
 
 
+def sentence(track: Track, metrics: Metrics) -> str:
+    """Say in one sentence what happened on a run.
+
+    Parameters
+    ----------
+    track : Track
+        What came out.
+    metrics : Metrics
+        `score` of that track.
+    """
+    if not track.t.size:
+        return "Nothing happened: the drive holds no samples."
+    duration = quantity(metrics.duration_s, "s")
+    if metrics.first_pose_after_s is None:
+        return f"In {duration} no pose was found: {track.reason[-1].rstrip('.')}."
+    share = _localised_share(metrics)
+    text = f"In {duration} the robot was " + (
+        "never sure where it was" if share == 0.0 else f"localised for {percent(share)} of the time"
+    )
+    if metrics.accuracy is not None:
+        text += f", {quantity(metrics.accuracy.position.rmse, 'm')} off (RMSE)"
+    judged = [m for m in track.landmarks if m.moved is not None]
+    if not judged:
+        return text + "."
+    moved = [name(m.landmark) for m in judged if m.moved]
+    if not moved:
+        return f"{text}, and none of {count(len(judged), 'landmark')} had moved."
+    had = f"{len(moved):,} of {count(len(judged), 'landmark')} had moved: {listing(moved, 5)}"
+    return f"{text}, and {had}."
+
+
 def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
     """Say how long the robot was localised, how far off it was, and what had moved.
 
@@ -47,7 +78,7 @@ def _localised(track: Track, metrics: Metrics) -> str:
         return f"No pose was found in {duration}: {track.reason[-1].rstrip('.')}."
     shares = metrics.status_shares
     coasting, unverified = (shares.get(s, 0.0) for s in (Status.COASTING, Status.UNVERIFIED))
-    share = shares.get(Status.LOCALISED, 0.0) + coasting
+    share = _localised_share(metrics)
     seconds = share * metrics.duration_s
     if share == 0.0:
         text = f"Never localised in {duration}"
@@ -61,6 +92,12 @@ def _localised(track: Track, metrics: Metrics) -> str:
     if metrics.first_pose_after_s > 0.5:
         text += f"; the first pose came after {quantity(metrics.first_pose_after_s, 's')}"
     return text + "."
+
+
+def _localised_share(metrics: Metrics) -> float:
+    """Return the share of the time with a pose to rely on."""
+    shares = metrics.status_shares
+    return shares.get(Status.LOCALISED, 0.0) + shares.get(Status.COASTING, 0.0)
 
 
 def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:

@@ -1,0 +1,160 @@
+"""What the page's slider shows: the robot, its ellipse and its bearings at moments of the drive."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from homeward.drives.drive import Drive, Sightings
+from homeward.report.palette import STATUS_COLOURS
+from homeward.report.probability import COLOURS, UNJUDGED, colour
+from homeward.report.words import name
+from homeward.track import Track
+
+MOST_MOMENTS = 1500
+"""Moments of a drive that the slider tells apart."""
+MOST_CELLS = 60_000
+"""Bearings, and places of landmarks, that a page holds; with more there are fewer moments."""
+USED, REJECTED, NEW = 0, 1, 2
+"""What became of a bearing; new is one of a landmark that is not mapped yet."""
+
+
+def moments(drive: Drive, track: Track) -> dict[str, Any]:
+    """Return plain data for the page's script; lengths [m], angles [rad], times [s of the drive].
+
+    Parameters
+    ----------
+    drive : Drive
+        For its bearings, the camera's place and the truth.
+    track : Track
+        What came out.
+
+    Returns
+    -------
+    dict
+        ``t`` and what there is at each of these times, None where there is nothing: ``pose``
+        (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``, ``status`` and
+        ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of (number into
+        ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`), ``known`` a row
+        of ``history``, whose rows hold (x, y, level of `COLOURS`) of each of ``names``.
+    """
+    per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
+    most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
+    rows = _chosen(track, drive.sightings, most)
+    names = sorted({*track.history.landmark, *map(str, np.unique(drive.sightings.landmark))})
+    history, known = _history(track, names, rows)
+    reasons = list(dict.fromkeys(track.reason[row] for row in rows))
+    statuses = list(STATUS_COLOURS)
+    mount = drive.settings.sensor
+    return {
+        "t": _rounded(track.t[rows] - track.t[:1], 3),
+        "pose": _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4),
+        "cov": _rows(track.covariance[rows][:, [0, 0, 1], [0, 1, 1]], 8),
+        "sigma_heading": _rounded(track.sigmas[rows, 2], 5),
+        "truth": _truth(drive, track.t[rows]),
+        "status": [statuses.index(track.status[row]) for row in rows],
+        "reason": [reasons.index(track.reason[row]) for row in rows],
+        "seen": _seen(drive, track, names, rows),
+        "known": known,
+        "history": history,
+        "names": [name(i, 60) for i in names],
+        "ids": names,
+        "statuses": [status.value for status in statuses],
+        "reasons": reasons,
+        "camera": list(mount.pose),
+        "colours": {
+            "status": list(STATUS_COLOURS.values()),
+            "moved": COLOURS,
+            "unjudged": colour(UNJUDGED),
+        },
+    }
+
+
+def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
+    """Return rows of a track, evenly in time, those with most bearings first."""
+    before, after = (np.searchsorted(sightings.t, track.t, side) for side in ("left", "right"))
+    seen = after - before
+    if track.t.size <= most:
+        return np.arange(track.t.size)
+    edges = np.linspace(track.t[0], track.t[-1], most)
+    groups = np.split(np.arange(track.t.size), np.searchsorted(track.t, edges[1:-1]))
+    best = [group[np.argmax(seen[group])] for group in groups if group.size]
+    return np.unique([0, *best, track.t.size - 1])
+
+
+def _seen(
+    drive: Drive, track: Track, names: list[str], rows: np.ndarray
+) -> list[list[tuple[int, float, int]]]:
+    """Return the bearings at each row, from the robot's x-axis."""
+    judged = track.innovations
+    wanted = {float(t) for t in track.t[rows]}
+    accepted = {
+        (float(t), str(i)): bool(ok)
+        for t, i, ok in zip(judged.t, judged.landmark, judged.accepted, strict=True)
+        if t in wanted
+    }
+    number, yaw = {name: i for i, name in enumerate(names)}, drive.settings.sensor.yaw
+    at = {
+        t: [
+            (number[i], round(bearing + yaw, 4), _fate(accepted.get((t, i))))
+            for i, bearing in bearings.items()
+            if math.isfinite(bearing)
+        ]
+        for t, bearings, _ in drive.sightings.stamps()
+        if t in wanted
+    }
+    return [at.get(float(t), []) for t in track.t[rows]]
+
+
+def _fate(accepted: bool | None) -> int:
+    """Return what became of a bearing."""
+    return NEW if accepted is None else USED if accepted else REJECTED
+
+
+def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[list[Any]], list[int]]:
+    """Return what was known of the landmarks, and which row of it each row of the track has."""
+    history = track.history
+    if not history.t.size or not names:
+        return [], [-1] * rows.size
+    most = min(history.t.size, max(2, MOST_CELLS // len(names)))
+    kept = np.unique(np.linspace(0, history.t.size - 1, most).astype(int))
+    columns = {name: i for i, name in enumerate(history.landmark)}
+    level = np.round((len(COLOURS) - 1) * history.moved_probability)
+    table = [
+        [
+            None
+            if name not in columns or not math.isfinite(history.x[k, columns[name]])
+            else [
+                round(float(history.x[k, columns[name]]), 3),
+                round(float(history.y[k, columns[name]]), 3),
+                int(level[k, columns[name]])
+                if math.isfinite(level[k, columns[name]])
+                else UNJUDGED,
+            ]
+            for name in names
+        ]
+        for k in kept
+    ]
+    known = np.searchsorted(history.t[kept], track.t[rows], side="right") - 1
+    return table, known.tolist()
+
+
+def _truth(drive: Drive, t: np.ndarray) -> list[list[float | None] | None]:
+    """Return true poses, where the truth covers these times."""
+    if drive.truth is None or not drive.truth.t.size:
+        return [None] * t.size
+    pose = np.column_stack(drive.truth.at(t))
+    pose[(t < drive.truth.t[0]) | (t > drive.truth.t[-1])] = np.nan
+    return _rows(pose, 3)
+
+
+def _rows(values: np.ndarray, digits: int) -> list[list[float | None] | None]:
+    """Return rows as lists, None where one holds a NaN."""
+    return [row if np.isfinite(row).all() else None for row in np.round(values, digits).tolist()]
+
+
+def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
+    """Return numbers as a list, None where there is none."""
+    return [v if math.isfinite(v) else None for v in np.round(values, digits).tolist()]

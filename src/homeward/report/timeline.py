@@ -1,0 +1,156 @@
+"""Who was seen when, a row per landmark, in the colour of what it was thought to be then."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
+from bokeh.plotting import figure
+
+from homeward.drives.drive import Sightings
+from homeward.report import words
+from homeward.report.palette import INK, MOVED
+from homeward.report.plots import THEMED, add_hover, new_plot
+from homeward.report.probability import LEVELS, UNJUDGED, colour
+from homeward.report.thinning import runs, thin_dots
+from homeward.track import Track
+
+MOST_ROWS = 40
+"""Landmarks on the timeline."""
+MOST_REJECTED = 200
+"""Rejected sightings marked, of each landmark."""
+BINS = 800
+"""Steps of time that a row tells apart."""
+
+
+def timeline(track: Track, sightings: Sightings, span: Range1d) -> figure:
+    """Return who was seen when; moved ones first, then the most seen.
+
+    Parameters
+    ----------
+    track : Track
+        What was made of them.
+    sightings : Sightings
+        All that were fed.
+    span : Range1d
+        Of time [s].
+    """
+    shown = _shown(track, sightings)
+    plot = new_plot(60 + 19 * len(shown), "", x_range=span, y_range=Range1d(len(shown) - 0.4, -0.6))
+    plot.ygrid.visible = False
+    plot.xaxis.axis_label = "time [s]"
+    plot.yaxis.ticker = FixedTicker(ticks=list(range(len(shown))))
+    # Plain: Bokeh would take a name between dollar signs for a formula.
+    plot.yaxis.major_label_overrides = {
+        row: PlainText(words.name(i, 14)) for row, i in enumerate(shown)
+    }
+    _draw_presence(plot, shown, track, sightings)
+    _draw_rejections(plot, shown, track)
+    _mark_moves(plot, shown, track)
+    return plot
+
+
+def _shown(track: Track, sightings: Sightings) -> list[str]:
+    """Return the ids of the rows, from the top."""
+    moved_ones = {m.landmark for m in track.landmarks if m.moved}
+    ids, numbers = np.unique(sightings.landmark, return_counts=True)
+    moved = np.array([i in moved_ones for i in ids], bool)
+    return [str(i) for i in ids[np.lexsort((-numbers, ~moved))][:MOST_ROWS]]
+
+
+def _draw_presence(plot: figure, shown: list[str], track: Track, sightings: Sightings) -> None:
+    """Draw a bar wherever a landmark was seen, coloured by its probability of having moved."""
+    edges = np.linspace(0.0, float(track.t[-1] - track.t[0]), BINS + 1)
+    if edges[-1] <= 0.0:
+        return
+    columns: dict[str, list[Any]] = {
+        k: [] for k in ("row", "left", "right", "colour", "name", "said")
+    }
+    for row, landmark in enumerate(shown):
+        t = sightings.t[sightings.landmark == landmark] - track.t[0]
+        present = np.histogram(t, edges)[0] > 0
+        levels = np.where(present, _levels(track, landmark, edges), -2)
+        for first, last, level in runs(levels.tolist()):
+            if level != -2:
+                columns["row"].append(row)
+                columns["left"].append(float(edges[first]))
+                columns["right"].append(float(edges[last]))
+                columns["colour"].append(colour(level))
+                columns["name"].append(words.name(landmark, 60))
+                columns["said"].append(
+                    "not judged"
+                    if level == UNJUDGED
+                    else f"moved with probability {words.percent(level / LEVELS)}"
+                )
+    bars = plot.hbar(
+        y="row",
+        left="left",
+        right="right",
+        height=0.5,
+        fill_color="colour",
+        line_color=None,
+        source=ColumnDataSource(columns),
+    )
+    add_hover(plot, "<b>@name</b> seen from @left{0.0} to @right{0.0} s<br>then: @said", bars)
+
+
+def _levels(track: Track, landmark: str, edges: np.ndarray) -> np.ndarray:
+    """Return the level of a landmark's probability of having moved in each bin of time."""
+    history = track.history
+    if landmark not in history.landmark:
+        return np.full(edges.size - 1, UNJUDGED)
+    chance = history.moved_probability[:, history.landmark.index(landmark)]
+    rows = history.at(edges[1:] + track.t[0])
+    known = np.where(rows >= 0, chance[rows], np.nan)
+    return np.where(np.isfinite(known), np.round(LEVELS * np.nan_to_num(known)), UNJUDGED).astype(
+        int
+    )
+
+
+def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:
+    """Mark the sightings that a gate rejected."""
+    seen = track.innovations
+    ratio = seen.value / seen.sigma
+    columns: dict[str, list[Any]] = {k: [] for k in ("t", "row", "name", "ratio")}
+    for row, landmark in enumerate(shown):
+        mine = np.flatnonzero((seen.landmark == landmark) & ~seen.accepted)
+        mine = mine[thin_dots(np.abs(ratio[mine]), MOST_REJECTED)]
+        columns["t"].extend((seen.t[mine] - track.t[0]).tolist())
+        columns["row"].extend([row] * mine.size)
+        columns["name"].extend([words.name(landmark, 60)] * mine.size)
+        columns["ratio"].extend(ratio[mine].tolist())
+    ticks = plot.scatter(
+        "t",
+        "row",
+        marker="dash",
+        angle=math.pi / 2,
+        size=11,
+        line_color=INK,
+        line_width=1.4,
+        tags=[THEMED],
+        source=ColumnDataSource(columns),
+    )
+    add_hover(plot, "<b>@name</b> rejected at @t{0.0} s<br>@ratio{0.0} sigma off", ticks)
+
+
+def _mark_moves(plot: figure, shown: list[str], track: Track) -> None:
+    """Mark when landmarks moved during the drive."""
+    moves = [m for m in track.landmarks if m.landmark in shown and math.isfinite(m.moved_at)]
+    columns = {
+        "t": [m.moved_at - track.t[0] for m in moves],
+        "row": [shown.index(m.landmark) for m in moves],
+        "name": [words.name(m.landmark, 60) for m in moves],
+    }
+    marks = plot.scatter(
+        "t",
+        "row",
+        marker="diamond",
+        size=12,
+        fill_color="white",
+        line_color=MOVED,
+        line_width=1.6,
+        source=ColumnDataSource(columns),
+    )
+    add_hover(plot, "<b>@name</b> moved at @t{0.0} s", marks)

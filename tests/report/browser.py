@@ -1,0 +1,58 @@
+"""Chromium without a window: opens a page, runs a script in it, and gives back what it found."""
+
+import json
+import re
+import shutil
+import subprocess
+from urllib.parse import unquote
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH")
+
+_WATCH = """<script>
+window.found = {wrong: []};
+addEventListener("error", (e) => found.wrong.push(e.message));
+addEventListener("unhandledrejection", (e) => found.wrong.push(String(e.reason)));
+addEventListener("securitypolicyviolation", (e) => found.wrong.push(e.violatedDirective));
+for (const level of ["error", "warn"]) {
+  console[level] = (...said) => found.wrong.push(said.join(" "));
+}
+window.frame = () => new Promise((resolve) => setTimeout(resolve, 120));
+(async () => {
+  const page = document.documentElement;
+  while (page.dataset.drawn === undefined && found.wrong.length === 0) await frame();
+  try { await (async () => { %s })(); } catch (e) { found.wrong.push(String(e)); }
+  const out = document.createElement("pre");
+  out.id = "found";
+  out.textContent = encodeURIComponent(JSON.stringify(found));
+  document.body.append(out);
+})();
+</script>"""
+
+
+def open_page(file, script, scratch, width=1000):
+    """Return what `script` put into `found`, and under ``wrong`` every error and warning."""
+    html = file.read_text(encoding="utf-8")
+    probed = scratch / f"probed-{width}.html"
+    probed.write_text(html.replace("<style>", (_WATCH % script) + "<style>", 1), encoding="utf-8")
+    done = subprocess.run(
+        [
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={scratch / 'profile'}",
+            f"--window-size={width},900",
+            "--virtual-time-budget=20000",
+            "--dump-dom",
+            probed.as_uri(),
+        ],
+        capture_output=True,
+        timeout=120,
+        check=True,
+    )
+    found = re.search(r'<pre id="found">(.*?)</pre>', done.stdout.decode())
+    assert found, "the page did not get to its end"
+    return json.loads(unquote(found[1]))
