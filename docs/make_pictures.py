@@ -1,33 +1,47 @@
 """Make the pictures of README and docs again: `.venv/bin/python docs/make_pictures.py`.
 
-Pages are drawn by Chromium, which must be on the PATH.
+Pages are drawn by Chromium, which must be on the PATH; the recording by Rerun's viewer without a
+window, which needs a Vulkan driver. Where the machine has none, Chromium's will do:
+`LD_LIBRARY_PATH=/usr/lib/chromium VK_ICD_FILENAMES=/usr/lib/chromium/vk_swiftshader_icd.json`.
 """
 
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
+import numpy as np
+from rerun.experimental import ViewerClient
+
+from homeward.drives.images import Images
+from homeward.report.blueprint import TIMELINE
+from homeward.report.viewer import write_recording
 from homeward.report.run_folder import write_run
 from homeward.studies.single_run import SAMPLE, RunSettings, execute
 
 IMAGES = Path(__file__).parent / "images"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-SIZE, MOMENT_S = (860, 1400), 87.0
+RERUN = Path(sys.executable).with_name("rerun")
+PAGE_SIZE, PAGE_MOMENT_S = (860, 1400), 87.0
+VIEWER_SIZE, VIEWER_MOMENT_S = (1000, 640), 139.0
+PORT, SETTLE_S = 9896, 10.0
 
 
 def main() -> None:
-    """Picture the top of the sample drive's report."""
+    """Picture the top of the sample drive's report, and its recording."""
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
     drive, track, settings = execute(RunSettings(drive=SAMPLE))
     with tempfile.TemporaryDirectory() as scratch:
-        write_run(Path(scratch), drive, track, settings.model_dump(mode="json"))
-        _picture(Path(scratch) / "report.html", IMAGES / "sample-report.png")
+        write_run(Path(scratch) / "run", drive, track, settings.model_dump(mode="json"))
+        _picture_page(Path(scratch) / "run" / "report.html", IMAGES / "sample-report.png")
+        write_recording(Path(scratch) / "run.rrd", drive, track, Images(np.empty(0), []))
+        _picture_recording(Path(scratch) / "run.rrd", IMAGES / "sample-recording.png")
 
 
-def _picture(page: Path, file: Path) -> None:
+def _picture_page(page: Path, file: Path) -> None:
     """Draw the top of a page, at a moment of its drive."""
     subprocess.run(
         [
@@ -37,13 +51,30 @@ def _picture(page: Path, file: Path) -> None:
             "--disable-gpu",
             "--hide-scrollbars",
             "--virtual-time-budget=8000",
-            f"--window-size={SIZE[0]},{SIZE[1]}",
+            f"--window-size={PAGE_SIZE[0]},{PAGE_SIZE[1]}",
             f"--screenshot={file}",
-            f"{page.as_uri()}#t={MOMENT_S}",
+            f"{page.as_uri()}#t={PAGE_MOMENT_S}",
         ],
         check=True,
         capture_output=True,
     )
+
+
+def _picture_recording(recording: Path, file: Path) -> None:
+    """Draw a recording in Rerun's viewer, at a moment of its drive."""
+    size = f"{VIEWER_SIZE[0]}x{VIEWER_SIZE[1]}"
+    words = [str(RERUN), "--headless", "--port", str(PORT), "--window-size", size, str(recording)]
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as viewer:
+        try:
+            time.sleep(SETTLE_S)
+            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{PORT}/proxy")
+            # A software renderer is slow with its first frame.
+            time.sleep(SETTLE_S)
+            client.set_time(TIMELINE, duration=VIEWER_MOMENT_S, play_state="paused")
+            time.sleep(SETTLE_S)
+            file.write_bytes(client.take_screenshot())
+        finally:
+            viewer.terminate()
 
 
 if __name__ == "__main__":

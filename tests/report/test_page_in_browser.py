@@ -54,6 +54,14 @@ const texts = (root) => [...root.querySelectorAll("*")].flatMap((e) => [
 found.tips = texts(document);
 """
 
+CLICK = """
+const plots = [...Bokeh.documents[0].all_models].filter((m) => m.type === "Figure");
+const error = plots.find((m) => m.left[0].axis_label === "x error [m]");
+error.trigger_event({event_name: "tap", x: 12.34});
+await frame();
+found.clicked = document.getElementById("clock").textContent;
+"""
+
 PLAY = """
 const slider = document.getElementById("moment");
 slider.value = 0;
@@ -82,7 +90,7 @@ def desktop(page, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def played(page, tmp_path_factory):
-    return open_page(page, HOVER + PLAY, tmp_path_factory.mktemp("played"))
+    return open_page(page, HOVER + CLICK + PLAY, tmp_path_factory.mktemp("played"))
 
 
 @needs_chromium
@@ -129,6 +137,11 @@ def test_a_landmark_tells_of_itself_when_hovered(played):
     assert "moved since home was stored (moved with probability over 99 %)" in tip
     assert "40 sightings used" in tip
     assert "RMS, mean NIS" in tip
+
+
+@needs_chromium
+def test_a_click_on_a_plot_over_time_takes_the_slider_there(played):
+    assert played["clicked"] == "12.4 s"
 
 
 @needs_chromium

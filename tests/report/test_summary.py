@@ -24,7 +24,7 @@ def test_one_sentence_says_it():
     drive, track = made_up(seconds=180.0)
     assert sentence(track, score(track, drive.truth)) == (
         "In 180 s the robot was localised for 99 % of the time, 0.050 m off (RMSE), "
-        "and 1 of four landmarks had moved: a."
+        "and 1 of the four landmarks that home saw had moved: a."
     )
     none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
     assert sentence(none, score(none, None)).startswith("In 180 s no pose was found: 2 of the")
@@ -33,7 +33,7 @@ def test_one_sentence_says_it():
     )
     assert sentence(still, score(still, None)) == (
         "In 180 s the robot was localised for 99 % of the time, "
-        "and none of four landmarks had moved."
+        "and none of the four landmarks that home saw had moved."
     )
 
 

@@ -68,15 +68,23 @@ def run(
         "settings": nested(key_values(changes)) if changes else None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    _run(_settings(drive, given), out)
+    _run(run_settings(drive, given), out)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
     return text if text in (None, "truth") else three_numbers(text, "--start")
 
 
-def _settings(drive: str, given: dict[str, Any]) -> RunSettings:
-    """Return the settings of a new run, or those of an earlier one."""
+def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
+    """Return the settings of a new run, or those of an earlier one.
+
+    Parameters
+    ----------
+    drive : str
+        A drive, or the run.yaml of an earlier run.
+    given : dict
+        What options say, by name; must be empty with a run.yaml.
+    """
     from homeward.drives.settings import validated
     from homeward.studies.single_run import SAMPLE, RunSettings, load_run
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from bokeh.plotting import figure
 from homeward.drives.drive import Truth
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.report import words
+from homeward.report.landmark_tip import landmark_tip
 from homeward.report.palette import BLUE, HOUSE, INK, MOVED, MUTED, STATUS_COLOURS
 from homeward.report.plots import FONT, THEMED, TYPE, add_hover, restyled
 from homeward.report.thinning import runs, thin
@@ -34,7 +34,7 @@ MOST_LABELS = 40
 """With more landmarks than this only the moved ones are named."""
 Limits = tuple[float, float, float, float]
 """West, east, south and north of the map [m]."""
-TIP = """<b>@name</b><br>@verdict<br>@sightings<br>@residual<br>@place"""
+TIP = '<b>@name</b><div style="white-space: pre-line">@told</div>'
 
 
 def map_plot(track: Track, truth: Truth | None) -> figure:
@@ -272,49 +272,8 @@ def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dic
         "side": ["right" if side else "left" for side in left],
         "id": [m.landmark for m in drawn],
         "name": [words.name(m.landmark, 60) for m in drawn],
-        "verdict": [_verdict(m, track) for m in drawn],
-        "sightings": [_sightings(m, track) for m in drawn],
-        "residual": [_residual(m, track) for m in drawn],
-        "place": [_place(m) for m in drawn],
+        "told": ["\n".join(landmark_tip(m, track)) for m in drawn],
     }
-
-
-def _verdict(m: LandmarkEstimate, track: Track) -> str:
-    """Say whether a landmark moved."""
-    if math.isfinite(m.moved_at):
-        return f"moved during the drive, at {words.quantity(m.moved_at - track.t[0], 's')}"
-    if m.moved is None:
-        return "not judged: home did not see it" if math.isnan(m.home_bearing_stored) else ""
-    chance = f"(moved with probability {words.percent(m.moved_probability)})"
-    return f"{'moved since home was stored' if m.moved else 'in place'} {chance}"
-
-
-def _sightings(m: LandmarkEstimate, track: Track) -> str:
-    """Say how often a landmark was seen."""
-    mine = track.innovations.landmark == m.landmark
-    rejected = int((mine & ~track.innovations.accepted).sum())
-    return f"{words.count(m.sightings, 'sighting')} used" + (
-        f", {rejected:,} rejected" if rejected else ", none rejected"
-    )
-
-
-def _residual(m: LandmarkEstimate, track: Track) -> str:
-    """Say how far its sightings were from what was expected."""
-    seen = track.innovations
-    mine = (seen.landmark == m.landmark) & seen.accepted
-    if not mine.any():
-        return ""
-    rms = float(np.sqrt(np.mean(seen.value[mine] ** 2)))
-    nis = float(np.mean((seen.value[mine] / seen.sigma[mine]) ** 2))
-    return f"innovations {words.degrees(rms)} RMS, mean NIS {nis:.2f}"
-
-
-def _place(m: LandmarkEstimate) -> str:
-    """Say where a landmark is."""
-    text = f"{words.quantity(m.distance, 'm')} from home"
-    if math.isfinite(m.sigma_distance):
-        text += f", ± {words.quantity(m.sigma_distance, 'm')}"
-    return text
 
 
 def _draw_move(plot: figure, m: LandmarkEstimate) -> None:

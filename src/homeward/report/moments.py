@@ -44,6 +44,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
     rows = _chosen(track, drive.sightings, most)
     names = sorted({*track.history.landmark, *map(str, np.unique(drive.sightings.landmark))})
+    number = {name: i for i, name in enumerate(names)}
     history, known = _history(track, names, rows)
     reasons = list(dict.fromkeys(track.reason[row] for row in rows))
     statuses = list(STATUS_COLOURS)
@@ -56,7 +57,10 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         "truth": _truth(drive, track.t[rows]),
         "status": [statuses.index(track.status[row]) for row in rows],
         "reason": [reasons.index(track.reason[row]) for row in rows],
-        "seen": _seen(drive, track, names, rows),
+        "seen": [
+            [(number[i], round(direction, 4), fate) for i, direction, fate in seen]
+            for seen in bearings_at(drive, track, rows)
+        ],
         "known": known,
         "history": history,
         "names": [name(i, 60) for i in names],
@@ -72,6 +76,40 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     }
 
 
+def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
+    """Return the bearings at each of some rows of a track, and what became of them.
+
+    Parameters
+    ----------
+    drive : Drive
+        Whose bearings.
+    track : Track
+        What became of them.
+    rows : ndarray of int, shape (m,)
+        Of the track.
+
+    Returns
+    -------
+    list of lists of (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`)
+    """
+    judged = track.innovations
+    wanted = set(track.t[rows].tolist())
+    here = np.isin(judged.t, track.t[rows])
+    fates = zip(judged.t[here], judged.landmark[here], judged.accepted[here], strict=True)
+    accepted = {(float(t), str(i)): bool(ok) for t, i, ok in fates}
+    yaw = drive.settings.sensor.yaw
+    at = {
+        t: [
+            (i, bearing + yaw, _fate(accepted.get((t, i))))
+            for i, bearing in bearings.items()
+            if math.isfinite(bearing)
+        ]
+        for t, bearings, _ in drive.sightings.stamps()
+        if t in wanted
+    }
+    return [at.get(t, []) for t in track.t[rows].tolist()]
+
+
 def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
     """Return rows of a track, evenly in time, those with most bearings first."""
     before, after = (np.searchsorted(sightings.t, track.t, side) for side in ("left", "right"))
@@ -82,30 +120,6 @@ def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
     groups = np.split(np.arange(track.t.size), np.searchsorted(track.t, edges[1:-1]))
     best = [group[np.argmax(seen[group])] for group in groups if group.size]
     return np.unique([0, *best, track.t.size - 1])
-
-
-def _seen(
-    drive: Drive, track: Track, names: list[str], rows: np.ndarray
-) -> list[list[tuple[int, float, int]]]:
-    """Return the bearings at each row, from the robot's x-axis."""
-    judged = track.innovations
-    wanted = {float(t) for t in track.t[rows]}
-    accepted = {
-        (float(t), str(i)): bool(ok)
-        for t, i, ok in zip(judged.t, judged.landmark, judged.accepted, strict=True)
-        if t in wanted
-    }
-    number, yaw = {name: i for i, name in enumerate(names)}, drive.settings.sensor.yaw
-    at = {
-        t: [
-            (number[i], round(bearing + yaw, 4), _fate(accepted.get((t, i))))
-            for i, bearing in bearings.items()
-            if math.isfinite(bearing)
-        ]
-        for t, bearings, _ in drive.sightings.stamps()
-        if t in wanted
-    }
-    return [at.get(float(t), []) for t in track.t[rows]]
 
 
 def _fate(accepted: bool | None) -> int:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from homeward.observability.study import ModelView
 from homeward.observability.trace import Trace
-from homeward.report.canvas import BLUE, INK, MUTED, ORANGE, SKY, WIDTH_IN, new_figure, style
-from homeward.report.map_figure import HOUSE
+from homeward.report.canvas import WIDTH_IN, new_figure, style
+from homeward.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.report.words import name
 from homeward.studies.observing import DriveView
 

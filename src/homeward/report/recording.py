@@ -21,7 +21,7 @@ from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.stamps import split
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse
-from homeward.report.canvas import BLUE, MOVED, MUTED
+from homeward.report.palette import BLUE, MOVED, MUTED
 from homeward.track import Track
 
 MAP, ODOM, BASE = "map", "odom", "base_link"

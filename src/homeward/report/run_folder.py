@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from homeward.track import Track
 
 SETTINGS_FILE = "run.yaml"
 """Written last: a folder that holds it is a whole run of ours."""
+ESTIMATE = "estimate.csv"
 
 
 def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str, Any]) -> str:
@@ -59,7 +61,7 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
     summary = summarise(drive, track, metrics)
     run = {**settings, "versions": versions()}
     with whole_folder(directory, SETTINGS_FILE) as scratch:
-        write_estimate(scratch / "estimate.csv", track)
+        write_estimate(scratch / ESTIMATE, track)
         write_trajectory(scratch / "trajectory.tum", track, drive.settings.epoch or 0)
         write_landmarks(scratch / "landmarks.csv", track.landmarks)
         write_metrics(scratch / "metrics.json", metrics)
@@ -68,3 +70,20 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
         text = yaml.safe_dump(run, sort_keys=False, allow_unicode=True)
         (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")
     return summary
+
+
+def is_written_as(directory: Path, track: Track) -> bool:
+    """Return whether a run folder holds just the estimates of a track.
+
+    Parameters
+    ----------
+    directory : Path
+        What `write_run` wrote.
+    track : Track
+        Perhaps the same run, repeated.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        write_estimate(Path(scratch) / ESTIMATE, track)
+        again = (Path(scratch) / ESTIMATE).read_bytes()
+    written = directory / ESTIMATE
+    return written.is_file() and written.read_bytes() == again

@@ -37,10 +37,10 @@ def sentence(track: Track, metrics: Metrics) -> str:
     if not judged:
         return text + "."
     moved = [name(m.landmark) for m in judged if m.moved]
+    of = f"of the {count(len(judged), 'landmark')} that home saw"
     if not moved:
-        return f"{text}, and none of {count(len(judged), 'landmark')} had moved."
-    had = f"{len(moved):,} of {count(len(judged), 'landmark')} had moved: {listing(moved, 5)}"
-    return f"{text}, and {had}."
+        return f"{text}, and none {of} had moved."
+    return f"{text}, and {len(moved):,} {of} had moved: {listing(moved, 5)}."
 
 
 def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:

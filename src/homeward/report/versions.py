@@ -5,7 +5,16 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-_PACKAGES = ("homeward", "numpy", "casadi", "gtsam", "pydantic", "matplotlib", "rosbags")
+_PACKAGES = (
+    "homeward",
+    "numpy",
+    "casadi",
+    "gtsam",
+    "pydantic",
+    "matplotlib",
+    "bokeh",
+    "rosbags",
+)
 
 
 def versions() -> dict[str, str]:

@@ -135,7 +135,7 @@ def prepare(
     """
     settings = estimator_settings(run.estimator, run.settings)
     drive = open_drive(
-        sample_drive() if run.drive == SAMPLE else run.drive,
+        drive_path(run),
         robot=run.robot,
         home=None if run.home is None else Pose(*run.home),
         home_noise=float(np.radians(run.home_noise_deg)),
@@ -157,6 +157,11 @@ def prepare(
     update = {"start": start, "settings": settings.model_dump(mode="json")}
     complete = run.model_copy(update=update)
     return drive, estimator, complete
+
+
+def drive_path(run: RunSettings) -> Path:
+    """Return where the drive of a run is."""
+    return sample_drive() if run.drive == SAMPLE else Path(run.drive)
 
 
 def sample_drive() -> Path:

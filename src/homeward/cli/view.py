@@ -1,0 +1,53 @@
+"""`homeward view`: a run in Rerun's viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import progress
+from homeward.cli.run import run_settings
+from homeward.errors import InputError
+
+
+def view(
+    run: Annotated[
+        str, typer.Argument(help="The folder that a run wrote, its run.yaml, a drive, or: sample.")
+    ],
+    rerun: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.rrd", help="Write a recording instead of opening the viewer."),
+    ] = None,
+) -> None:
+    """Show a run in Rerun: the map and the robot in it over time, series, and camera images.
+
+    The run is repeated from its run.yaml, on its drive. Needs the extra view.
+    """
+    try:
+        from homeward.report import viewer
+    except ModuleNotFoundError as error:
+        if error.name != "rerun":
+            raise
+        raise InputError("the viewer is not installed: pip install 'homeward[view]'") from None
+    from homeward.drives.images import read_images
+    from homeward.report.run_folder import SETTINGS_FILE, is_written_as
+    from homeward.studies.single_run import drive_path, execute
+
+    written = (Path(run) / SETTINGS_FILE).is_file()
+    settings = run_settings(str(Path(run) / SETTINGS_FILE) if written else run, {})
+    if rerun is None:
+        viewer.check_display()
+    else:
+        viewer.check_recording(rerun)
+    images = read_images(drive_path(settings))
+    with progress(f"{settings.drive}, {settings.estimator}") as tell:
+        drive, track, _ = execute(settings, tell)
+    if written and not is_written_as(Path(run), track):
+        typer.echo(f"The drive or homeward has changed since {run} was written; it shows anew.")
+    if rerun is None:
+        viewer.show(drive, track, images)
+    else:
+        viewer.write_recording(rerun, drive, track, images)
+        typer.echo(f"Recording: {rerun}")

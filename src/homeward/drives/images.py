@@ -1,0 +1,60 @@
+"""The camera images of a drive folder: images.csv with t [s] and file, the files beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.table import identifiers, numbers, quoted, read_csv
+from homeward.errors import InputError
+
+IMAGES = "images.csv"
+KINDS = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
+"""Media type by the ending of a file's name."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """Camera images along a drive."""
+
+    t: np.ndarray
+    """(n,), never decreasing [s]."""
+    files: list[Path]
+    """JPEG or PNG; they are there when this is made."""
+
+
+def read_images(folder: Path) -> Images:
+    """Return the images that a drive folder names; none when it has no images.csv.
+
+    Parameters
+    ----------
+    folder : Path
+        The drive folder.
+
+    Raises
+    ------
+    InputError
+        When images.csv is no such table, or names a file that is not there, lies outside the
+        folder, or is neither JPEG nor PNG by its name.
+    """
+    table_file = folder / IMAGES
+    if not table_file.exists():
+        return Images(np.empty(0), [])
+    table = read_csv(table_file, {"t": numbers, "file": identifiers})
+    table.require_order()
+    return Images(table["t"], [_image(folder, str(name)) for name in table["file"]])
+
+
+def _image(folder: Path, name: str) -> Path:
+    """Return the file of an image."""
+    file = folder / name
+    # A table from elsewhere must not draw other files of this machine into a recording.
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"image {quoted(name)} lies outside the folder", folder / IMAGES)
+    if file.suffix.lower() not in KINDS:
+        raise InputError(f"image {quoted(name)} is neither .jpg nor .png", folder / IMAGES)
+    if not file.is_file():
+        raise InputError(f"image {quoted(name)} is not there", folder / IMAGES)
+    return file
