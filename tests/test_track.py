@@ -9,7 +9,7 @@ from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.frames import Pose
-from homeward.track import run
+from homeward.track import Innovations, run
 
 
 class Recorder:
@@ -207,3 +207,12 @@ def test_what_is_known_of_the_landmarks_is_kept_about_every_second():
 def test_a_long_drive_keeps_no_more_of_its_landmarks_than_is_of_use():
     fed = drive(np.arange(0, 9000, 0.9), [(0.0, "a", 0.1)])
     assert run(fed, Recorder()).history.t.size <= 2001
+
+
+def test_innovations_are_found_by_landmark():
+    t, ids = np.arange(6.0), np.array(["b", "a", "b", "c", "a", "b"])
+    seen = Innovations(t, ids, t, t, t > 0)
+    rows = seen.by_landmark()
+    assert {i: r.tolist() for i, r in rows.items()} == {"a": [1, 4], "b": [0, 2, 5], "c": [3]}
+    none = Innovations(*(np.empty(0, kind) for kind in (float, str, float, float, bool)))
+    assert none.by_landmark() == {}

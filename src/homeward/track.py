@@ -39,6 +39,13 @@ class Innovations:
     accepted: np.ndarray
     """bool; False when a gate rejected the sighting."""
 
+    def by_landmark(self) -> dict[str, np.ndarray]:
+        """Return the entries of each landmark, in order of time."""
+        ids, number = np.unique(self.landmark, return_inverse=True)
+        order = np.argsort(number, kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(number))[:-1])
+        return {str(i): part for i, part in zip(ids, parts, strict=False)}
+
 
 @dataclass(frozen=True)
 class LandmarkHistory:

@@ -11,7 +11,7 @@ from homeward.report import words
 from homeward.track import Track
 
 
-def landmark_tip(m: LandmarkEstimate, track: Track) -> list[str]:
+def landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
     """Return lines on a landmark: whether it moved, its sightings, its residuals, its place.
 
     Parameters
@@ -20,8 +20,10 @@ def landmark_tip(m: LandmarkEstimate, track: Track) -> list[str]:
         Of the track.
     track : Track
         What came out of the drive.
+    rows : ndarray of int
+        The landmark's entries among the track's innovations.
     """
-    lines = [_verdict(m, track), _sightings(m, track), _residual(m, track), _place(m)]
+    lines = [_verdict(m, track), _sightings(m, track, rows), _residual(track, rows), _place(m)]
     return [line for line in lines if line]
 
 
@@ -35,20 +37,19 @@ def _verdict(m: LandmarkEstimate, track: Track) -> str:
     return f"{'moved since home was stored' if m.moved else 'in place'} {chance}"
 
 
-def _sightings(m: LandmarkEstimate, track: Track) -> str:
+def _sightings(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> str:
     """Say how often a landmark was seen."""
-    mine = track.innovations.landmark == m.landmark
-    rejected = int((mine & ~track.innovations.accepted).sum())
+    rejected = int((~track.innovations.accepted[rows]).sum())
     return f"{words.count(m.sightings, 'sighting')} used" + (
         f", {rejected:,} rejected" if rejected else ", none rejected"
     )
 
 
-def _residual(m: LandmarkEstimate, track: Track) -> str:
+def _residual(track: Track, rows: np.ndarray) -> str:
     """Say how far its sightings were from what was expected."""
     seen = track.innovations
-    mine = (seen.landmark == m.landmark) & seen.accepted
-    if not mine.any():
+    mine = rows[seen.accepted[rows]]
+    if not mine.size:
         return ""
     rms = float(np.sqrt(np.mean(seen.value[mine] ** 2)))
     nis = float(np.mean((seen.value[mine] / seen.sigma[mine]) ** 2))

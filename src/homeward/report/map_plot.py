@@ -256,6 +256,7 @@ def _draw_landmarks(plot: figure, track: Track, limits: Limits) -> GlyphRenderer
 def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dict[str, list[Any]]:
     """Return what is drawn of each landmark, and what its tip says."""
     west, east, _, _ = limits
+    rows, none = track.innovations.by_landmark(), np.empty(0, int)
     # Near the eastern edge the name stands to the left.
     left = [m.x > east - 0.15 * (east - west) for m in drawn]
     named = [m.moved or len(drawn) <= MOST_LABELS for m in drawn]
@@ -272,7 +273,7 @@ def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dic
         "side": ["right" if side else "left" for side in left],
         "id": [m.landmark for m in drawn],
         "name": [words.name(m.landmark, 60) for m in drawn],
-        "told": ["\n".join(landmark_tip(m, track)) for m in drawn],
+        "told": ["\n".join(landmark_tip(m, track, rows.get(m.landmark, none))) for m in drawn],
     }
 
 

@@ -15,7 +15,7 @@ from homeward.track import Track
 
 MOST_MOMENTS = 1500
 """Moments of a drive that the slider tells apart."""
-MOST_CELLS = 60_000
+MOST_CELLS = 40_000
 """Bearings, and places of landmarks, that a page holds; with more there are fewer moments."""
 USED, REJECTED, NEW = 0, 1, 2
 """What became of a bearing; new is one of a landmark that is not mapped yet."""

@@ -198,10 +198,9 @@ def _line(
 def _log_innovations(stream: rr.RecordingStream, track: Track) -> None:
     """Log each landmark's innovations over their predicted sigmas."""
     seen = track.innovations
-    for name in np.unique(seen.landmark):
-        mine = seen.landmark == name
-        path = _path("innovation", str(name))
-        dots = rr.SeriesPoints(names=str(name), marker_sizes=2.0)
+    for name, mine in seen.by_landmark().items():
+        path = _path("innovation", name)
+        dots = rr.SeriesPoints(names=name, marker_sizes=2.0)
         stream.log(path, dots, static=True)
         ratio = seen.value[mine] / seen.sigma[mine]
         when = _time(seen.t[mine] - track.t[0])

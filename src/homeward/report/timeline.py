@@ -113,9 +113,11 @@ def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:
     """Mark the sightings that a gate rejected."""
     seen = track.innovations
     ratio = seen.value / seen.sigma
+    entries = seen.by_landmark()
     columns: dict[str, list[Any]] = {k: [] for k in ("t", "row", "name", "ratio")}
     for row, landmark in enumerate(shown):
-        mine = np.flatnonzero((seen.landmark == landmark) & ~seen.accepted)
+        mine = entries.get(landmark, np.empty(0, int))
+        mine = mine[~seen.accepted[mine]]
         mine = mine[thin_dots(np.abs(ratio[mine]), MOST_REJECTED)]
         columns["t"].extend((seen.t[mine] - track.t[0]).tolist())
         columns["row"].extend([row] * mine.size)

@@ -98,7 +98,10 @@
       fill: at.map((p) => (p ? colour(p) : "#00000000")),
     };
   };
-  const names = (seen, fate) => seen.filter((s) => s[2] === fate).map((s) => moments.names[s[0]]);
+  const names = (seen, fate) => {
+    const all = seen.filter((s) => s[2] === fate).map((s) => moments.names[s[0]]);
+    return all.length > 8 ? [...all.slice(0, 7), `${all.length - 7} more`] : all;
+  };
   const sentence = (i) => {
     const [pose, seen] = [moments.pose[i], moments.seen[i]];
     const parts = [`${moments.statuses[moments.status[i]]}: ${moments.reasons[moments.reason[i]]}`];
