@@ -16,9 +16,15 @@ import numpy as np
 from rerun.experimental import ViewerClient
 
 from homeward.drives.images import Images
+from homeward.observability.study import observe
 from homeward.report.blueprint import TIMELINE
-from homeward.report.viewer import write_recording
+from homeward.report.canvas import png
+from homeward.report.observe_figures import draw_family
+from homeward.report.plan_figures import draw_begin
 from homeward.report.run_folder import write_run
+from homeward.report.viewer import write_recording
+from homeward.studies.planning.analysis import analyse
+from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import SAMPLE, RunSettings, execute
 
 IMAGES = Path(__file__).parent / "images"
@@ -30,7 +36,10 @@ PORT, SETTLE_S = 9896, 10.0
 
 
 def main() -> None:
-    """Picture the top of the sample drive's report, and its recording."""
+    """Draw a family of homes, the example plan's map, and the sample's report and recording."""
+    (IMAGES / "observe-two.png").write_bytes(png(draw_family(observe(2)), dpi=90))
+    plan = analyse(load_plan("warehouse"))
+    (IMAGES / "plan-warehouse.png").write_bytes(png(draw_begin(plan), dpi=90))
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
     drive, track, settings = execute(RunSettings(drive=SAMPLE))

@@ -14,8 +14,8 @@ from rosbags.highlevel import AnyReader
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
 from homeward.frames import Pose, compose
-from homeward.report.palette import BLUE, MOVED
 from homeward.report.files import write_trajectory
+from homeward.report.palette import BLUE, MOVED
 from homeward.report.recording import write_recording
 from homeward.scoring import score
 

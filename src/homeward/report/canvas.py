@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -104,3 +105,10 @@ def svg_file(drawing: str) -> str:
     """Return an element from `svg` as a file of its own."""
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.replace("<svg", head, 1) + "\n"
+
+
+def bare(axes: Axes) -> None:
+    """Take grid, ticks and frame from axes."""
+    axes.grid(False)
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)

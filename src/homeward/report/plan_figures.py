@@ -10,20 +10,10 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.path import Path as MarkerPath
 
-from homeward.report.canvas import (
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    SKY,
-    VERMILLION,
-    WIDTH_IN,
-    bare,
-    new_figure,
-    style,
-)
-from homeward.report.map_figure import HOUSE
+from homeward.report.canvas import WIDTH_IN, bare, new_figure, style
+from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, SKY, VERMILLION
 from homeward.report.words import name
 from homeward.studies.planning.analysis import PlanView
 
@@ -182,7 +172,7 @@ def _draw_advice(axes: Axes, view: PlanView) -> None:
 def _marks(view: PlanView) -> list[Line2D]:
     """Return what the legend says of marks."""
     plain: dict[str, Any] = {"ls": "none", "color": INK}
-    marks = [Line2D([], [], marker=HOUSE, ms=9, label="home", **plain)]
+    marks = [Line2D([], [], marker=MarkerPath(HOUSE), ms=9, label="home", **plain)]
     if view.stored.any():
         marks.append(Line2D([], [], marker="*", ms=10, label="landmark", **plain))
     if not view.stored.all():
