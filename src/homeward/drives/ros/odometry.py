@@ -159,11 +159,18 @@ class OdometryRows:
         self._rows.append((t, *map(float, (*twist, *pose))))
 
     def odometry(self, remarks: Remarks) -> Odometry:
-        """Return what all messages together tell; counts in `remarks` what was left out."""
-        rows = np.array(self._rows, float).reshape(len(self._rows), -1)
-        if self._wheels is not None or not len(rows):
+        """Return what all messages together tell; counts in `remarks` what was left out.
+
+        Raises
+        ------
+        InputError
+            When there is none with finite numbers.
+        """
+        if not self._rows:
+            raise InputError(f"{self._told.topic}: no message tells odometry")
+        rows = np.array(self._rows, float)
+        if self._wheels is not None:
             rows = self._clean(rows, remarks)
-            assert self._wheels is not None
             return Odometry(rows[:, 0], *self._wheels.twists(rows[:, 0], rows[:, 1:]))
         if self._by_twist(rows[:, 1:]):
             with np.errstate(invalid="ignore"):

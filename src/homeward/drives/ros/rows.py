@@ -42,7 +42,7 @@ def clean_rows(
     Parameters
     ----------
     rows : list or ndarray, shape (n, k)
-        The first column is the time [s].
+        At least one; the first column is the time [s].
     topic : str
         Where they are from.
     what, repeats : str
@@ -55,7 +55,7 @@ def clean_rows(
     InputError
         When nothing is left.
     """
-    table = np.array(rows, float).reshape(len(rows), -1)
+    table = np.array(rows, float)
     finite = np.isfinite(table).all(axis=1)
     remarks.count(NOT_FINITE.format(what), int((~finite).sum()))
     table = table[finite]
