@@ -76,6 +76,8 @@ def test_a_drive_that_tells_nothing_is_drawn_too():
         (("sample", "--landmarks", 3), "not for a drive"),
         (("sample", "--compass"), "not for a drive"),
         (("sample", "--window", "nan"), "window"),
+        (("sample", "--window", 1e-9), "too many"),
+        (("sample", "--topics", "x.yaml"), "topics"),
         (("sample", "--home", "1,2,3"), "home"),
         (("nowhere",), "nowhere"),
     ],

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def observe(
     drive: Annotated[
-        str | None, typer.Argument(help="A drive folder, an MRCLAM folder, or: sample.")
+        str | None, typer.Argument(help="A drive folder, an MRCLAM folder, a log, or: sample.")
     ] = None,
     landmarks: Annotated[
         int | None, typer.Option(help="Of the model, when there is no drive [2].")
@@ -47,6 +47,9 @@ def observe(
     home_noise_deg: Annotated[
         float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
     ] = 0.0,
+    topics: Annotated[
+        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/observe"),
 ) -> None:
     """Say in words what bearings cannot tell apart, and draw it.
@@ -64,7 +67,13 @@ def observe(
         "motion": motion,
         "unknown": unknown or None,
     }
-    of_drive = {"window": window, "robot": robot, "home": home, "home-noise-deg": home_noise_deg}
+    of_drive = {
+        "window": window,
+        "robot": robot,
+        "home": home,
+        "home-noise-deg": home_noise_deg,
+        "topics": None if topics is None else str(topics),
+    }
     wrong = of_drive if drive is None else of_model
     for name, value in wrong.items():
         if value:
@@ -126,7 +135,15 @@ def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     place = sample_drive() if drive == SAMPLE and not Path(drive).exists() else Path(drive)
     pose = None if "home" not in given else Pose(*three_numbers(given["home"], "--home"))
     noise = math.radians(settings["home-noise-deg"])
-    opened = open_drive(place, robot=given.get("robot"), home=pose, home_noise=noise)
+    with progress(f"reading {drive}") as tell:
+        opened = open_drive(
+            place,
+            robot=given.get("robot"),
+            home=pose,
+            home_noise=noise,
+            topics=given.get("topics"),
+            tell=tell,
+        )
     with progress(f"observing {opened.name}") as tell:
         view: DriveView = observe_drive(opened, settings["window"], tell)
         write_drive_view(out, view, settings)

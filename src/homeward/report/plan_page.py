@@ -74,7 +74,8 @@ def _page(view: PlanView, drawings: dict[str, str]) -> str:
             (
                 view.names[i],
                 bool(view.stored[i]),
-                float((view.hidden[:, i] <= 1).mean()),
+                # Both of the same places, lest chance puts them in the wrong order.
+                float((view.hidden[view.sample, i] <= 1).mean()),
                 float((view.moved[:, i] <= 1).mean()),
             )
             for i in order

@@ -30,6 +30,7 @@ from homeward.observability.words import in_words
 WINDOW_S = 30.0
 OVERLAP = 2
 """A new window begins after this part of one."""
+MOST_WINDOWS = 5000
 MOVED = 0.1
 """A home bearing further off than this [rad] is of a landmark that was moved since."""
 LOOSELY = 0.15
@@ -113,7 +114,8 @@ def observe_drive(
     Raises
     ------
     InputError
-        When the window is not positive, nothing was seen, or there is neither truth nor a pose.
+        When the window is not positive or far too short, nothing was seen, or there is neither
+        truth nor a pose.
     """
     if not 0 < window < np.inf:
         raise InputError(f"the window must be a positive number of seconds, not {window:g}")
@@ -122,6 +124,9 @@ def observe_drive(
     rows, poses, path_from = _path(drive)
     seen = _Seen(drive, rows, poses)
     step = window / OVERLAP
+    if seen.t[-1] / step > MOST_WINDOWS:
+        least = OVERLAP * seen.t[-1] / MOST_WINDOWS
+        raise InputError(f"windows of {window:g} s are too many; of {least:.2g} s they are not")
     begins = np.arange(0.0, max(seen.t[-1] - window + step, 1e-9), step)
     windows = []
     for k, begin in enumerate(begins):

@@ -15,7 +15,7 @@ from homeward.studies.planning.settings import Plan
 EDGE = 1e-3
 """Shelves hide as if smaller by this all round [m], and walls as if further out, lest one hides
 what hangs on its own face."""
-MOST_CELLS = 400_000
+MOST_CELLS = 200_000
 MOST_CANDIDATES = 120
 SPACING = 0.5
 """Between candidate places for landmarks along walls and shelves, at least [m]."""
