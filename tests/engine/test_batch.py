@@ -22,9 +22,9 @@ except NativeError as error:
 
 RUNS = 11
 KINDS = {
-    "ekf": ExtendedKalmanFilter(PolarModel(7)),
-    "a-ekf": augmented_ekf(7, [0, 3]),
-    "pi-ekf": ProportionalIntegralFilter(PolarModel(7)),
+    "ekf": ExtendedKalmanFilter(PolarModel(4)),
+    "a-ekf": augmented_ekf(4, [0, 3]),
+    "pi-ekf": ProportionalIntegralFilter(PolarModel(4)),
 }
 
 
@@ -110,8 +110,8 @@ def test_a_filter_over_recorded_runs_agrees_with_the_interpreter():
     rng = np.random.default_rng(2)
     series = {
         "control": np.tile([0.125, 0.4], (steps, 1)),
-        "bearings": rng.uniform(-3, 3, (RUNS, steps, 7)),
-        "mask": (rng.random((RUNS, steps, 7)) < 0.6).astype(float),
+        "bearings": rng.uniform(-3, 3, (RUNS, steps, 4)),
+        "mask": (rng.random((RUNS, steps, 4)) < 0.6).astype(float),
     }
     asked = {"runs": RUNS, "steps": steps, "history": ("state", "accepted")}
     native = run_recorded(kind, {**given, "gate": 9.0}, series, **asked, engine="native")
@@ -155,7 +155,7 @@ def test_values_in_place_of_draws_are_used():
     kind, steps = KINDS["ekf"], 10
     given, none = loop(kind), {"disturbance_sigma": 0.0, "bearing_sigma": 0.0}
     silent = run_homing(kind, {**given, **none, "visibility": 1.0}, runs=RUNS, steps=steps)
-    series = {"noise": np.zeros((steps, 7)), "mask": np.ones((steps, 7)), "disturbance": [[0, 0]]}
+    series = {"noise": np.zeros((steps, 4)), "mask": np.ones((steps, 4)), "disturbance": [[0, 0]]}
     told = run_homing(kind, given, runs=RUNS, steps=steps, series=series)
     assert np.allclose(silent.state, told.state, atol=1e-12)
 

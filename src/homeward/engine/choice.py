@@ -2,36 +2,68 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from typing import TypeVar
 
 from homeward.engine.native.compiler import NativeError
-from homeward.engine.native.library import is_kept
+from homeward.engine.native.library import any_kept, is_kept
+from homeward.engine.native.source import Source
+from homeward.filters.settings import Engine
 
-Engine = Literal["auto", "interpreter", "native"]
-"""auto: native where a compiler is there and the work pays for compiling, or has been compiled
-before; else the interpreter."""
-PAYS_FROM = 50_000
-"""Steps of a filter from which on compiling costs less than it saves."""
+COMPILING_S = 25e-6
+"""What compiling takes for each character of C [s]."""
 
-
-def wants_native(engine: Engine, steps: int, source: str) -> bool:
-    """Tell whether to try the native engine for so many steps of a C source."""
-    if engine == "auto" and steps < PAYS_FROM:
-        try:
-            return is_kept(source)
-        except NativeError:
-            return False
-    return engine != "interpreter"
+T = TypeVar("T")
 
 
-def without_native(error: NativeError, times: str) -> str:
-    """Return the line that says why the interpreter runs instead, and what that costs.
+def choose(
+    engine: Engine,
+    saved: float,
+    source: Callable[[], Source],
+    native: Callable[[], T],
+    slower: str,
+) -> tuple[T | None, tuple[str, ...]]:
+    """Return what the native engine makes, or None where the interpreter is to run.
 
     Parameters
     ----------
-    error : NativeError
-        Why there is no compiled code.
-    times : str
-        How much slower it is, in words.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    saved : float
+        About what compiled code will save in this run [s].
+    source : callable
+        Writes the C.
+    native : callable
+        Compiles and makes something of it.
+    slower : str
+        What running without it costs, in words.
+
+    Returns
+    -------
+    made : T or None
+        What `native` returned.
+    notes : tuple of str
+        What the user must know: why there is no compiled code although it was wanted.
     """
-    return f"Without compiled code ({error}): the interpreter runs instead, {times} slower."
+    if engine == "interpreter":
+        return None, ()
+    try:
+        if engine == "auto" and not _pays(saved, source):
+            return None, ()
+        return native(), ()
+    except NativeError as error:
+        if engine == "auto" and not _worth_a_word(saved):
+            return None, ()
+        return None, (f"No compiled code ({error}): the interpreter runs instead, {slower}.",)
+
+
+def _pays(saved: float, source: Callable[[], Source]) -> bool:
+    """Tell whether compiling pays, or has been paid for before."""
+    if not (_worth_a_word(saved) or any_kept()):
+        return False
+    text = source().text
+    return saved > COMPILING_S * len(text) or is_kept(text)
+
+
+def _worth_a_word(saved: float) -> bool:
+    return saved > 1.0

@@ -13,6 +13,7 @@ from homeward.angles import wrap
 from homeward.engine.runner import Arrays, FilterRunner, Tuning
 from homeward.estimator import HOLD_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
 from homeward.model import POLAR, PolarModel, landmark_distance
 
@@ -42,6 +43,10 @@ class OnlineFilter:
         All its numbers.
     notes : tuple of str
         Assumptions that the user must know of.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    samples : int
+        How many are coming, as far as that is known.
     """
 
     def __init__(
@@ -52,12 +57,14 @@ class OnlineFilter:
         camera_yaw: float,
         tuning: Tuning,
         notes: tuple[str, ...] = (),
+        engine: Engine = "auto",
+        samples: int = 0,
     ) -> None:
-        self.name, self.notes, self.counts = name, notes, Counts()
+        self._runner = FilterRunner(kind, tuning, engine, samples)
+        self.name, self.notes, self.counts = name, notes + self._runner.notes, Counts()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
-        self._runner = FilterRunner(kind, tuning)
         self._belief = self._runner.start()
         self._sightings = np.zeros(kind.model.q, dtype=int)
         self._t = math.nan
@@ -66,6 +73,11 @@ class OnlineFilter:
         self._last_seen = -math.inf
         self._agrees = np.zeros(kind.model.q, dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
+
+    @property
+    def engine(self) -> Engine:
+        """What executes it: native or interpreter."""
+        return self._runner.engine
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""

@@ -11,6 +11,7 @@ import numpy as np
 from homeward.engine.generic import BELIEF
 from homeward.engine.kernels import filter_kernels
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.frames import Polar
 from homeward.model import POLAR
 
@@ -62,13 +63,19 @@ class FilterRunner:
         The filter's symbolic steps.
     tuning : Tuning
         All its numbers.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    steps : int
+        How many steps are coming, as far as that is known.
     """
 
-    def __init__(self, kind: ExtendedKalmanFilter, tuning: Tuning) -> None:
+    def __init__(
+        self, kind: ExtendedKalmanFilter, tuning: Tuning, engine: Engine = "auto", steps: int = 0
+    ) -> None:
         self.kind, self.tuning = kind, tuning
         self.diverged = 0
         """Steps that were left out because their result had diverged."""
-        self._predict, self._update = filter_kernels(kind)
+        self._predict, self._update, self.engine, self.notes = filter_kernels(kind, engine, steps)
         self._predict.inputs["stored"][:] = tuning.stored
         self._update.inputs["gate"][:] = tuning.gate
         self._update.inputs["minimum_visible"][:] = tuning.minimum_visible

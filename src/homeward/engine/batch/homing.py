@@ -14,9 +14,9 @@ from homeward.angles import wrap
 from homeward.control import Twist, homing
 from homeward.engine.batch.execution import execute
 from homeward.engine.batch.job import Draw, Given, Job, Result, series_value, start_value
-from homeward.engine.choice import Engine
 from homeward.engine.stages import OBSERVE, Program, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.frames import Polar
 from homeward.model import POLAR, discretise, true_bearings, unicycle_rates
 

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from homeward.engine.batch.execution import execute
 from homeward.engine.batch.job import Job, Result, series_value, start_value
-from homeward.engine.choice import Engine
 from homeward.engine.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 
 
 def run_recorded(

@@ -11,6 +11,7 @@ import os
 import stat
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 CHECKSUM_LENGTH = 64
@@ -55,7 +56,8 @@ class Cache:
         for file in sorted(self.folder.glob(f"{key}-*.so")):
             if file.stem == f"{key}-{_checksum(file)}":
                 return file
-            file.unlink(missing_ok=True)
+            with suppress(OSError):
+                file.unlink()
         return None
 
     def keep(self, key: str, library: Path) -> Path:

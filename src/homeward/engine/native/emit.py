@@ -43,8 +43,8 @@ _FORMS: dict[int, str] = {
     ca.OP_EQ: "v_eq({0}, {1})",
     ca.OP_NE: "v_ne({0}, {1})",
     ca.OP_NOT: "v_eq({0}, v_set(0.0))",
-    ca.OP_AND: "v_ne({0} * {1}, v_set(0.0))",
-    ca.OP_OR: "v_ne({0} * {0} + {1} * {1}, v_set(0.0))",
+    ca.OP_AND: "v_ne({0}, v_set(0.0)) * v_ne({1}, v_set(0.0))",
+    ca.OP_OR: "v_max(v_ne({0}, v_set(0.0)), v_ne({1}, v_set(0.0)))",
     ca.OP_IF_ELSE_ZERO: "v_if({0}, {1})",
 }
 _CIRCULAR = (ca.OP_SIN, ca.OP_COS)

@@ -28,6 +28,11 @@ class Library(NamedTuple):
     """What the user should know of how it came about."""
 
 
+def any_kept() -> bool:
+    """Tell whether anything was ever compiled and kept."""
+    return any(default_folder().glob("*.so"))
+
+
 def is_kept(source: str) -> bool:
     """Tell whether the compiled code of a source is at hand, without compiling.
 
@@ -55,14 +60,13 @@ def load(source: str) -> Library:
 def _load(source: str, compiler: Compiler, folder: Path) -> Library:
     cache, key = Cache(folder), _key(source, compiler)
     if (problem := cache.problem()) is not None:
-        return _unkept(source, compiler, f"Compiled code is not kept for next time: {problem}.")
-    found = cache.find(key)
-    if found is None:
-        try:
+        return _unkept(source, compiler, problem)
+    try:
+        if (found := cache.find(key)) is None:
             with cache.workshop() as workshop:
                 found = cache.keep(key, _compiled(source, compiler, Path(workshop)))
-        except OSError as error:
-            raise NativeError(f"{folder}: {error.strerror}") from None
+    except OSError as error:
+        return _unkept(source, compiler, f"{folder}: {error.strerror}")
     return _opened(found, ())
 
 
@@ -70,10 +74,14 @@ def _key(source: str, compiler: Compiler) -> str:
     return key_of(source, compiler.identity)
 
 
-def _unkept(source: str, compiler: Compiler, note: str) -> Library:
-    with tempfile.TemporaryDirectory(prefix="homeward-") as workshop:
-        # Once loaded, the file may go.
-        return _opened(_compiled(source, compiler, Path(workshop)), (note,))
+def _unkept(source: str, compiler: Compiler, problem: str) -> Library:
+    """Compile for this process alone; once loaded, the file may go."""
+    note = f"Compiled code is not kept for next time: {problem}."
+    try:
+        with tempfile.TemporaryDirectory(prefix="homeward-") as workshop:
+            return _opened(_compiled(source, compiler, Path(workshop)), (note,))
+    except OSError as error:
+        raise NativeError(f"no folder to compile in: {error.strerror}") from None
 
 
 def _compiled(source: str, compiler: Compiler, workshop: Path) -> Path:
