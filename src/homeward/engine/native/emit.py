@@ -176,8 +176,8 @@ def _circular(level: int, angles: Mapping[int, Mapping[int, int]]) -> list[str]:
         return []
     taken, count = ", ".join(f"t{a}" for a in angles), len(angles)
     lines = [
-        f"  const V a{level}[] = {{{taken}}};",
-        f"  V s{level}[{count}], c{level}[{count}];",
+        f"  const V a{level}[PADDED({count})] = {{{taken}}};",
+        f"  V s{level}[PADDED({count})], c{level}[PADDED({count})];",
         f"  sincos_all({count}, a{level}, s{level}, c{level});",
     ]
     for k, wanted in enumerate(angles.values()):

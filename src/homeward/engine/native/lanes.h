@@ -113,6 +113,7 @@ INLINE W w_log(W x) {
 #ifdef SINGLE
 
 #define LANES 1
+#define AT_ONCE WIDTH
 typedef double V;
 #define v_set(x) (x)
 #define v_at(v, l) (v)
@@ -134,6 +135,7 @@ typedef double V;
 #else
 
 #define LANES WIDTH
+#define AT_ONCE 1
 typedef W V;
 #define v_set w_set
 #define v_at(v, l) ((v)[l])
@@ -155,19 +157,21 @@ typedef W V;
 #endif
 
 /* Sines and cosines of several angles: vector by vector, or doubles packed into vectors. Angles far
- * from zero go through the C library, lane by lane, so that no lane depends on another. */
+ * from zero go through the C library, lane by lane, so that no lane depends on another. Arrays of
+ * doubles are as long as whole vectors. */
+#define PADDED(count) (((count) + AT_ONCE - 1) / AT_ONCE * AT_ONCE)
+
 static __attribute__((noinline, unused)) void sincos_all(int count, const V *angle, V *sine,
                                                          V *cosine) {
   WI far = {0};
 #ifdef SINGLE
   for (int k = 0; k < count; k += WIDTH) {
-    const size_t left = count - k < WIDTH ? count - k : WIDTH;
-    W a = {0}, s, c;
-    memcpy(&a, angle + k, left * sizeof(double));
+    W a, s, c;
+    memcpy(&a, angle + k, sizeof a);
     w_sincos(a, &s, &c);
     far |= w_is_far(a);
-    memcpy(sine + k, &s, left * sizeof(double));
-    memcpy(cosine + k, &c, left * sizeof(double));
+    memcpy(sine + k, &s, sizeof s);
+    memcpy(cosine + k, &c, sizeof c);
   }
 #else
   for (int k = 0; k < count; k++) {
