@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.runner import Arrays, FilterRunner, Tuning
+from homeward.engine.runner import FilterRunner, Numbers, Tuning
 from homeward.estimator import HOLD_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
@@ -102,12 +102,12 @@ class OnlineFilter:
             for k, s in (sigmas or {}).items()
             if k in self._index and 0 < s < math.inf
         }
-        before, diverged = self._belief["active"], self._runner.diverged
+        before, diverged = self._belief.active, self._runner.diverged
         self._belief, out = self._runner.update(self._belief, seen, own)
         lost = self._runner.diverged - diverged
         self.counts.reject(DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
-        used = ((out["accepted"] > 0) | (self._belief["active"] > before)) & (not lost)
+        used = ((out["accepted"] > 0) | (self._belief.active > before)) & (not lost)
         self._sightings += used
         self._agrees[list(seen)] = used[list(seen)]
         self._recent.extend(i.accepted for i in innovations)
@@ -129,14 +129,14 @@ class OnlineFilter:
         nothing of place and distance.
         """
         model, belief, stored = self._runner.kind.model, self._belief, self._runner.tuning.stored
-        distances = _distances(model, belief["state"], stored)
-        jacobian = _distance_jacobian(model, belief["state"], stored)
-        variances = np.einsum("ij,jk,ik->i", jacobian, belief["covariance"], jacobian)
-        home = wrap(_home_bearings(model, belief["state"], stored))
+        distances = _distances(model, belief.state, stored)
+        jacobian = _distance_jacobian(model, belief.state, stored)
+        variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
+        home = wrap(_home_bearings(model, belief.state, stored))
         known = []
         for i, landmark in enumerate(self._ids):
             entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
-            if belief["active"][i]:
+            if belief.active[i]:
                 entry = replace(
                     entry,
                     home_bearing_estimated=float(home[i]),
@@ -170,7 +170,7 @@ class OnlineFilter:
         self._belief, self._t = self._predicted(t), t
         self.counts.reject(DIVERGED, self._runner.diverged - before)
 
-    def _predicted(self, t: float) -> Arrays:
+    def _predicted(self, t: float) -> Numbers:
         """Carry the belief to `t`: by the twist while it holds, then by its absence."""
         held = min(max(self._twist_t + HOLD_S, self._t), t)
         belief = self._runner.predict(self._belief, held - self._t, self._twist)
@@ -208,9 +208,9 @@ class OnlineFilter:
         self.counts.reject("sightings outside the gate", sum(not i.accepted for i in innovations))
         return innovations
 
-    def _estimate(self, t: float, belief: Arrays, innovations: tuple[Innovation, ...]) -> Estimate:
-        polar = Polar(*belief["state"][:POLAR].tolist())
-        covariance = polar_covariance_to_pose(polar, belief["covariance"][:POLAR, :POLAR])
+    def _estimate(self, t: float, belief: Numbers, innovations: tuple[Innovation, ...]) -> Estimate:
+        polar = Polar(*belief.state[:POLAR].tolist())
+        covariance = polar_covariance_to_pose(polar, belief.covariance[:POLAR, :POLAR])
         status, reason = self._status(t)
         return Estimate(t, status, reason, from_polar(polar), covariance, innovations)
 

@@ -51,6 +51,7 @@ class NativeKernel:
     def __init__(self, program: NativeProgram, function: Any) -> None:
         self._program = program  # the arrays live as long as their kernel
         self.inputs = self.outputs = program.variables
+        self.given = self.found = program.pool
         function.argtypes, function.restype = (ctypes.c_void_p,), None
         self._function, self._address = function, program._address
 
