@@ -5,8 +5,9 @@ import pytest
 from test_model import scene
 
 from homeward.control import homing
+from homeward.engine import stages
 from homeward.engine.batch import noise
-from homeward.engine.batch.homing import run_homing
+from homeward.engine.batch.homing import homing_program, run_homing
 from homeward.engine.batch.recorded import run_recorded
 from homeward.engine.native.compiler import NativeError, find_compiler
 from homeward.filters.augmented import augmented_ekf
@@ -22,9 +23,9 @@ except NativeError as error:
 
 RUNS = 11
 KINDS = {
-    "ekf": ExtendedKalmanFilter(PolarModel(4)),
-    "a-ekf": augmented_ekf(4, [0, 3]),
-    "pi-ekf": ProportionalIntegralFilter(PolarModel(4)),
+    "ekf": ExtendedKalmanFilter(PolarModel(3)),
+    "a-ekf": augmented_ekf(3, [0, 2]),
+    "pi-ekf": ProportionalIntegralFilter(PolarModel(3)),
 }
 
 
@@ -110,8 +111,8 @@ def test_a_filter_over_recorded_runs_agrees_with_the_interpreter():
     rng = np.random.default_rng(2)
     series = {
         "control": np.tile([0.125, 0.4], (steps, 1)),
-        "bearings": rng.uniform(-3, 3, (RUNS, steps, 4)),
-        "mask": (rng.random((RUNS, steps, 4)) < 0.6).astype(float),
+        "bearings": rng.uniform(-3, 3, (RUNS, steps, 3)),
+        "mask": (rng.random((RUNS, steps, 3)) < 0.6).astype(float),
     }
     asked = {"runs": RUNS, "steps": steps, "history": ("state", "accepted")}
     native = run_recorded(kind, {**given, "gate": 9.0}, series, **asked, engine="native")
@@ -130,14 +131,49 @@ def test_a_filter_over_recorded_runs_agrees_with_the_interpreter():
     assert np.allclose(alone.final["state"][0], native.final["state"][3], rtol=1e-9, atol=1e-9)
 
 
-def test_many_landmarks_agree_with_the_interpreter():
-    kind = augmented_ekf(24)
-    asked = {"runs": 3, "steps": 15, "history": ("covariance",)}
-    native = run_homing(kind, loop(kind, 3), **asked, engine="native")
-    slow = run_homing(kind, loop(kind, 3), **asked, engine="interpreter")
-    assert np.allclose(native.history["covariance"], slow.history["covariance"], atol=1e-9)
-    alone = run_homing(kind, loop(kind, 1), **asked | {"runs": 1}, engine="native")
-    assert np.allclose(alone.state[0], native.state[0], rtol=1e-9, atol=1e-9)
+def test_loops_for_many_landmarks_agree_with_the_symbolic_steps(monkeypatch):
+    kind = augmented_ekf(3, [1], guard=0.02)
+    asked = {"steps": 60, "history": ("covariance",)}
+    symbolic = run_homing(kind, loop(kind), runs=RUNS, **asked, engine="interpreter")
+    homing_program.cache_clear()
+    monkeypatch.setattr(stages, "COMPILES_UP_TO", 0)
+    native = run_homing(kind, loop(kind), runs=RUNS, **asked, engine="native")
+    alone = run_homing(kind, loop(kind, 1), runs=1, **asked, engine="native")
+    homing_program.cache_clear()
+    assert native.engine == alone.engine == "native"
+    for batch in (native, alone):
+        runs = len(batch.state)
+        assert np.allclose(batch.state, symbolic.state[:runs], rtol=1e-9, atol=1e-9)
+        for found, wanted in zip(
+            batch.history["covariance"], symbolic.history["covariance"], strict=False
+        ):
+            assert np.allclose(found, wanted, rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
+def test_nan_is_a_bearing_that_was_not_seen():
+    kind, steps = KINDS["ekf"], 12
+    given = {k: loop(kind)[k] for k in ("state", "covariance", "stored", "dt", "variance")}
+    control = np.tile([0.125, 0.4], (steps, 1))
+    bearings = np.random.default_rng(0).uniform(-3, 3, (RUNS, steps, 3))
+    seen = bearings > 0
+    asked = {"runs": RUNS, "steps": steps}
+    given |= {"gate": np.inf, "input_covariance": 1e-4 * np.eye(2)}
+    missing = {"control": control, "bearings": np.where(seen, bearings, np.nan)}
+    masked = {"control": control, "bearings": bearings, "mask": seen.astype(float)}
+    a = run_recorded(kind, given, missing, **asked, engine="native")
+    b = run_recorded(kind, given, masked, **asked, engine="native")
+    assert np.array_equal(a.final["state"], b.final["state"])
+    assert np.isfinite(a.final["state"]).all()
+    assert not a.diverged.any()
+
+
+@pytest.mark.parametrize(
+    "change", [{"runs": 0}, {"steps": -1}, {"seed": -1}, {"seed": 2**64}, {"first_run": -1}]
+)
+def test_numbers_that_make_no_batch_are_refused(change):
+    kind = KINDS["ekf"]
+    with pytest.raises(ValueError, match=r"none|must be in"):
+        run_homing(kind, loop(kind, 1), **({"runs": 1, "steps": 1} | change))
 
 
 def test_a_run_that_diverges_ends_alone():
@@ -155,7 +191,7 @@ def test_values_in_place_of_draws_are_used():
     kind, steps = KINDS["ekf"], 10
     given, none = loop(kind), {"disturbance_sigma": 0.0, "bearing_sigma": 0.0}
     silent = run_homing(kind, {**given, **none, "visibility": 1.0}, runs=RUNS, steps=steps)
-    series = {"noise": np.zeros((steps, 4)), "mask": np.ones((steps, 4)), "disturbance": [[0, 0]]}
+    series = {"noise": np.zeros((steps, 3)), "mask": np.ones((steps, 3)), "disturbance": [[0, 0]]}
     told = run_homing(kind, given, runs=RUNS, steps=steps, series=series)
     assert np.allclose(silent.state, told.state, atol=1e-12)
 

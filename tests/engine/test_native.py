@@ -1,6 +1,7 @@
 """Compiled steps against the oracle, and everything that a compiler or a cache can do to one."""
 
 import os
+import platform
 import stat
 import subprocess
 import sys
@@ -107,15 +108,24 @@ def test_every_operation_is_the_interpreters():
         assert np.allclose(native.variables["z"], z, rtol=1e-14, atol=1e-15, equal_nan=True)
 
 
-def test_every_operation_in_lanes_is_the_interpreters():
+WIDTHS = {"own": [], "four": ["-mno-avx512f"], "two": ["-mno-avx"]}
+"""Lanes by what keeps this machine's compiler from using more; two are NEON's, too."""
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_every_operation_in_lanes_is_the_interpreters(width, monkeypatch):
+    if WIDTHS[width] and platform.machine() != "x86_64":
+        pytest.skip("only x86 has vectors of several widths")
+    monkeypatch.setenv("CC", " ".join([REAL, *WIDTHS[width]]))
     f, rows = every_operation()
     program, count = Program({OBSERVE: (Symbolic(f),)}), len(rows)
     start = [
         start_value(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
     ]
-    nothing = {"extra": {}, "series": (), "draws": (), "guarded": (), "sums": (), "history": ()}
+    nothing = dict.fromkeys(("series", "draws", "guarded", "sums", "history"), ())
     job = Job(
         program=program,
+        extra={},
         runs=count,
         steps=0,
         first_run=0,
@@ -127,6 +137,8 @@ def test_every_operation_in_lanes_is_the_interpreters():
     )
     z = execute(job, "native", 1).final["z"]
     assert np.allclose(z, [r[2] for r in rows], rtol=1e-14, atol=1e-15, equal_nan=True)
+    lanes = library.load(source_of(program, False).text).lanes
+    assert lanes == {"four": 4, "two": 2}.get(width, lanes)
 
 
 def test_circular_functions_are_right_to_the_last_digits():

@@ -108,10 +108,13 @@ class Program:
 
 
 def filter_parts(
-    kind: ExtendedKalmanFilter, unrolled_up_to: int = COMPILES_UP_TO
+    kind: ExtendedKalmanFilter, unrolled_up_to: int | None = None
 ) -> dict[str, tuple[Stage, ...]]:
-    """Return the parts ``predict`` and ``update`` of a filter, unrolled up to so many states."""
-    if kind.model.n <= unrolled_up_to:
+    """Return the parts ``predict`` and ``update`` of a filter, unrolled up to so many states.
+
+    None stands for `COMPILES_UP_TO`.
+    """
+    if kind.model.n <= (COMPILES_UP_TO if unrolled_up_to is None else unrolled_up_to):
         return {
             "predict": (Symbolic(predict_function(kind)),),
             "update": (Symbolic(update_function(kind)),),

@@ -124,7 +124,8 @@ class HomingResult:
     rmse: np.ndarray
     """(runs, 3), of R [m], theta, alpha [rad] over a run's samples; infinite where diverged."""
     nees: np.ndarray
-    """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged."""
+    """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged, NaN
+    where the covariance was singular at some sample."""
     pose: np.ndarray
     """(runs, 3), true x [m], y [m], heading [rad] at the last sample."""
     state: np.ndarray

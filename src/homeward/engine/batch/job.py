@@ -59,6 +59,12 @@ class Job:
     stop: str | None
     """A variable that ends a run where it is not 0."""
 
+    def __post_init__(self) -> None:
+        if self.runs < 1 or self.steps < 0:
+            raise ValueError(f"{self.runs} runs of {self.steps} steps are none")
+        if not (0 <= self.seed < 2**64 and 0 <= self.first_run < 2**63 - self.runs):
+            raise ValueError("seed and first_run must be in [0, 2^64) and [0, 2^63)")
+
     def size(self, name: str) -> int:
         """Return the number of entries of a variable."""
         return self.extra[name] if name in self.extra else self.program.size(name)
@@ -168,4 +174,5 @@ def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarr
 def _flat(array: np.ndarray, leading: int, inner: int) -> np.ndarray:
     """Return the inner axes flat, column-major, contiguous."""
     columns = np.swapaxes(array, -1, -2) if inner == 2 else array
-    return np.ascontiguousarray(columns).reshape(*array.shape[:leading], -1)
+    size = int(np.prod(array.shape[leading:]))
+    return np.ascontiguousarray(columns).reshape(*array.shape[:leading], size)

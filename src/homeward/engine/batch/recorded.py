@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from homeward.engine.batch.execution import execute
@@ -37,7 +38,8 @@ def run_recorded(
         of runs. What is in neither mapping is zero.
     series : mapping of str to array_like
         What changes from step to step (control, bearings, mask, ...): (steps, ...) for all runs, or
-        (runs, steps, ...). With a mask of zeros, a step only predicts.
+        (runs, steps, ...). Where a bearing is NaN or its mask 0, nothing was seen; without a mask,
+        every other bearing was. A step without any only predicts.
     runs, steps : int
         Their numbers.
     final, history : sequence of str
@@ -50,7 +52,7 @@ def run_recorded(
     ValueError
         For a name that the filter does not have, or a shape that does not fit.
     """
-    program = filter_program(kind)
+    program, series = filter_program(kind), _seen(series)
     known = program.shapes
     for name in (*given, *series, *final, *history):
         if name not in known:
@@ -72,3 +74,13 @@ def run_recorded(
         stop=None,
     )
     return execute(job, engine, threads)
+
+
+def _seen(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """Return the series with a mask, and with a number for every bearing."""
+    if "bearings" not in series:
+        return dict(series)
+    bearings = np.asarray(series["bearings"], float)
+    there = np.isfinite(bearings)
+    mask = there * np.asarray(series.get("mask", 1.0), float)
+    return {**series, "bearings": np.where(there, bearings, 0.0), "mask": mask}
