@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -32,6 +34,14 @@ def clock(call: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
+def longest_thread(call: Callable[[], object]) -> float:
+    """Return the processor time of a call whose work two other threads share evenly [s]."""
+    own, every = time.thread_time(), time.process_time()
+    call()
+    own, every = time.thread_time() - own, time.process_time() - every
+    return own + (every - own) / 2
+
+
 def wall(call: Callable[[], object]) -> float:
     """Return the wall time of a call [s]."""
     began = time.perf_counter()
@@ -39,11 +49,19 @@ def wall(call: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def in_turns(timed: dict[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
-    """Time everything once a round, after one round to warm up."""
+def in_turns(
+    timed: dict[str, Callable[[], float]], rounds: int, rest: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Time everything once a round, after one round to warm up, with a rest [s] before each."""
     for call in timed.values():
         call()
-    rows = [[call() for call in timed.values()] for _ in range(rounds)]
+    rows = []
+    for _ in range(rounds):
+        row = []
+        for call in timed.values():
+            time.sleep(rest)
+            row.append(call())
+        rows.append(row)
     return dict(zip(timed, np.array(rows).T, strict=True))
 
 
@@ -70,3 +88,18 @@ def busy() -> str:
     """Return in words what else this machine has to do, which takes from two cores."""
     waiting, cores = os.getloadavg()[0], available_threads()
     return f"{waiting:.1f} processes wanted these {cores} cores over the last minute"
+
+
+def start_up(rounds: int) -> None:
+    """Time what a user waits for before anything happens, by the wall."""
+    print("\nstart-up, best of a few:")
+    for words, call, most in (
+        ("import homeward", ["-c", "import homeward"], 0.5),
+        ("homeward --help", ["-c", "from homeward.cli.main import app; app()", "--help"], 0.7),
+    ):
+        taken = min(
+            wall(lambda call=call: subprocess.run([sys.executable, *call], capture_output=True))
+            for _ in range(rounds)
+        )
+        verdict = "met" if taken < most else "MISSED"
+        print(f"  {words}: {taken:.2f} s (goal: below {most:g}) {verdict}")

@@ -16,6 +16,8 @@ UNROLLED_UP_TO = 48
 """States: up to here an unrolled step is built within half a second and runs faster."""
 SAVED_S = 20e-6
 """What compiled code saves in each step [s]."""
+WRITING_S = 60.0
+"""For more states than that, `auto` wants to save as much [s]: writing the C alone takes long."""
 SLOWER = "which takes up to twice as long"
 
 
@@ -51,7 +53,10 @@ def filter_kernels(
     def source() -> Source:
         return source_of(filter_program(kind), single=True)
 
-    program, notes = choose(engine, SAVED_S * steps, source, native, SLOWER)
+    saved = SAVED_S * steps
+    if engine == "auto" and kind.model.n > UNROLLED_UP_TO and saved < WRITING_S:
+        engine = "interpreter"
+    program, notes = choose(engine, saved, source, native, SLOWER)
     if program is not None:
         notes = program.library.notes
         return FilterKernels(program.part("predict"), program.part("update"), "native", notes)

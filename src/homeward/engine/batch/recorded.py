@@ -81,6 +81,8 @@ def _seen(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
     if "bearings" not in series:
         return dict(series)
     bearings = np.asarray(series["bearings"], float)
+    if np.isfinite(bearings.sum()):
+        return {"mask": np.ones(bearings.shape[-1]), **series}
     there = np.isfinite(bearings)
     mask = there * np.asarray(series.get("mask", 1.0), float)
     return {**series, "bearings": np.where(there, bearings, 0.0), "mask": mask}
