@@ -31,6 +31,7 @@ bench: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)

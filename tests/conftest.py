@@ -14,3 +14,9 @@ def data_dir() -> Path:
     if not place.is_dir():
         pytest.skip("no real data: set HOMEWARD_DATA to the folder that holds MRCLAM_Dataset6")
     return place
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory) -> None:
+    """Keep compiled code of tests out of the user's cache, and the user's out of tests."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))

@@ -105,7 +105,7 @@ def make_estimator(
     name : str
         A key of `ESTIMATORS`.
     drive : Drive
-        What it will run on; neither sightings nor truth are looked at.
+        What it will run on; of sightings only their number is looked at, and of truth nothing.
     settings : Strict or dict, optional
         Its settings, or their values; None: the defaults.
 
@@ -175,7 +175,16 @@ def _online(
         proportional=np.zeros((0, 0)) if proportional is None else proportional,
         integral_gain=np.zeros((0, 0)) if integral_gain is None else integral_gain,
     )
-    return OnlineFilter(name, kind, list(drive.home), known.sensor.yaw, tuning, _notes(name, drive))
+    return OnlineFilter(
+        name,
+        kind,
+        list(drive.home),
+        known.sensor.yaw,
+        tuning,
+        _notes(name, drive),
+        settings.engine,
+        drive.odometry.t.size + drive.sightings.t.size,
+    )
 
 
 def _notes(name: str, drive: Drive) -> tuple[str, ...]:

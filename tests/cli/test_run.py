@@ -207,3 +207,16 @@ def test_sample_ships_with_its_command():
     folder = Path(sample_drive())
     assert (folder / "COMMAND.txt").read_text().startswith("homeward simulate ")
     assert sum(p.stat().st_size for p in folder.iterdir()) < 500_000
+
+
+def test_without_a_compiler_the_run_says_so_and_names_the_engine_that_ran(
+    short, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("CC", str(tmp_path / "nothing"))
+    out = tmp_path / "out"
+    result = call("run", short, "--estimator", "ekf", "--engine", "native", "--out", out)
+    assert result.exit_code == 0, result.output
+    said = [line for line in result.stdout.splitlines() if "interpreter" in line]
+    assert len(said) == 1
+    assert yaml.safe_load((out / "run.yaml").read_text())["settings"]["engine"] == "interpreter"
+    assert "engine" in refused(call("run", short, "--engine", "native", "--out", tmp_path / "no"))

@@ -46,6 +46,10 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="ekf, a-ekf, pi-ekf: auto (default), interpreter or native."),
+    ] = None,
     changes: Annotated[
         list[str] | None,
         typer.Option("--set", help="KEY=VALUE, a setting of the estimator; repeatable."),
@@ -56,6 +60,9 @@ def run(
     The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
     report.html and run.yaml, from which the run repeats.
     """
+    own = nested(key_values(changes or []))
+    if engine is not None:
+        own["engine"] = engine
     options = {
         "estimator": estimator,
         "start": _start(start),
@@ -65,7 +72,7 @@ def run(
         "seed": seed,
         "topics": None if topics is None else str(topics.resolve()),
         "smooth": smooth or None,
-        "settings": nested(key_values(changes)) if changes else None,
+        "settings": own or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     _run(run_settings(drive, given), out)

@@ -12,6 +12,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.engine.interpreter import Interpreter
+from homeward.engine.kernel import allocate
 from homeward.filters.belief import Belief
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import UPDATE_OUTPUTS, propagate_function
@@ -20,13 +21,9 @@ from homeward.model import POLAR
 BELIEF = tuple(field.name for field in fields(Belief))
 
 
-def _belief(n: int, q: int, integral: bool) -> dict[str, np.ndarray]:
-    return {
-        "state": np.zeros(n),
-        "covariance": np.zeros((n, n), order="F"),
-        "active": np.zeros(q),
-        "integral": np.zeros(n if integral else 0),
-    }
+def _belief(n: int, q: int, integral: bool) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a belief, in the order of `BELIEF`."""
+    return dict(zip(BELIEF, ((n,), (n, n), (q,), (n if integral else 0,)), strict=True))
 
 
 class GenericPredict:
@@ -34,8 +31,8 @@ class GenericPredict:
 
     def __init__(self, kind: ExtendedKalmanFilter) -> None:
         self._propagate = Interpreter(propagate_function(kind))
-        self.inputs = self._propagate.inputs
-        self.outputs = _belief(kind.model.n, kind.model.q, kind.integral)
+        self.given, self.inputs = self._propagate.given, self._propagate.inputs
+        self.found, self.outputs = allocate(_belief(kind.model.n, kind.model.q, kind.integral))
 
     def __call__(self) -> None:
         """Compute the outputs from the inputs."""
@@ -55,16 +52,14 @@ class GenericUpdate:
 
     def __init__(self, kind: ExtendedKalmanFilter) -> None:
         n, q = kind.model.n, kind.model.q
-        size = n if kind.integral else 0
-        self.inputs = _belief(n, q, kind.integral) | {
-            "bearings": np.zeros(q),
-            "mask": np.zeros(q),
-            "variance": np.zeros(q),
-            "gate": np.zeros(1),
-            "minimum_visible": np.zeros(1),
-            "integral_gain": np.zeros((size, q if size else 0), order="F"),
-        }
-        self.outputs = _belief(n, q, kind.integral) | {k: np.zeros(q) for k in UPDATE_OUTPUTS}
+        size, belief = n if kind.integral else 0, _belief(n, q, kind.integral)
+        self.given, self.inputs = allocate(
+            belief
+            | dict.fromkeys(("bearings", "mask", "variance"), (q,))
+            | dict.fromkeys(("gate", "minimum_visible"), (1,))
+            | {"integral_gain": (size, q if size else 0)}
+        )
+        self.found, self.outputs = allocate(belief | dict.fromkeys(UPDATE_OUTPUTS, (q,)))
         self._bearings = kind.model.bearing_slice
 
     def __call__(self) -> None:

@@ -7,6 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from homeward.engine.kernel import allocate
+
 
 class Interpreter:
     """A CasADi function on buffers of its own (a `Kernel`).
@@ -18,13 +20,11 @@ class Interpreter:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self.inputs = {
-            function.name_in(i): _array(function.size_in(i)) for i in range(function.n_in())
-        }
-        self.outputs = {
-            function.name_out(i).removesuffix("_out"): _array(function.size_out(i))
-            for i in range(function.n_out())
-        }
+        f = function
+        ins = {f.name_in(i): _shape(f.size_in(i)) for i in range(f.n_in())}
+        outs = {f.name_out(i): _shape(f.size_out(i)) for i in range(f.n_out())}
+        self.given, self.inputs = allocate(ins)
+        self.found, self.outputs = allocate({k.removesuffix("_out"): v for k, v in outs.items()})
         # The evaluator keeps only addresses: buffer and arrays must live as long as it does.
         buffer: Any = None  # CasADi's stubs ask for sizes that it takes from the memoryview
         buffer, self._evaluate = function.buffer()
@@ -39,10 +39,9 @@ class Interpreter:
         self._evaluate()
 
 
-def _array(size: tuple[int, int]) -> np.ndarray:
-    """Return zeros in CasADi's layout: column-major, vectors flat."""
-    rows, columns = size
-    return np.zeros(rows) if columns == 1 else np.zeros((rows, columns), order="F")
+def _shape(size: tuple[int, int]) -> tuple[int, ...]:
+    """Return the shape of an array in CasADi's layout: vectors flat."""
+    return size[:1] if size[1] == 1 else size
 
 
 def _flat(array: np.ndarray) -> Any:

@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.runner import Arrays, FilterRunner, Tuning
+from homeward.engine.runner import FilterRunner, Numbers, Tuning
 from homeward.estimator import HOLD_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
 from homeward.model import POLAR, PolarModel, landmark_distance
 
@@ -42,6 +43,10 @@ class OnlineFilter:
         All its numbers.
     notes : tuple of str
         Assumptions that the user must know of.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    samples : int
+        How many are coming, as far as that is known.
     """
 
     def __init__(
@@ -52,12 +57,14 @@ class OnlineFilter:
         camera_yaw: float,
         tuning: Tuning,
         notes: tuple[str, ...] = (),
+        engine: Engine = "auto",
+        samples: int = 0,
     ) -> None:
-        self.name, self.notes, self.counts = name, notes, Counts()
+        self._runner = FilterRunner(kind, tuning, engine, samples)
+        self.name, self.notes, self.counts = name, notes + self._runner.notes, Counts()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
-        self._runner = FilterRunner(kind, tuning)
         self._belief = self._runner.start()
         self._sightings = np.zeros(kind.model.q, dtype=int)
         self._t = math.nan
@@ -66,6 +73,11 @@ class OnlineFilter:
         self._last_seen = -math.inf
         self._agrees = np.zeros(kind.model.q, dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
+
+    @property
+    def engine(self) -> Engine:
+        """What executes it: native or interpreter."""
+        return self._runner.engine
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
@@ -90,12 +102,12 @@ class OnlineFilter:
             for k, s in (sigmas or {}).items()
             if k in self._index and 0 < s < math.inf
         }
-        before, diverged = self._belief["active"], self._runner.diverged
+        before, diverged = self._belief.active, self._runner.diverged
         self._belief, out = self._runner.update(self._belief, seen, own)
         lost = self._runner.diverged - diverged
         self.counts.reject(DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
-        used = ((out["accepted"] > 0) | (self._belief["active"] > before)) & (not lost)
+        used = ((out["accepted"] > 0) | (self._belief.active > before)) & (not lost)
         self._sightings += used
         self._agrees[list(seen)] = used[list(seen)]
         self._recent.extend(i.accepted for i in innovations)
@@ -117,14 +129,14 @@ class OnlineFilter:
         nothing of place and distance.
         """
         model, belief, stored = self._runner.kind.model, self._belief, self._runner.tuning.stored
-        distances = _distances(model, belief["state"], stored)
-        jacobian = _distance_jacobian(model, belief["state"], stored)
-        variances = np.einsum("ij,jk,ik->i", jacobian, belief["covariance"], jacobian)
-        home = wrap(_home_bearings(model, belief["state"], stored))
+        distances = _distances(model, belief.state, stored)
+        jacobian = _distance_jacobian(model, belief.state, stored)
+        variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
+        home = wrap(_home_bearings(model, belief.state, stored))
         known = []
         for i, landmark in enumerate(self._ids):
             entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
-            if belief["active"][i]:
+            if belief.active[i]:
                 entry = replace(
                     entry,
                     home_bearing_estimated=float(home[i]),
@@ -158,7 +170,7 @@ class OnlineFilter:
         self._belief, self._t = self._predicted(t), t
         self.counts.reject(DIVERGED, self._runner.diverged - before)
 
-    def _predicted(self, t: float) -> Arrays:
+    def _predicted(self, t: float) -> Numbers:
         """Carry the belief to `t`: by the twist while it holds, then by its absence."""
         held = min(max(self._twist_t + HOLD_S, self._t), t)
         belief = self._runner.predict(self._belief, held - self._t, self._twist)
@@ -196,9 +208,9 @@ class OnlineFilter:
         self.counts.reject("sightings outside the gate", sum(not i.accepted for i in innovations))
         return innovations
 
-    def _estimate(self, t: float, belief: Arrays, innovations: tuple[Innovation, ...]) -> Estimate:
-        polar = Polar(*belief["state"][:POLAR].tolist())
-        covariance = polar_covariance_to_pose(polar, belief["covariance"][:POLAR, :POLAR])
+    def _estimate(self, t: float, belief: Numbers, innovations: tuple[Innovation, ...]) -> Estimate:
+        polar = Polar(*belief.state[:POLAR].tolist())
+        covariance = polar_covariance_to_pose(polar, belief.covariance[:POLAR, :POLAR])
         status, reason = self._status(t)
         return Estimate(t, status, reason, from_polar(polar), covariance, innovations)
 

@@ -11,6 +11,7 @@ import numpy as np
 from homeward.engine.generic import BELIEF
 from homeward.engine.kernels import filter_kernels
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.frames import Polar
 from homeward.model import POLAR
 
@@ -23,8 +24,25 @@ LOST_SIGMA = 0.5
 LARGEST = 1e9
 """A belief with a larger number in it (m, rad, or their squares) has diverged."""
 
-Arrays = dict[str, np.ndarray]
-"""A belief: state, covariance, active, integral (see `homeward.filters.belief`)."""
+
+class Numbers:
+    """A belief in numbers: views of one piece of memory; see `homeward.filters.belief`.
+
+    Parameters
+    ----------
+    n, q : int
+        Sizes of the state and of the landmarks.
+    memory : ndarray
+        Its entries in that order, matrices column-major.
+    """
+
+    __slots__ = ("active", "covariance", "integral", "memory", "state")
+
+    def __init__(self, n: int, q: int, memory: np.ndarray) -> None:
+        middle = n + n * n
+        self.memory, self.state = memory, memory[:n]
+        self.covariance = memory[n:middle].reshape((n, n), order="F")
+        self.active, self.integral = memory[middle : middle + q], memory[middle + q :]
 
 
 @dataclass(frozen=True)
@@ -62,13 +80,21 @@ class FilterRunner:
         The filter's symbolic steps.
     tuning : Tuning
         All its numbers.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    steps : int
+        How many steps are coming, as far as that is known.
     """
 
-    def __init__(self, kind: ExtendedKalmanFilter, tuning: Tuning) -> None:
+    def __init__(
+        self, kind: ExtendedKalmanFilter, tuning: Tuning, engine: Engine = "auto", steps: int = 0
+    ) -> None:
         self.kind, self.tuning = kind, tuning
         self.diverged = 0
         """Steps that were left out because their result had diverged."""
-        self._predict, self._update = filter_kernels(kind)
+        self._predict, self._update, self.engine, self.notes = filter_kernels(kind, engine, steps)
+        self._size = sum(self._predict.inputs[name].size for name in BELIEF)
+        self._step: tuple[float, bool] | None = None
         self._predict.inputs["stored"][:] = tuning.stored
         self._update.inputs["gate"][:] = tuning.gate
         self._update.inputs["minimum_visible"][:] = tuning.minimum_visible
@@ -76,25 +102,23 @@ class FilterRunner:
         # Of one landmark, CasADi's column is a flat vector.
         gain[...] = tuning.integral_gain.reshape(gain.shape)
 
-    def start(self) -> Arrays:
+    def start(self) -> Numbers:
         """Return the belief of the start prior, before any landmark is seen."""
         model, tuning = self.kind.model, self.tuning
-        state = np.zeros(model.n)
-        state[:POLAR] = tuning.polar
-        state[POLAR + model.q :] = tuning.stored[list(model.estimated)]
-        return {
-            "state": state,
-            "covariance": np.diag(tuning.variance),
-            "active": np.zeros(model.q),
-            "integral": np.zeros(model.n if self.kind.integral else 0),
-        }
+        belief = Numbers(model.n, model.q, np.zeros(self._size))
+        belief.state[:POLAR] = tuning.polar
+        belief.state[POLAR + model.q :] = tuning.stored[list(model.estimated)]
+        np.fill_diagonal(belief.covariance, tuning.variance)
+        return belief
 
-    def predict(self, belief: Arrays, interval: float, twist: tuple[float, float] | None) -> Arrays:
+    def predict(
+        self, belief: Numbers, interval: float, twist: tuple[float, float] | None
+    ) -> Numbers:
         """Return the belief `interval` [s] later.
 
         Parameters
         ----------
-        belief : dict of ndarray
+        belief : Numbers
             Not changed.
         interval : float
             [s]; nothing happens unless it is positive.
@@ -104,29 +128,34 @@ class FilterRunner:
         if interval <= 0.0:
             return belief
         steps = min(math.ceil(interval / LONGEST_STEP_S), MOST_STEPS)
-        dt = interval / steps
+        self._set_step(interval / steps, twist)
+        for _ in range(steps):
+            self._predict.given[: self._size] = belief.memory
+            self._predict()
+            belief = self._sane(self._predict.found, belief)
+        return belief
+
+    def _set_step(self, dt: float, twist: tuple[float, float] | None) -> None:
+        """Set what a prediction depends on besides the belief."""
         given, tuning = self._predict.inputs, self.tuning
-        density = np.full(2, LOST_SIGMA**2) if twist is None else tuning.input_density
         given["control"][:] = twist or (0.0, 0.0)
+        if (dt, twist is None) == self._step:
+            return
+        self._step = dt, twist is None
+        density = np.full(2, LOST_SIGMA**2) if twist is None else tuning.input_density
         given["dt"][:] = dt
         given["input_covariance"][...] = np.diag(density / dt)
         given["state_variance"][:] = tuning.state_density * dt
         given["proportional"][...] = tuning.proportional * dt
-        for _ in range(steps):
-            for name in BELIEF:
-                given[name][...] = belief[name]
-            self._predict()
-            belief = self._sane(self._predict.outputs, belief)
-        return belief
 
     def update(
-        self, belief: Arrays, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Arrays, Mapping[str, np.ndarray]]:
+        self, belief: Numbers, seen: Mapping[int, float], sigmas: Mapping[int, float]
+    ) -> tuple[Numbers, Mapping[str, np.ndarray]]:
         """Return the belief after the sightings of one stamp, and what the step said of them.
 
         Parameters
         ----------
-        belief : dict of ndarray
+        belief : Numbers
             Not changed.
         seen : mapping of landmark index to bearing
             From the robot's heading [rad].
@@ -134,8 +163,7 @@ class FilterRunner:
             Of those that have one of their own [rad].
         """
         given = self._update.inputs
-        for name in BELIEF:
-            given[name][...] = belief[name]
+        self._update.given[: self._size] = belief.memory
         given["mask"][:] = given["bearings"][:] = 0.0
         given["variance"][:] = self.tuning.bearing_sigma**2
         for i, beta in seen.items():
@@ -143,13 +171,12 @@ class FilterRunner:
         for i, sigma in sigmas.items():
             given["variance"][i] = sigma * sigma  # infinite where ** would raise
         self._update()
-        return self._sane(self._update.outputs, belief), self._update.outputs
+        return self._sane(self._update.found, belief), self._update.outputs
 
-    def _sane(self, after: Mapping[str, np.ndarray], before: Arrays) -> Arrays:
+    def _sane(self, found: np.ndarray, before: Numbers) -> Numbers:
         """Return a copy of the new belief, or the old one where the new one has diverged."""
-        # The largest entry of a covariance stands on its diagonal.
-        numbers = (after["state"], np.diag(after["covariance"]), after["integral"])
-        if all(np.all(np.abs(a) < LARGEST) for a in numbers):
-            return {name: np.array(after[name], order="F") for name in BELIEF}
+        memory = found[: self._size].copy()
+        if np.abs(memory).max() < LARGEST:
+            return Numbers(self.kind.model.n, self.kind.model.q, memory)
         self.diverged += 1
         return before

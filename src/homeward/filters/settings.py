@@ -10,6 +10,9 @@ from pydantic import Field
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.model import Integration
 
+Engine = Literal["auto", "interpreter", "native"]
+"""What executes a filter. auto: compiled code where that is at hand, or where there is a compiler
+and the run pays for using it; else the interpreter."""
 Matrix = tuple[tuple[Finite, ...], ...]
 
 
@@ -33,6 +36,8 @@ class FilterSettings(Strict):
     integration: Integration = "rk4"
     guard: NonNegative = 0.01
     """Keeps the model finite at home and in line with a landmark [m]."""
+    engine: Engine = "auto"
+    """See `Engine`; results agree to about 1e-9."""
 
     @property
     def gate_threshold(self) -> float:

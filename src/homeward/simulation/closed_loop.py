@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
 import casadi as ca
 
-from homeward.control import Twist
+from homeward.engine.batch.homing import Law, world_function
 from homeward.filters.belief import (
     as_dict,
     belief_symbols,
@@ -16,11 +15,9 @@ from homeward.filters.belief import (
     prediction_symbols,
 )
 from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.frames import Polar
-from homeward.model import discretise, true_bearings, unicycle_rates
 
-Law = Callable[[Polar, ca.SX], Twist]
-"""From the estimated pose and the speed [m/s] to a twist."""
+WORLD = ("pose", "landmarks", "speed", "disturbance", "noise")
+"""What the world adds to the inputs of a filter's steps."""
 
 
 @lru_cache(maxsize=64)
@@ -39,25 +36,16 @@ def closed_loop_function(kind: ExtendedKalmanFilter, law: Law) -> ca.Function:
     belief = belief_symbols(model, kind.integral)
     prediction = prediction_symbols(model, kind.integral)
     seen = measurement_symbols(model, kind.integral)
-    pose, landmarks = ca.SX.sym("pose", 3), ca.SX.sym("landmarks", model.q, 2)
-    speed, disturbance = ca.SX.sym("speed"), ca.SX.sym("disturbance", 2)
-    noise = ca.SX.sym("noise", model.q)
-
-    command = ca.vertcat(*law(Polar(belief.state[0], belief.state[1], belief.state[2]), speed))
-    moved = discretise(unicycle_rates, pose, command + disturbance, prediction.dt).state
-    bearings = true_bearings(moved, landmarks) + noise
+    world = world_function(model.n, model.q, law)
+    own = {name: world.sx_in(world.index_in(name)) for name in WORLD}
+    given = {"state": belief.state, "dt": prediction.dt} | own
+    command, moved, bearings = world(*(given[name] for name in world.name_in()))
     predicted = kind.predict(belief, replace(prediction, control=command))
     after = kind.update(predicted, replace(seen, bearings=bearings)).belief
 
     inputs = as_dict(belief) | as_dict(prediction) | as_dict(seen)
     del inputs["control"], inputs["bearings"]
-    inputs |= {
-        "pose": pose,
-        "landmarks": landmarks,
-        "speed": speed,
-        "disturbance": disturbance,
-        "noise": noise,
-    }
+    inputs |= own
     outputs = as_dict(after) | {"pose": moved, "control": command}
     return ca.Function(
         "closed_loop",

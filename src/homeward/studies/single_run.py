@@ -15,6 +15,7 @@ from pydantic import Field
 from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
 from homeward.drives.opening import open_drive
 from homeward.drives.settings import validated
+from homeward.engine.online import OnlineFilter
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
@@ -154,7 +155,11 @@ def prepare(
     estimator = make_estimator(run.estimator, drive, settings)
     if start == "truth":
         estimator.notes += (TRUTH_NOTE,)
-    update = {"start": start, "settings": settings.model_dump(mode="json")}
+    spelt = settings.model_dump(mode="json")
+    if isinstance(estimator, OnlineFilter):
+        # The engine that was found, not "auto": the run repeats to the last bit.
+        spelt["engine"] = estimator.engine
+    update = {"start": start, "settings": spelt}
     complete = run.model_copy(update=update)
     return drive, estimator, complete
 

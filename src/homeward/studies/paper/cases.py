@@ -11,6 +11,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist, homing
+from homeward.engine.batch.homing import Law
 from homeward.engine.generic import BELIEF
 from homeward.engine.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
@@ -18,7 +19,7 @@ from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
-from homeward.simulation.closed_loop import Law, closed_loop_function
+from homeward.simulation.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CASES, CaseName, World, draw_world
 

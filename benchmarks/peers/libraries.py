@@ -1,0 +1,183 @@
+"""The filter on FilterPy, Stone Soup and dynamax, each by its own classes and functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from benchmarks.peers import plain
+from benchmarks.peers.scene import BEARING_VARIANCE, DT, GUARD, INPUT_VARIANCE, WALK, Scene
+
+Q = np.diag(INPUT_VARIANCE)
+
+
+class FilterPyFilter:
+    """`filterpy.kalman.ExtendedKalmanFilter`, its prediction given F and Q of each sample."""
+
+    def __init__(self, scene: Scene) -> None:
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        n, self.stored = scene.state.size, scene.stored
+
+        class Filter(ExtendedKalmanFilter):
+            def predict_x(self, u: np.ndarray) -> None:
+                self.x, self.F, by_input = plain.step(self.x, u, scene.stored)
+                self.Q = by_input @ Q @ by_input.T + WALK * np.eye(n)
+
+        self.filter = Filter(dim_x=n, dim_z=scene.q)
+        self.filter.x, self.filter.P = scene.state.copy(), scene.covariance.copy()
+        self.eye = np.eye(n)
+
+    def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
+        """Predict and update."""
+        rows = 3 + np.flatnonzero(mask)
+        self.filter.predict(u)
+        self.filter.update(
+            y[rows - 3],
+            lambda _: self.eye[rows],
+            lambda x: x[rows],
+            R=BEARING_VARIANCE * np.eye(rows.size),
+        )
+
+    @property
+    def x(self) -> np.ndarray:
+        """The estimate."""
+        return np.asarray(self.filter.x)
+
+
+class StoneSoupFilter:
+    """Stone Soup's extended Kalman predictor and updater."""
+
+    def __init__(self, scene: Scene) -> None:
+        from stonesoup.base import Property
+        from stonesoup.models.measurement.linear import LinearGaussian
+        from stonesoup.models.transition.base import TransitionModel
+        from stonesoup.predictor.kalman import ExtendedKalmanPredictor
+        from stonesoup.types.array import CovarianceMatrix, StateVector
+        from stonesoup.types.detection import Detection
+        from stonesoup.types.hypothesis import SingleHypothesis
+        from stonesoup.types.state import GaussianState
+        from stonesoup.updater.kalman import ExtendedKalmanUpdater
+
+        n = scene.state.size
+
+        class Motion(TransitionModel):
+            size: int = Property()
+
+            @property
+            def ndim_state(self) -> int:
+                return self.size
+
+            def function(self, state, noise=False, **kwargs):
+                after, self.G, by_input = self.taken(state)
+                self.covariance = CovarianceMatrix(by_input @ Q @ by_input.T + WALK * np.eye(n))
+                return StateVector(after)
+
+            def taken(self, state):
+                x = np.asarray(state.state_vector, float).ravel()
+                return plain.step(x, self.u, scene.stored)
+
+            def jacobian(self, state, **kwargs):
+                return self.G
+
+            def covar(self, **kwargs):
+                return self.covariance
+
+            def rvs(self, *args, **kwargs):
+                raise NotImplementedError
+
+            def pdf(self, *args, **kwargs):
+                raise NotImplementedError
+
+        class Predictor(ExtendedKalmanPredictor):
+            def _transition_matrix(self, prior, **kwargs):
+                # By its order of calls, the function has been taken already.
+                return self.transition_model.jacobian(prior, **kwargs)
+
+        self.motion = Motion(size=n)
+        self.predictor = Predictor(self.motion)
+        self.updater = ExtendedKalmanUpdater(None)
+        self.now = datetime(2026, 1, 1)
+        self.state = GaussianState(
+            StateVector(scene.state), CovarianceMatrix(scene.covariance), timestamp=self.now
+        )
+        self.parts = LinearGaussian, Detection, SingleHypothesis, StateVector
+        self.n = n
+
+    def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
+        """Predict and update."""
+        LinearGaussian, Detection, SingleHypothesis, StateVector = self.parts
+        self.motion.u = u
+        self.now += timedelta(seconds=DT)
+        predicted = self.predictor.predict(self.state, timestamp=self.now)
+        rows = 3 + np.flatnonzero(mask)
+        model = LinearGaussian(self.n, tuple(rows.tolist()), BEARING_VARIANCE * np.eye(rows.size))
+        seen = Detection(StateVector(y[rows - 3]), measurement_model=model, timestamp=self.now)
+        self.state = self.updater.update(SingleHypothesis(predicted, seen))
+
+    @property
+    def x(self) -> np.ndarray:
+        """The estimate."""
+        return np.asarray(self.state.state_vector, float).ravel()
+
+
+def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return dynamax's extended Kalman filter over many runs at once, compiled.
+
+    Its process noise cannot depend on the state, so it is given homeward's Gu Q Gu' of every
+    sample, (steps, n, n), in place of computing it. A landmark out of sight is a row of H that is
+    zero.
+
+    Returns
+    -------
+    callable
+        From bearings (runs, steps, q) to the estimates (runs, steps, n).
+    """
+    import jax
+    import jax.numpy as jnp
+    from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
+
+    jax.config.update("jax_enable_x64", True)
+    q, stored = scene.q, jnp.asarray(scene.stored)
+
+    def rates(x, u):
+        R, theta, alpha, beta = x[0], x[1], x[2], x[3:]
+        w = R * jnp.sin(stored - theta)
+        near = jnp.sin(stored - beta - alpha) * w / (w * w + GUARD**2)
+        off = alpha - theta
+        first = [u[0] * jnp.cos(off), u[0] * jnp.sin(off) * R / (R * R + GUARD**2), u[1]]
+        return jnp.concatenate([jnp.array(first), -u[0] * jnp.sin(beta) * near - u[1]])
+
+    def motion(x, u):
+        k1 = rates(x, u)
+        k2 = rates(x + DT / 2 * k1, u)
+        k3 = rates(x + DT / 2 * k2, u)
+        k4 = rates(x + DT * k3, u)
+        return x + DT / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    # dynamax updates before it predicts: a first sample without a sighting starts it. It predicts
+    # by input and noise of the sample to come.
+    blind = jnp.zeros((1, q))
+    mask = jnp.concatenate([blind, jnp.asarray(scene.mask)])
+    noise = jnp.where(mask > 0, BEARING_VARIANCE, 1.0)
+    inputs = jnp.concatenate([jnp.asarray(np.vstack([np.zeros(2), scene.control])), mask], axis=1)
+    params = ParamsNLGSSM(
+        initial_mean=jnp.asarray(scene.state),
+        initial_covariance=jnp.asarray(scene.covariance),
+        dynamics_function=lambda x, u: motion(x, u[:2]),
+        dynamics_covariance=jnp.asarray(np.concatenate([process[:1], process])),
+        emission_function=lambda x, u: u[2:] * x[3:],
+        emission_covariance=jax.vmap(jnp.diag)(noise),
+    )
+
+    def run(bearings):
+        seen = jnp.concatenate([blind, bearings]) * mask
+        wanted = ["filtered_means"]
+        return extended_kalman_filter(
+            params, seen, inputs=inputs, output_fields=wanted
+        ).filtered_means[1:]
+
+    batch = jax.jit(jax.vmap(run))
+    return lambda bearings: np.asarray(batch(jnp.asarray(bearings)))

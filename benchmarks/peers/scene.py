@@ -1,0 +1,111 @@
+"""The one problem that homeward and its peers are timed on, and homeward's answer to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.filters.augmented import augmented_ekf
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.frames import Polar, Pose, bearing, from_polar
+
+DT = 0.05
+GUARD = 0.01
+INPUT_VARIANCE = np.array([0.01**2, 0.02**2])
+WALK = 1e-6
+"""Added to the variance of every state at every sample."""
+BEARING_VARIANCE = 0.02**2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A recorded run: what the robot commanded and saw, with q landmarks all known from the start.
+
+    Bearings are not wrapped, so that a peer may take plain differences.
+    """
+
+    stored: np.ndarray
+    """(q,) [rad]"""
+    state: np.ndarray
+    """(3 + q,), the first estimate."""
+    covariance: np.ndarray
+    """(3 + q, 3 + q)"""
+    control: np.ndarray
+    """(steps, 2)"""
+    bearings: np.ndarray
+    """(steps, q) [rad]"""
+    mask: np.ndarray
+    """(steps, q), 1 where seen; the same number of landmarks at every sample."""
+
+    @property
+    def steps(self) -> int:
+        """Samples."""
+        return len(self.control)
+
+    @property
+    def q(self) -> int:
+        """Landmarks."""
+        return self.stored.size
+
+
+def make_scene(steps: int, q: int = 7, seen: int = 5, seed: int = 1) -> Scene:
+    """Return a run on a weaving path some way off home, `seen` of q landmarks in sight."""
+    rng = np.random.default_rng(seed)
+    angles = 2 * np.pi * np.arange(q) / q + rng.uniform(-0.3, 0.3, q) * 7 / q
+    landmarks = rng.uniform(1, 2, q)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    pose = np.array(from_polar(Polar(0.75, -0.872, 0.349)))
+    look = [_look(pose, landmarks)]
+    control = np.zeros((steps, 2))
+    for k in range(steps):
+        v, omega = control[k] = 0.125, 0.6 + 0.3 * np.sin(0.05 * k)
+        middle = pose[2] + 0.5 * omega * DT
+        pose = pose + DT * np.array([v * np.cos(middle), v * np.sin(middle), omega])
+        look.append(_look(pose, landmarks))
+    truth = np.unwrap(look, axis=0)
+    mask = np.zeros((steps, q))
+    mask[:, :seen] = 1.0
+    first = np.concatenate([[0.75, -0.872, 0.349], truth[0]])
+    return Scene(
+        stored=np.arctan2(landmarks[:, 1], landmarks[:, 0]),
+        state=first + np.r_[0.03, -0.03, 0.03, np.zeros(q)],
+        covariance=np.diag(np.r_[0.05**2, 0.1**2, 0.1**2, np.full(q, BEARING_VARIANCE)]),
+        control=control,
+        bearings=truth[1:] + rng.normal(size=(steps, q)) * 0.02,
+        mask=rng.permuted(mask, axis=1),
+    )
+
+
+def _look(pose: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    return np.array([bearing(Pose(*pose), *mark) for mark in landmarks])
+
+
+def given(scene: Scene, kind: ExtendedKalmanFilter) -> dict[str, object]:
+    """Return what homeward's filter is given at the start."""
+    n, known = kind.model.n, 3 + scene.q
+    state, covariance = np.zeros(n), np.zeros((n, n))
+    state[:known], state[known:] = scene.state, scene.stored[list(kind.model.estimated)]
+    covariance[:known, :known] = scene.covariance
+    covariance[range(known, n), range(known, n)] = 0.1**2
+    return {
+        "state": state,
+        "covariance": covariance,
+        "active": 1.0,
+        "stored": scene.stored,
+        "dt": DT,
+        "input_covariance": np.diag(INPUT_VARIANCE),
+        "state_variance": np.full(n, WALK),
+        "variance": BEARING_VARIANCE,
+        "gate": np.inf,
+        "minimum_visible": 1.0,
+    }
+
+
+def series(scene: Scene) -> dict[str, np.ndarray]:
+    """Return what changes from sample to sample."""
+    return {"control": scene.control, "bearings": scene.bearings, "mask": scene.mask}
+
+
+def every_parameter(q: int) -> ExtendedKalmanFilter:
+    """Return the A-EKF that estimates every home bearing."""
+    return augmented_ekf(q, guard=GUARD)

@@ -1,0 +1,51 @@
+"""A batch by the engine that was chosen."""
+
+from __future__ import annotations
+
+import os
+
+from homeward.engine.batch import compiled, interpreted
+from homeward.engine.batch.job import Job, Result, empty_result, shaped
+from homeward.engine.choice import choose
+from homeward.filters.settings import Engine
+
+SAVED_S = 1e-4
+"""What compiled code saves in each step of each run [s]."""
+SLOWER = "which takes 50 to 500 times as long"
+
+
+def execute(job: Job, engine: Engine = "auto", threads: int | None = None) -> Result:
+    """Run a job; what comes out depends neither on threads nor on the size of the batch.
+
+    Parameters
+    ----------
+    job : Job
+        What to run.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
+    threads : int, optional
+        None: as many as this process may use processors.
+    """
+
+    def native() -> Result:
+        result, count = empty_result(job), threads or available_threads()
+        result.notes = compiled.execute(job, result, compiled.source(job), count)
+        result.engine = "native"
+        return result
+
+    saved = SAVED_S * job.runs * job.steps
+    made, notes = choose(engine, saved, lambda: compiled.source(job), native, SLOWER)
+    if made is not None:
+        return shaped(job, made)
+    result = empty_result(job)
+    interpreted.execute(job, result)
+    result.engine, result.notes = "interpreter", notes
+    return shaped(job, result)
+
+
+def available_threads() -> int:
+    """Return how many processors this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
