@@ -1,0 +1,1 @@
+"""Many runs at once: the same program in every lane and thread."""

@@ -1,0 +1,138 @@
+"""A batch by compiled code: lanes times threads."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from homeward.engine.batch.job import LARGEST, Draw, Given, Job, Result
+from homeward.engine.native.library import load
+from homeward.engine.native.source import Source
+
+_Long = ctypes.c_int64
+_Pointer = ctypes.c_void_p
+CHUNKS_PER_THREAD = 8
+"""So that one slow run does not leave the other threads without work."""
+
+
+class _Given(ctypes.Structure):
+    _fields_ = [
+        ("place", _Long),
+        ("size", _Long),
+        ("data", _Pointer),
+        ("by_run", _Long),
+        ("by_step", _Long),
+    ]
+
+
+class _Draw(ctypes.Structure):
+    _fields_ = [(k, _Long) for k in ("place", "size", "scale", "normal", "stream")]
+
+
+class _Kept(ctypes.Structure):
+    _fields_ = [("place", _Long), ("size", _Long), ("data", _Pointer)]
+
+
+_COUNTS = ("start", "series", "draws", "guarded", "sums", "final", "history")
+
+
+class _Job(ctypes.Structure):
+    _fields_ = [
+        *((k, _Long) for k in ("runs", "steps", "first", "stop")),
+        *((f"n_{k}", _Long) for k in _COUNTS),
+        ("seed", ctypes.c_uint64),
+        ("largest", ctypes.c_double),
+        *((k, _Pointer) for k in (*_COUNTS, "samples", "stopped", "diverged")),
+    ]
+
+
+def source(job: Job) -> Source:
+    """Return the C of a job: one run alone on doubles, more of them side by side."""
+    return Source(job.program, job.runs == 1, dict(job.extra))
+
+
+def execute(job: Job, result: Result, code: Source, threads: int) -> tuple[str, ...]:
+    """Run a job, and return notes on how its code came about.
+
+    Raises
+    ------
+    NativeError
+        When it cannot be compiled.
+    """
+    library = load(code.text)
+    batch = library.functions.homeward_batch
+    batch.argtypes, batch.restype = (ctypes.c_void_p, _Long, _Long), ctypes.c_int32
+    told, alive = _described(job, result, code.places)
+    blocks = -(-job.runs // library.lanes)
+    chunk = max(1, -(-blocks // (threads * CHUNKS_PER_THREAD))) * library.lanes
+    spans = [(k, min(k + chunk, job.runs)) for k in range(0, job.runs, chunk)]
+
+    def compute(span: tuple[int, int]) -> int:
+        return int(batch(ctypes.byref(told), *span))
+
+    if threads == 1 or len(spans) == 1:
+        codes = list(map(compute, spans))
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            codes = list(pool.map(compute, spans))
+    del alive
+    if any(codes):
+        raise MemoryError("no memory for the lanes of a batch")
+    return library.notes
+
+
+def _described(
+    job: Job, result: Result, places: Mapping[str, int]
+) -> tuple[_Job, list[ctypes.Array[ctypes.Structure]]]:
+    """Return a job as the C loop takes it, and what must live as long as it is used."""
+    tables = {
+        "start": _table(_Given, [_given(g, places) for g in job.start]),
+        "series": _table(_Given, [_given(g, places) for g in job.series]),
+        "draws": _table(_Draw, [_draw(d, job, places) for d in job.draws]),
+        "guarded": _table(_Kept, [(places[k], job.size(k), None) for k in job.guarded]),
+        "sums": _table(_Kept, _kept(result.sums, places)),
+        "final": _table(_Kept, _kept(result.final, places)),
+        "history": _table(_Kept, _kept(result.history, places)),
+    }
+    told = _Job(
+        runs=job.runs,
+        steps=job.steps,
+        first=job.first_run,
+        stop=-1 if job.stop is None else places[job.stop],
+        seed=job.seed,
+        largest=LARGEST,
+        samples=result.samples.ctypes.data,
+        stopped=result.stopped.ctypes.data,
+        diverged=result.diverged.ctypes.data,
+    )
+    for name, table in tables.items():
+        setattr(told, f"n_{name}", len(table))
+        setattr(told, name, ctypes.addressof(table))
+    return told, list(tables.values())
+
+
+def _table(
+    kind: type[ctypes.Structure], rows: Sequence[tuple[int | None, ...]]
+) -> ctypes.Array[ctypes.Structure]:
+    return (kind * len(rows))(*(kind(*row) for row in rows))
+
+
+def _given(given: Given, places: Mapping[str, int]) -> tuple[int | None, ...]:
+    runs, steps, size = given.values.shape
+    by_run = steps * size if runs > 1 else 0
+    place = places[given.name]
+    return place, size, given.values.ctypes.data, by_run, size if steps > 1 else 0
+
+
+def _draw(draw: Draw, job: Job, places: Mapping[str, int]) -> tuple[int | None, ...]:
+    size = job.size(draw.name)
+    return places[draw.name], size, places[draw.scale], int(draw.normal), draw.stream
+
+
+def _kept(
+    arrays: Mapping[str, np.ndarray], places: Mapping[str, int]
+) -> list[tuple[int | None, ...]]:
+    return [(places[k], a.shape[-1], a.ctypes.data) for k, a in arrays.items()]

@@ -1,0 +1,252 @@
+"""Closed loops, many at once: truth, measurement, control law and filter, with all noise drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from homeward.angles import wrap
+from homeward.control import Twist, homing
+from homeward.engine.batch.execution import execute
+from homeward.engine.batch.job import Draw, Given, Job, Result, series_value, start_value
+from homeward.engine.choice import Engine
+from homeward.engine.stages import OBSERVE, Program, Symbolic, filter_parts
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.frames import Polar
+from homeward.model import POLAR, discretise, true_bearings, unicycle_rates
+
+Law = Callable[[Polar, ca.SX], Twist]
+"""From the estimated pose and the speed [m/s] to a twist."""
+
+DRAWS = (
+    Draw("noise", "bearing_sigma", True, 0),
+    Draw("disturbance", "disturbance_sigma", True, 1),
+    Draw("mask", "visibility", False, 2),
+)
+"""What is drawn at every step: noise of the bearings, of the twist, and what is in sight."""
+
+
+@lru_cache(maxsize=64)
+def world_function(n: int, q: int, law: Law) -> ca.Function:
+    """Return what the world does in one sample, as a function of what the filter believes.
+
+    The law acts on the estimate; the truth moves by the commanded twist and its disturbance, on the
+    Cartesian unicycle, which is singular nowhere; then the camera looks.
+
+    Its inputs are ``state`` (n,) of the filter, ``pose`` (3,), the true x [m], y [m] and heading
+    [rad], ``landmarks`` (q, 2) [m] in the home frame, ``speed`` [m/s], ``disturbance`` (2,) of the
+    twist, ``noise`` (q,) of the bearings [rad] and ``dt`` [s]; its outputs are ``control`` (2,),
+    ``pose`` and ``bearings`` (q,).
+    """
+    state, pose, landmarks = ca.SX.sym("state", n), ca.SX.sym("pose", 3), ca.SX.sym("marks", q, 2)
+    speed, disturbance = ca.SX.sym("speed"), ca.SX.sym("disturbance", 2)
+    noise, dt = ca.SX.sym("noise", q), ca.SX.sym("dt")
+    command = ca.vertcat(*law(Polar(state[0], state[1], state[2]), speed))
+    moved = discretise(unicycle_rates, pose, command + disturbance, dt).state
+    bearings = true_bearings(moved, landmarks) + noise
+    return ca.Function(
+        "world",
+        [state, pose, landmarks, speed, disturbance, noise, dt],
+        [ca.densify(command), moved, bearings],
+        ["state", "pose", "landmarks", "speed", "disturbance", "noise", "dt"],
+        ["control_out", "pose_out", "bearings_out"],
+    )
+
+
+@lru_cache(maxsize=64)
+def score_function(n: int) -> ca.Function:
+    """Return how far off a belief is, as a function.
+
+    Its inputs are ``pose`` (3,), ``state`` (n,), ``covariance`` (n, n) and ``stop_radius`` [m]; its
+    outputs ``error`` (3,), estimate minus truth of R [m], theta, alpha [rad], ``squared_error``
+    (3,), ``nees``, of (x, y, heading), and ``arrived``, 1 where the estimated R is below the stop
+    radius. An estimate with R below zero counts as the same place said with a positive R.
+    """
+    pose, state = ca.SX.sym("pose", 3), ca.SX.sym("state", n)
+    covariance, radius = ca.SX.sym("covariance", n, n), ca.SX.sym("stop_radius")
+    R, theta, alpha = state[0], state[1], state[2]
+    error = ca.vertcat(
+        ca.fabs(R) - ca.hypot(pose[0], pose[1]),
+        wrap(theta + ca.pi * (R < 0) - ca.atan2(pose[1], pose[0])),
+        wrap(alpha - pose[2]),
+    )
+    # The error of x and y along and across the estimated direction, in the filter's own terms:
+    # the Jacobian of (x, y, heading) by (R, theta, alpha) is a rotation times diag(1, R, 1).
+    along, across = ca.cos(theta), ca.sin(theta)
+    dx, dy = R * along - pose[0], R * across - pose[1]
+    own = ca.vertcat(along * dx + across * dy, (along * dy - across * dx) / R, error[2])
+    nees = own.T @ _inverse3(covariance[:POLAR, :POLAR]) @ own
+    outputs = {
+        "error_out": error,
+        "squared_error_out": error**2,
+        "nees_out": nees,
+        "arrived_out": ca.fabs(R) < radius,
+    }
+    return ca.Function(
+        "score",
+        [pose, state, covariance, radius],
+        list(outputs.values()),
+        ["pose", "state", "covariance", "stop_radius"],
+        list(outputs),
+    )
+
+
+def _inverse3(m: ca.SX) -> ca.SX:
+    """Return the inverse of a symmetric 3 x 3 matrix by its cofactors."""
+    rows = [m[i, :].T for i in range(3)]
+    cofactors = [ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)]
+    return ca.horzcat(*cofactors) / ca.dot(rows[0], cofactors[0])
+
+
+def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
+    """Return one sample of a filter in the loop that it closes."""
+    n, q = kind.model.n, kind.model.q
+    world = {"world": (Symbolic(world_function(n, q, law)),)}
+    return Program(world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)})
+
+
+@dataclass
+class HomingResult:
+    """What came out of many closed loops; arrays run over the runs. Samples include the start."""
+
+    samples: np.ndarray
+    """(runs,), int: samples observed before the run ended or diverged."""
+    reached: np.ndarray
+    """(runs,), bool: the estimated R came below the stop radius."""
+    diverged: np.ndarray
+    """(runs,), bool: the belief became too large or no number; its last good sample is kept."""
+    rmse: np.ndarray
+    """(runs, 3), of R [m], theta, alpha [rad] over a run's samples; infinite where diverged."""
+    nees: np.ndarray
+    """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged."""
+    pose: np.ndarray
+    """(runs, 3), true x [m], y [m], heading [rad] at the last sample."""
+    state: np.ndarray
+    """(runs, n), the estimate at the last sample."""
+    history: dict[str, np.ndarray]
+    """(runs, steps + 1, *shape) of the variables asked for, NaN after a run's last sample."""
+    engine: str
+    """What executed it: native or interpreter."""
+    notes: tuple[str, ...]
+    """What the user must know of that, each a sentence."""
+
+    @property
+    def final_distance(self) -> np.ndarray:
+        """True distance from home at the last sample [m], (runs,)."""
+        return np.asarray(np.hypot(self.pose[:, 0], self.pose[:, 1]))
+
+
+def run_homing(
+    kind: ExtendedKalmanFilter,
+    given: Mapping[str, ArrayLike],
+    *,
+    runs: int,
+    steps: int,
+    seed: int = 0,
+    first_run: int = 0,
+    law: Law = homing,
+    series: Mapping[str, ArrayLike] | None = None,
+    history: Sequence[str] = (),
+    engine: Engine = "auto",
+    threads: int | None = None,
+) -> HomingResult:
+    """Run a filter in the loop that it closes, many times.
+
+    Each run observes its start, then advances and observes again until the estimated R is below
+    the stop radius, the belief diverges, or `steps` samples have been advanced. Run number
+    ``first_run + i`` has the same noise whatever the batch, the filter, the engine or the threads.
+
+    Parameters
+    ----------
+    kind : ExtendedKalmanFilter
+        The filter.
+    given : mapping of str to array_like
+        What does not change from step to step, for all runs at once or with a leading axis of
+        runs. By the names of `homeward.filters.belief`: the first belief (state, covariance;
+        active is zero unless given) and the filter's parameters (dt, stored, input_covariance,
+        state_variance, variance, gate, minimum_visible and, with an integral, proportional and
+        integral_gain). And of the world: ``pose`` (3,), the true x [m], y [m], heading [rad] at the
+        start; ``landmarks`` (q, 2) [m] in the home frame; ``speed`` [m/s]; ``stop_radius`` [m];
+        ``bearing_sigma`` (q,) or a number [rad]; ``disturbance_sigma`` (2,) of the twist, every
+        sample [m/s, rad/s]; ``visibility`` (q,) or a number, the chance that a landmark is in
+        sight. The last two default to zeros and ones. What moved is where `stored` is not the
+        direction of `landmarks`.
+    runs, steps : int
+        Their numbers.
+    seed : int
+        Of all noise, in [0, 2^64).
+    first_run : int
+        Number of the first run in the noise.
+    law : callable
+        The control law, on symbols; the paper's homing law by default.
+    series : mapping of str to array_like, optional
+        Values in place of what would be drawn (noise, disturbance, mask): (steps, ...) for all
+        runs, or (runs, steps, ...).
+    history : sequence of str
+        Variables to return at every sample: pose, state, covariance, error, nees, control, ...
+    engine, threads
+        See `homeward.engine.batch.execution.execute`.
+
+    Raises
+    ------
+    ValueError
+        For a name that the loop does not have, or a shape that does not fit.
+    """
+    program, q = homing_program(kind, law), kind.model.q
+    extra = {"bearing_sigma": q, "disturbance_sigma": 2, "visibility": q}
+    shapes = {**program.shapes, **{k: (size,) for k, size in extra.items()}}
+    values = {"visibility": 1.0, "gate": np.inf, **given}
+    series = series or {}
+    for name in (*values, *series, *history):
+        if name not in shapes:
+            raise ValueError(f"{name}: the closed loop has no such variable")
+    start = tuple(start_value(k, v, shapes[k], runs) for k, v in values.items())
+    job = Job(
+        program=program,
+        extra=extra,
+        runs=runs,
+        steps=steps,
+        first_run=first_run,
+        seed=seed,
+        start=start,
+        series=tuple(series_value(k, v, shapes[k], runs, steps) for k, v in series.items()),
+        draws=_needed(start, series),
+        guarded=("state", "covariance"),
+        sums=("squared_error", "nees"),
+        final=("pose", "state"),
+        history=tuple(history),
+        stop="arrived",
+    )
+    return _scored(execute(job, engine, threads))
+
+
+def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
+    """Return the draws that are not given and whose scale is not zero."""
+    scales = {g.name: g.values for g in start}
+    return tuple(
+        d for d in DRAWS if d.name not in series and np.any(scales.get(d.scale, np.zeros(1)))
+    )
+
+
+def _scored(result: Result) -> HomingResult:
+    """Return means for sums."""
+    lost = result.diverged
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = {k: v / result.samples[:, None] for k, v in result.sums.items()}
+    return HomingResult(
+        samples=result.samples,
+        reached=result.stopped,
+        diverged=lost,
+        rmse=np.where(lost[:, None], np.inf, np.sqrt(mean["squared_error"])),
+        nees=np.where(lost, np.inf, mean["nees"][:, 0]),
+        pose=result.final["pose"],
+        state=result.final["state"],
+        history=result.history,
+        engine=result.engine,
+        notes=result.notes,
+    )

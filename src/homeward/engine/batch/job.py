@@ -1,0 +1,171 @@
+"""What a batch computes, and what comes out of it, whichever engine executes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from homeward.engine.stages import Program
+
+LARGEST = 1e9
+"""A run with a larger number in its belief (m, rad, or their squares) has diverged."""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A variable that is drawn anew at every step."""
+
+    name: str
+    scale: str
+    """The variable that holds its standard deviation, or the probability of a 1."""
+    normal: bool
+    """Else it is 1 or 0."""
+    stream: int
+    """Its own number: no draw depends on another."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """Values of a variable: (runs or 1, steps or 1, entries), column-major."""
+
+    name: str
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Job:
+    """Runs of a program that differ in what they are given and in their noise."""
+
+    program: Program
+    extra: Mapping[str, int]
+    """Variables that no stage has, with their sizes."""
+    runs: int
+    steps: int
+    """At most so many advances a run; its samples are one more."""
+    first_run: int
+    """Number of the first run in the noise."""
+    seed: int
+    start: tuple[Given, ...]
+    series: tuple[Given, ...]
+    draws: tuple[Draw, ...]
+    guarded: tuple[str, ...]
+    """Variables that end a run as diverged when they hold a number too large, or none."""
+    sums: tuple[str, ...]
+    final: tuple[str, ...]
+    history: tuple[str, ...]
+    stop: str | None
+    """A variable that ends a run where it is not 0."""
+
+    def size(self, name: str) -> int:
+        """Return the number of entries of a variable."""
+        return self.extra[name] if name in self.extra else self.program.size(name)
+
+
+@dataclass
+class Result:
+    """What came out of a batch; arrays run over its runs. A run's samples include its start."""
+
+    samples: np.ndarray
+    """(runs,), int: samples observed before the run ended or diverged."""
+    stopped: np.ndarray
+    """(runs,), bool: ended by the program's own word."""
+    diverged: np.ndarray
+    """(runs,), bool."""
+    sums: dict[str, np.ndarray]
+    """(runs, entries), over a run's samples."""
+    final: dict[str, np.ndarray]
+    """(runs, *shape), at a run's last sample."""
+    history: dict[str, np.ndarray]
+    """(runs, steps + 1, *shape), NaN after a run's last sample."""
+    engine: str = ""
+    """What executed it: native or interpreter."""
+    notes: tuple[str, ...] = ()
+    """What the user must know of that, each a sentence."""
+
+
+def empty_result(job: Job) -> Result:
+    """Return a result to be filled; matrices are flat as yet."""
+    return Result(
+        samples=np.zeros(job.runs, np.int64),
+        stopped=np.zeros(job.runs, np.uint8),
+        diverged=np.zeros(job.runs, np.uint8),
+        sums={k: np.zeros((job.runs, job.size(k))) for k in job.sums},
+        final={k: np.full((job.runs, job.size(k)), np.nan) for k in job.final},
+        history={k: np.full((job.runs, job.steps + 1, job.size(k)), np.nan) for k in job.history},
+    )
+
+
+def shaped(job: Job, result: Result) -> Result:
+    """Give flat matrices their shape, and flags their type."""
+    result.stopped, result.diverged = result.stopped.astype(bool), result.diverged.astype(bool)
+    for kept in (result.final, result.history):
+        for name, flat in kept.items():
+            shape = job.program.shapes.get(name, (job.size(name),))
+            square = flat.reshape(*flat.shape[:-1], *reversed(shape))
+            kept[name] = np.swapaxes(square, -1, -2) if len(shape) == 2 else square
+    return result
+
+
+def start_value(name: str, value: ArrayLike, shape: tuple[int, ...], runs: int) -> Given:
+    """Return a variable's values at the start, for all runs at once or for each.
+
+    Parameters
+    ----------
+    name : str
+        Of the variable.
+    value : array_like
+        Of the variable's shape or broadcast to it; or with a leading axis of runs.
+    shape : tuple of int
+        Of the variable; (1,) for a number.
+    runs : int
+        In the batch.
+
+    Raises
+    ------
+    ValueError
+        When the shape fits neither.
+    """
+    array = np.asarray(value, float)
+    inner = () if shape == (1,) else shape
+    if shape == (1,) and array.ndim and array.shape[-1] == 1:
+        array = array[..., 0]
+    if array.ndim <= len(inner):
+        array = _broadcast(name, array, inner)[None]
+    else:
+        array = _broadcast(name, array, (runs, *inner))
+    return Given(name, _flat(array, 1, len(inner))[:, None])
+
+
+def series_value(
+    name: str, value: ArrayLike, shape: tuple[int, ...], runs: int, steps: int
+) -> Given:
+    """Return a variable's values at every step: (steps, *shape) or (runs, steps, *shape).
+
+    Raises
+    ------
+    ValueError
+        When the shape fits neither.
+    """
+    array = np.asarray(value, float)
+    inner = () if shape == (1,) else shape
+    if array.ndim <= len(inner) + 1:
+        array = _broadcast(name, array, (steps, *inner))[None]
+    else:
+        array = _broadcast(name, array, (runs, steps, *inner))
+    return Given(name, _flat(array, 2, len(inner)))
+
+
+def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ValueError(f"{name}: shape {array.shape} does not fit {shape}") from None
+
+
+def _flat(array: np.ndarray, leading: int, inner: int) -> np.ndarray:
+    """Return the inner axes flat, column-major, contiguous."""
+    columns = np.swapaxes(array, -1, -2) if inner == 2 else array
+    return np.ascontiguousarray(columns).reshape(*array.shape[:leading], -1)

@@ -1,0 +1,74 @@
+"""A filter over recorded runs: many at once, or one whole drive in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from numpy.typing import ArrayLike
+
+from homeward.engine.batch.execution import execute
+from homeward.engine.batch.job import Job, Result, series_value, start_value
+from homeward.engine.choice import Engine
+from homeward.engine.stages import Program, filter_parts
+from homeward.filters.ekf import ExtendedKalmanFilter
+
+
+def run_recorded(
+    kind: ExtendedKalmanFilter,
+    given: Mapping[str, ArrayLike],
+    series: Mapping[str, ArrayLike],
+    *,
+    runs: int,
+    steps: int,
+    final: Sequence[str] = ("state", "covariance"),
+    history: Sequence[str] = ("state",),
+    engine: Engine = "auto",
+    threads: int | None = None,
+) -> Result:
+    """Run a filter over what was recorded: at each step, predict and then update.
+
+    Parameters
+    ----------
+    kind : ExtendedKalmanFilter
+        The filter.
+    given : mapping of str to array_like
+        What does not change, and the belief at the start, by the names of `homeward.filters.belief`
+        (state, covariance, active, stored, dt, ...): one value for all runs, or with a leading axis
+        of runs. What is in neither mapping is zero.
+    series : mapping of str to array_like
+        What changes from step to step (control, bearings, mask, ...): (steps, ...) for all runs, or
+        (runs, steps, ...). With a mask of zeros, a step only predicts.
+    runs, steps : int
+        Their numbers.
+    final, history : sequence of str
+        Variables to return at the end, and at every sample; the first sample is the start.
+    engine, threads
+        See `homeward.engine.batch.execution.execute`.
+
+    Raises
+    ------
+    ValueError
+        For a name that the filter does not have, or a shape that does not fit.
+    """
+    program = Program(filter_parts(kind))
+    known = program.shapes
+    for name in (*given, *series, *final, *history):
+        if name not in known:
+            raise ValueError(f"{name}: the filter has no such variable")
+    job = Job(
+        program=program,
+        extra={},
+        runs=runs,
+        steps=steps,
+        first_run=0,
+        seed=0,
+        start=tuple(start_value(k, v, known[k], runs) for k, v in given.items()),
+        series=tuple(series_value(k, v, known[k], runs, steps) for k, v in series.items()),
+        draws=(),
+        guarded=("state", "covariance"),
+        sums=(),
+        final=tuple(final),
+        history=tuple(history),
+        stop=None,
+    )
+    return execute(job, engine, threads)

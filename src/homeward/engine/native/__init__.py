@@ -1,0 +1,1 @@
+"""Symbolic steps as compiled C: written, compiled, kept and loaded."""

@@ -1,0 +1,196 @@
+"""C from a symbolic function: its instructions as straight-line code on a pool of variables.
+
+CasADi's own generator writes scalars; this one writes the same instructions for doubles and for
+vectors with one run a lane (`lanes.h`), and finds the sines and cosines that can be computed
+together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import casadi as ca
+
+
+class Node(NamedTuple):
+    """One value: an operation, and numbers of the nodes that it takes (or what a leaf holds)."""
+
+    op: int
+    args: tuple[int | float, ...]
+
+
+_FORMS: dict[int, str] = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_SQRT: "v_sqrt({0})",
+    ca.OP_FABS: "v_abs({0})",
+    ca.OP_CEIL: "v_ceil({0})",
+    ca.OP_FLOOR: "v_floor({0})",
+    ca.OP_FMIN: "v_min({0}, {1})",
+    ca.OP_FMAX: "v_max({0}, {1})",
+    ca.OP_ATAN2: "v_atan2({0}, {1})",
+    ca.OP_HYPOT: "v_sqrt({0} * {0} + {1} * {1})",
+    ca.OP_LT: "v_lt({0}, {1})",
+    ca.OP_LE: "v_le({0}, {1})",
+    ca.OP_EQ: "v_eq({0}, {1})",
+    ca.OP_NE: "v_ne({0}, {1})",
+    ca.OP_NOT: "v_eq({0}, v_set(0.0))",
+    ca.OP_AND: "v_ne({0} * {1}, v_set(0.0))",
+    ca.OP_OR: "v_ne({0} * {0} + {1} * {1}, v_set(0.0))",
+    ca.OP_IF_ELSE_ZERO: "v_if({0}, {1})",
+}
+_CIRCULAR = (ca.OP_SIN, ca.OP_COS)
+_COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL)
+
+
+class Code:
+    """The values of a symbolic function, none of them twice.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of SX.
+
+    Raises
+    ------
+    NotImplementedError
+        For an operation that no model needed so far.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.nodes: list[Node] = []
+        self.outputs: list[tuple[int, int, int]] = []
+        """(which output, which entry of it, node)"""
+        self._numbers: dict[Node, int] = {}
+        self._read(function)
+
+    def is_zero(self, node: int) -> bool:
+        """Tell whether a node is the constant zero."""
+        return self.nodes[node] == Node(ca.OP_CONST, (0.0,))
+
+    def _read(self, function: ca.Function) -> None:
+        work: dict[int, int] = {}
+        for k in range(function.n_instructions()):
+            op = function.instruction_id(k)
+            given, out = function.instruction_input(k), function.instruction_output(k)
+            if op == ca.OP_OUTPUT:
+                self.outputs.append((out[0], out[1], work[given[0]]))
+            elif op == ca.OP_CONST:
+                work[out[0]] = self._number(op, (function.instruction_constant(k),))
+            elif op == ca.OP_INPUT:
+                work[out[0]] = self._number(op, tuple(given))
+            elif op in _FORMS or op in _CIRCULAR:
+                args = tuple(work[i] for i in given)
+                # One argument is all that a unary operation has, however it is listed.
+                args = args if "{1}" in _FORMS.get(op, "") else args[:1]
+                work[out[0]] = self._operation(op, args)
+            else:
+                raise NotImplementedError(f"operation {op} of CasADi in {function.name()}")
+
+    def _operation(self, op: int, args: tuple[int, ...]) -> int:
+        if op == ca.OP_DIV and self.nodes[args[1]].op != ca.OP_CONST:
+            # Most divisors divide several numbers, and a division costs as much as ten products.
+            return self._operation(ca.OP_MUL, (args[0], self._number(ca.OP_INV, (args[1],))))
+        return self._number(op, tuple(sorted(args)) if op in _COMMUTATIVE else args)
+
+    def _number(self, op: int, args: tuple[int | float, ...]) -> int:
+        node = Node(op, args)
+        if node not in self._numbers:
+            self._numbers[node] = len(self.nodes)
+            self.nodes.append(node)
+        return self._numbers[node]
+
+    def levels(self) -> list[int]:
+        """Return of each node how many sines and cosines stand one behind the other before it."""
+        level: list[int] = []
+        for op, args in self.nodes:
+            if op in (ca.OP_CONST, ca.OP_INPUT):
+                level.append(0)
+            else:
+                level.append(max(level[int(a)] for a in args) + (op in _CIRCULAR))
+        return level
+
+
+def emit(name: str, function: ca.Function, places: Mapping[str, int]) -> str:
+    """Return a C function ``static void name(V *p)`` that reads and writes a pool of variables.
+
+    Everything is read before anything is written, so an output may stand where an input stood.
+
+    Parameters
+    ----------
+    name : str
+        Of the C function.
+    function : casadi.Function
+        Of SX, dense, with named inputs and outputs; a suffix ``_out`` is dropped from the latter.
+    places : mapping of str to int
+        Where in the pool each of its variables starts.
+    """
+    code = Code(function)
+    inputs = [places[function.name_in(i)] for i in range(function.n_in())]
+    outputs = [places[n.removesuffix("_out")] for n in function.name_out()]
+    lines = [f"static void {name}(V *p) {{"]
+    lines += _body(code, inputs)
+    lines += [f"  p[{outputs[i] + j}] = t{node};" for i, j, node in code.outputs]
+    return "\n".join([*lines, "}", ""])
+
+
+def _body(code: Code, inputs: list[int]) -> list[str]:
+    """Return the lines of all nodes: level by level, all circular functions of one together."""
+    levels = code.levels()
+    plain: dict[int, list[str]] = {}
+    circular: dict[int, dict[int, dict[int, int]]] = {}
+    for number, (op, args) in enumerate(code.nodes):
+        if op in _CIRCULAR:
+            angle = int(args[0])
+            circular.setdefault(levels[number], {}).setdefault(angle, {})[op] = number
+        else:
+            plain.setdefault(levels[number], []).append(_line(number, op, args, inputs))
+    lines: list[str] = []
+    for level in range(max([*plain, *circular]) + 1):
+        lines += _circular(level, circular.get(level, {}))
+        lines += plain.get(level, [])
+    return lines
+
+
+def _line(number: int, op: int, args: tuple[int | float, ...], inputs: list[int]) -> str:
+    if op == ca.OP_CONST:
+        form = f"v_set({float(args[0])!r})".replace("inf", "INFINITY").replace("nan", "NAN")
+    elif op == ca.OP_INPUT:
+        form = f"p[{inputs[int(args[0])] + int(args[1])}]"
+    else:
+        form = _FORMS[op].format(*(f"t{a}" for a in args))
+    return f"  const V t{number} = {form};"
+
+
+def _circular(level: int, angles: Mapping[int, Mapping[int, int]]) -> list[str]:
+    """Return the lines of sines and cosines whose angles are all known.
+
+    With one run a lane, one call an angle; with a single run, one call for as many angles as there
+    are lanes.
+    """
+    if not angles:
+        return []
+    every = list(angles)
+    many, one = ["#ifdef SINGLE"], ["#else"]
+    taken = ", ".join(f"t{a}" for a in every)
+    many += [
+        f"  const double a{level}[] = {{{taken}}};",
+        f"  double s{level}[{len(every)}], c{level}[{len(every)}];",
+        f"  sincos_all({len(every)}, a{level}, s{level}, c{level});",
+    ]
+    for k, angle in enumerate(every):
+        sine, cosine = f"s{level}_{k}", f"c{level}_{k}"
+        one.append(f"  V {sine}, {cosine}; w_sincos(t{angle}, &{sine}, &{cosine});")
+        for op, number in angles[angle].items():
+            which = "s" if op == ca.OP_SIN else "c"
+            many.append(f"  const V t{number} = {which}{level}[{k}];")
+            one.append(f"  const V t{number} = {which}{level}_{k};")
+    return [*many, *one, "#endif"]

@@ -1,0 +1,103 @@
+"""From C source to functions in this process: out of the cache, or compiled, proved and kept."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from homeward.engine.native.cache import Cache, default_folder, key_of
+from homeward.engine.native.compiler import Compiler, NativeError, find_compiler
+
+PROOF_S = 60.0
+"""A fresh library must load and answer in a process of its own within this time [s]."""
+_PROOF = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
+
+
+class Library(NamedTuple):
+    """Compiled code in this process."""
+
+    functions: ctypes.CDLL
+    lanes: int
+    """Runs side by side."""
+    notes: tuple[str, ...]
+    """What the user should know of how it came about."""
+
+
+def is_kept(source: str) -> bool:
+    """Tell whether the compiled code of a source is at hand, without compiling.
+
+    Raises
+    ------
+    NativeError
+        When there is no compiler: what it would make of the source is not known then.
+    """
+    cache = Cache(default_folder())
+    return cache.problem() is None and cache.find(_key(source, find_compiler())) is not None
+
+
+def load(source: str) -> Library:
+    """Return the compiled code of a C source.
+
+    Raises
+    ------
+    NativeError
+        When there is no compiler, or it fails.
+    """
+    return _load(source, find_compiler(), default_folder())
+
+
+@lru_cache(maxsize=64)
+def _load(source: str, compiler: Compiler, folder: Path) -> Library:
+    cache, key = Cache(folder), _key(source, compiler)
+    if (problem := cache.problem()) is not None:
+        return _unkept(source, compiler, f"Compiled code is not kept for next time: {problem}.")
+    found = cache.find(key)
+    if found is None:
+        try:
+            with cache.workshop() as workshop:
+                found = cache.keep(key, _compiled(source, compiler, Path(workshop)))
+        except OSError as error:
+            raise NativeError(f"{folder}: {error.strerror}") from None
+    return _opened(found, ())
+
+
+def _key(source: str, compiler: Compiler) -> str:
+    return key_of(source, compiler.identity)
+
+
+def _unkept(source: str, compiler: Compiler, note: str) -> Library:
+    with tempfile.TemporaryDirectory(prefix="homeward-") as workshop:
+        # Once loaded, the file may go.
+        return _opened(_compiled(source, compiler, Path(workshop)), (note,))
+
+
+def _compiled(source: str, compiler: Compiler, workshop: Path) -> Path:
+    """Compile, and prove in another process that the result can be loaded at all."""
+    text, library = workshop / "program.c", workshop / "program.so"
+    text.write_text(source, encoding="utf-8")
+    compiler.compile(text, library)
+    try:
+        proof = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", _PROOF, str(library)],
+            capture_output=True,
+            timeout=PROOF_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        raise NativeError(f"what {compiler.command[0]} made cannot be loaded") from None
+    if proof.returncode != 0 or not proof.stdout.strip().isdigit():
+        raise NativeError(f"what {compiler.command[0]} made cannot be loaded")
+    return library
+
+
+def _opened(file: Path, notes: tuple[str, ...]) -> Library:
+    try:
+        functions = ctypes.CDLL(str(file))
+        return Library(functions, int(functions.homeward_lanes()), notes)
+    except (OSError, AttributeError):
+        raise NativeError(f"{file} cannot be loaded") from None

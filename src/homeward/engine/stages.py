@@ -1,0 +1,119 @@
+"""What a program does, stage by stage, on named variables; any engine can execute it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from homeward.engine.generic import GenericPredict, GenericUpdate
+from homeward.engine.interpreter import Interpreter
+from homeward.engine.kernel import Kernel
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.steps import predict_function, propagate_function, update_function
+
+Shapes = dict[str, tuple[int, ...]]
+COMPILES_UP_TO = 23
+"""States: up to here (20 landmarks) unrolled code is compiled within some seconds."""
+OBSERVE = "observe"
+"""The part of a program that looks at a sample and changes nothing."""
+
+
+class Stage(Protocol):
+    """One function on named variables, which it reads and writes."""
+
+    @property
+    def shapes(self) -> Shapes:
+        """Its variables; matrices are column-major."""
+
+    def kernel(self) -> Kernel:
+        """Return it interpreted."""
+
+
+@dataclass(frozen=True)
+class Symbolic:
+    """A CasADi function, dense, with named inputs and outputs (a suffix ``_out`` is dropped)."""
+
+    function: ca.Function
+
+    @property
+    def shapes(self) -> Shapes:
+        """Its variables."""
+        f = self.function
+        names = [(f.name_in(i), f.size_in(i)) for i in range(f.n_in())]
+        names += [(f.name_out(i).removesuffix("_out"), f.size_out(i)) for i in range(f.n_out())]
+        return {k: size[:1] if size[1] == 1 else tuple(size) for k, size in names}
+
+    def kernel(self) -> Kernel:
+        """Return it interpreted."""
+        return Interpreter(self.function)
+
+
+@dataclass(frozen=True)
+class Generic:
+    """A step of a filter with many landmarks, whose matrices are loops rather than symbols."""
+
+    kind: ExtendedKalmanFilter
+    predicts: bool
+    """Else it updates."""
+
+    @property
+    def shapes(self) -> Shapes:
+        """Its variables, as those of the symbolic step."""
+        kernel = self.kernel()
+        return {k: a.shape for k, a in (kernel.inputs | kernel.outputs).items()}
+
+    @property
+    def propagate(self) -> ca.Function:
+        """The symbolic part of a prediction: state, by_state, by_input."""
+        return propagate_function(self.kind)
+
+    def kernel(self) -> Kernel:
+        """Return it in NumPy."""
+        return GenericPredict(self.kind) if self.predicts else GenericUpdate(self.kind)
+
+
+@dataclass(frozen=True)
+class Program:
+    """Stages by the name of their part; all parts but `OBSERVE`, in order, make one advance."""
+
+    parts: Mapping[str, tuple[Stage, ...]]
+
+    @property
+    def advance(self) -> Iterator[Stage]:
+        """The stages of one advance, in order."""
+        return (s for name, part in self.parts.items() if name != OBSERVE for s in part)
+
+    @property
+    def observe(self) -> tuple[Stage, ...]:
+        """The stages that look at a sample."""
+        return self.parts.get(OBSERVE, ())
+
+    @cached_property
+    def shapes(self) -> Shapes:
+        """All its variables."""
+        shapes: Shapes = {}
+        for part in self.parts.values():
+            for stage in part:
+                shapes |= stage.shapes
+        return shapes
+
+    def size(self, name: str) -> int:
+        """Return the number of entries of a variable."""
+        return int(np.prod(self.shapes[name]))
+
+
+def filter_parts(
+    kind: ExtendedKalmanFilter, unrolled_up_to: int = COMPILES_UP_TO
+) -> dict[str, tuple[Stage, ...]]:
+    """Return the parts ``predict`` and ``update`` of a filter, unrolled up to so many states."""
+    if kind.model.n <= unrolled_up_to:
+        return {
+            "predict": (Symbolic(predict_function(kind)),),
+            "update": (Symbolic(update_function(kind)),),
+        }
+    return {"predict": (Generic(kind, True),), "update": (Generic(kind, False),)}
