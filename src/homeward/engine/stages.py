@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import casadi as ca
@@ -77,7 +77,7 @@ class Generic:
         return GenericPredict(self.kind) if self.predicts else GenericUpdate(self.kind)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """Stages by the name of their part; all parts but `OBSERVE`, in order, make one advance."""
 
@@ -117,3 +117,9 @@ def filter_parts(
             "update": (Symbolic(update_function(kind)),),
         }
     return {"predict": (Generic(kind, True),), "update": (Generic(kind, False),)}
+
+
+@lru_cache(maxsize=64)
+def filter_program(kind: ExtendedKalmanFilter) -> Program:
+    """Return a filter alone: predict, then update."""
+    return Program(filter_parts(kind))

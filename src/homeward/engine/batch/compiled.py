@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.engine.batch.job import LARGEST, Draw, Given, Job, Result
 from homeward.engine.native.library import load
-from homeward.engine.native.source import Source
+from homeward.engine.native.source import Source, source_of
 
 _Long = ctypes.c_int64
 _Pointer = ctypes.c_void_p
@@ -51,7 +51,7 @@ class _Job(ctypes.Structure):
 
 def source(job: Job) -> Source:
     """Return the C of a job: one run alone on doubles, more of them side by side."""
-    return Source(job.program, job.runs == 1, dict(job.extra))
+    return source_of(job.program, job.runs == 1, tuple(job.extra.items()))
 
 
 def execute(job: Job, result: Result, code: Source, threads: int) -> tuple[str, ...]:

@@ -103,6 +103,7 @@ def _inverse3(m: ca.SX) -> ca.SX:
     return ca.horzcat(*cofactors) / ca.dot(rows[0], cofactors[0])
 
 
+@lru_cache(maxsize=64)
 def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
     """Return one sample of a filter in the loop that it closes."""
     n, q = kind.model.n, kind.model.q

@@ -54,7 +54,7 @@ class _Machine:
     def _ended(self, run: int, k: int, result: Result) -> bool:
         """Keep a sample, and say whether the run ends with it."""
         job, now = self._job, self.variables
-        if not all(np.all(np.abs(now[name]) < LARGEST) for name in job.guarded):
+        if not sum(float(np.abs(now[name]).sum()) for name in job.guarded) < LARGEST:
             result.diverged[run] = 1
             return True
         result.samples[run] = k + 1

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from homeward.engine.stages import Program
 
 LARGEST = 1e9
-"""A run with a larger number in its belief (m, rad, or their squares) has diverged."""
+"""A run has diverged when the numbers in its belief (m, rad, or their squares) add up to more."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Job:
     series: tuple[Given, ...]
     draws: tuple[Draw, ...]
     guarded: tuple[str, ...]
-    """Variables that end a run as diverged when they hold a number too large, or none."""
+    """Variables that end a run as diverged when they are too large; see `LARGEST`."""
     sums: tuple[str, ...]
     final: tuple[str, ...]
     history: tuple[str, ...]

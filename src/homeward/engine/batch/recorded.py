@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from homeward.engine.batch.execution import execute
 from homeward.engine.batch.job import Job, Result, series_value, start_value
 from homeward.engine.choice import Engine
-from homeward.engine.stages import Program, filter_parts
+from homeward.engine.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 
 
@@ -50,7 +50,7 @@ def run_recorded(
     ValueError
         For a name that the filter does not have, or a shape that does not fit.
     """
-    program = Program(filter_parts(kind))
+    program = filter_program(kind)
     known = program.shapes
     for name in (*given, *series, *final, *history):
         if name not in known:

@@ -171,26 +171,17 @@ def _line(number: int, op: int, args: tuple[int | float, ...], inputs: list[int]
 
 
 def _circular(level: int, angles: Mapping[int, Mapping[int, int]]) -> list[str]:
-    """Return the lines of sines and cosines whose angles are all known.
-
-    With one run a lane, one call an angle; with a single run, one call for as many angles as there
-    are lanes.
-    """
+    """Return the lines of sines and cosines whose angles are all known, computed together."""
     if not angles:
         return []
-    every = list(angles)
-    many, one = ["#ifdef SINGLE"], ["#else"]
-    taken = ", ".join(f"t{a}" for a in every)
-    many += [
-        f"  const double a{level}[] = {{{taken}}};",
-        f"  double s{level}[{len(every)}], c{level}[{len(every)}];",
-        f"  sincos_all({len(every)}, a{level}, s{level}, c{level});",
+    taken, count = ", ".join(f"t{a}" for a in angles), len(angles)
+    lines = [
+        f"  const V a{level}[] = {{{taken}}};",
+        f"  V s{level}[{count}], c{level}[{count}];",
+        f"  sincos_all({count}, a{level}, s{level}, c{level});",
     ]
-    for k, angle in enumerate(every):
-        sine, cosine = f"s{level}_{k}", f"c{level}_{k}"
-        one.append(f"  V {sine}, {cosine}; w_sincos(t{angle}, &{sine}, &{cosine});")
-        for op, number in angles[angle].items():
+    for k, wanted in enumerate(angles.values()):
+        for op, number in wanted.items():
             which = "s" if op == ca.OP_SIN else "c"
-            many.append(f"  const V t{number} = {which}{level}[{k}];")
-            one.append(f"  const V t{number} = {which}{level}_{k};")
-    return [*many, *one, "#endif"]
+            lines.append(f"  const V t{number} = {which}{level}[{k}];")
+    return lines

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from homeward.engine.native.library import Library, load
-from homeward.engine.native.source import Source
+from homeward.engine.native.source import source_of
 from homeward.engine.stages import Program
 
 
@@ -27,7 +27,7 @@ class NativeProgram:
     """
 
     def __init__(self, program: Program) -> None:
-        source = Source(program, single=True)
+        source = source_of(program, single=True)
         self.library: Library = load(source.text)
         self.pool = np.zeros(source.size)
         self.variables = {

@@ -36,13 +36,6 @@ INLINE int w_any(WI mask) {
   return any != 0;
 }
 
-#define BY_LANE(name, call)                    \
-  static __attribute__((unused)) W name(W x) { \
-    W y;                                       \
-    for (int l = 0; l < WIDTH; l++) y[l] = call(x[l]); \
-    return y;                                  \
-  }
-
 INLINE W w_sqrt(W x) {
   W y;
   for (int l = 0; l < WIDTH; l++) y[l] = __builtin_sqrt(x[l]);
@@ -59,14 +52,7 @@ INLINE W w_ceil(W x) {
 }
 INLINE W w_floor(W x) { return -w_ceil(-x); }
 
-static __attribute__((noinline, unused)) void w_sincos_far(W x, WI far, W *sine, W *cosine) {
-  for (int l = 0; l < WIDTH; l++)
-    if (far[l]) {
-      (*sine)[l] = sin(x[l]);
-      (*cosine)[l] = cos(x[l]);
-    }
-}
-
+/* Of angles that are not far. */
 INLINE void w_sincos(W x, W *sine, W *cosine) {
   W shifted = x * 0.63661977236758134308 + ROUNDER;
   W turns = shifted - ROUNDER;
@@ -86,11 +72,8 @@ INLINE void w_sincos(W x, W *sine, W *cosine) {
   W a = w_select(swap, c, s), b = w_select(swap, s, c);
   *sine = (W)((WI)a ^ ((quadrant & 2) << 62));
   *cosine = (W)((WI)b ^ (((quadrant + 1) & 2) << 62));
-  WI far = ~(w_abs(x) < 1e6); /* NaN too */
-  if (__builtin_expect(w_any(far), 0)) w_sincos_far(x, far, sine, cosine);
 }
-INLINE W w_sin(W x) { W s, c; w_sincos(x, &s, &c); return s; }
-INLINE W w_cos(W x) { W s, c; w_sincos(x, &s, &c); return c; }
+INLINE WI w_is_far(W x) { return ~(w_abs(x) < 1e6); } /* NaN too */
 
 INLINE W w_atan2(W y, W x) {
   W ax = w_abs(x), ay = w_abs(y);
@@ -171,15 +154,30 @@ typedef W V;
 
 #endif
 
+/* Sines and cosines of several angles: vector by vector, or doubles packed into vectors. Angles far
+ * from zero go through the C library, lane by lane, so that no lane depends on another. */
+static __attribute__((noinline, unused)) void sincos_all(int count, const V *angle, V *sine,
+                                                         V *cosine) {
+  WI far = {0};
 #ifdef SINGLE
-/* Sines and cosines of several angles at once, as many as a vector holds. */
-INLINE void sincos_all(int count, const double *angle, double *sine, double *cosine) {
   for (int k = 0; k < count; k += WIDTH) {
-    const int left = count - k < WIDTH ? count - k : WIDTH;
+    const size_t left = count - k < WIDTH ? count - k : WIDTH;
     W a = {0}, s, c;
-    for (int l = 0; l < left; l++) a[l] = angle[k + l];
+    memcpy(&a, angle + k, left * sizeof(double));
     w_sincos(a, &s, &c);
-    for (int l = 0; l < left; l++) sine[k + l] = s[l], cosine[k + l] = c[l];
+    far |= w_is_far(a);
+    memcpy(sine + k, &s, left * sizeof(double));
+    memcpy(cosine + k, &c, left * sizeof(double));
   }
-}
+#else
+  for (int k = 0; k < count; k++) {
+    w_sincos(angle[k], sine + k, cosine + k);
+    far |= w_is_far(angle[k]);
+  }
 #endif
+  if (__builtin_expect(!w_any(far), 1)) return;
+  const double *a = (const double *)angle;
+  double *s = (double *)sine, *c = (double *)cosine;
+  for (int i = 0; i < count * LANES; i++)
+    if (!(fabs(a[i]) < 1e6)) s[i] = sin(a[i]), c[i] = cos(a[i]);
+}

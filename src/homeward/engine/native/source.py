@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from importlib.resources import files
 
 import casadi as ca
@@ -9,6 +10,12 @@ import casadi as ca
 from homeward.engine.native.emit import Code, emit
 from homeward.engine.stages import OBSERVE, Generic, Program, Stage, Symbolic
 from homeward.filters.ekf import ExtendedKalmanFilter
+
+
+@lru_cache(maxsize=64)
+def source_of(program: Program, single: bool, extra: tuple[tuple[str, int], ...] = ()) -> Source:
+    """Return a program's source, the same object for the same program; see `Source`."""
+    return Source(program, single, dict(extra))
 
 
 class Source:
@@ -24,14 +31,14 @@ class Source:
         Variables that no stage has, with their sizes.
     """
 
-    def __init__(self, program: Program, single: bool, extra: dict[str, int] | None = None) -> None:
+    def __init__(self, program: Program, single: bool, extra: dict[str, int]) -> None:
         self.places: dict[str, int] = {}
         """Where in the pool each variable starts."""
         self.size = 0
         """Of the pool."""
         for name in program.shapes:
             self._place(name, program.size(name))
-        for name, size in (extra or {}).items():
+        for name, size in extra.items():
             self._place(name, size)
         functions, calls = self._stages(program)
         kept = [f"#define POOL {max(self.size, 1)}", *functions]
