@@ -32,26 +32,6 @@ def key_values(changes: list[str]) -> dict[str, Any]:
     return chosen
 
 
-def nested(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
-
-    Raises
-    ------
-    InputError
-        When a key is used both as a value and as the head of others.
-    """
-    tree: dict[str, Any] = {}
-    for key, value in values.items():
-        *heads, last = key.split(".")
-        branch = tree
-        for head in heads:
-            branch = branch.setdefault(head, {})
-            if not isinstance(branch, dict):
-                raise InputError(f"--set {key}: {head} is a value already")
-        branch[last] = value
-    return tree
-
-
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     """Return three finite numbers written with commas between them.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import key_values, nested, progress
+from homeward.cli.options import key_values, progress
 
 
 def reproduce(
@@ -29,7 +29,7 @@ def reproduce(
     The folder gets paper.html, with both RMSE tables beside the printed ones, what the paper
     leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
     """
-    from homeward.drives.settings import validated
+    from homeward.drives.settings import nested, validated
     from homeward.report.output import check_output
     from homeward.report.paper_page import PAGE, SETTINGS_FILE, write_reproduction
     from homeward.studies.paper.cases import reproduce as run_cases
