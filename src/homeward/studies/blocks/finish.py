@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import TypeVar
 
+from homeward.errors import InputError
 from homeward.studies.blocks.cluster import on_cluster
 from homeward.studies.blocks.pool import on_processes
 from homeward.studies.blocks.store import Arrays, BlockStore
@@ -22,6 +23,11 @@ class Where:
     """Address of a Dask scheduler."""
     workers: int | None = None
     """Processes of a Dask cluster of our own on this machine."""
+
+    def __post_init__(self) -> None:
+        """Refuse both at once."""
+        if self.scheduler is not None and self.workers is not None:
+            raise InputError("--scheduler and --workers: one of them; a scheduler has its workers")
 
 
 def finish(

@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
+from homeward.engine.batch.execution import available_threads
 from homeward.errors import HomewardError
 from homeward.studies.blocks.store import Arrays
 
@@ -21,13 +22,6 @@ MOST_BREAKAGES = 3
 """Pools that may break one after the other without a single block finished."""
 AHEAD = 2
 """Blocks handed out per process, so that none waits."""
-
-
-def usable_processors() -> int:
-    """Return how many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def on_processes(
@@ -55,7 +49,7 @@ def on_processes(
         When workers die again and again.
     """
     waiting, breakages = dict(arguments), 0
-    count = min(processes or usable_processors(), max(len(waiting), 1))
+    count = min(processes or available_threads(), max(len(waiting), 1))
     while waiting:
         try:
             with closing(_round(function, waiting, count)) as results:

@@ -20,7 +20,8 @@ from homeward.drives.drive import Strict
 from homeward.drives.settings import validated
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import Arrays, BlockStore
-from homeward.studies.paper.cases import FILTERS, run_filter
+from homeward.studies.paper.cases import FILTERS
+from homeward.studies.paper.many import run_many
 from homeward.studies.paper.robust import bound_rmse, run_robust
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, draw_world
@@ -56,6 +57,10 @@ VARIANTS: dict[str, dict[str, Any]] = {
 """What the printed order may depend on: name to what is changed in `PaperSettings`."""
 
 
+BLOCK, SLOW_BLOCK = 250, 10
+"""Layouts in a block of filters, and of the robust localiser and the bound."""
+
+
 class LayoutSettings(Strict):
     """How much of it is computed."""
 
@@ -64,11 +69,9 @@ class LayoutSettings(Strict):
     varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """The first so many of them for each of `VARIANTS`."""
     searched: Annotated[int, Field(ge=2, le=1_000_000)] = 500
-    """So many for each gain of the search: half to choose by, half to judge by."""
+    """The first so many to choose the gains of the search by, and as many to judge them by."""
     robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
     """The first so many for the robust localiser and the bound, which take seconds each."""
-    block: Annotated[int, Field(ge=1, le=10_000)] = 50
-    """Layouts in a block; changes no result."""
     paper: PaperSettings = PaperSettings()
     """What all of it starts from; its `runs` is not used."""
 
@@ -102,18 +105,18 @@ class Outcome:
 
 def run_block(block: Block) -> Arrays:
     """Run every filter of a block through its worlds; layout k is the same in any block."""
-    shape = len(block.names), block.last - block.first
+    worlds = [draw_world(block.case, block.settings, k) for k in range(block.first, block.last)]
+    shape = len(block.names), len(worlds)
     rmse, distance = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
-    for i, k in enumerate(range(block.first, block.last)):
-        world = draw_world(block.case, block.settings, k)
-        for j, name in enumerate(block.names):
+    for j, name in enumerate(block.names):
+        if name in FILTERS:
+            rmse[j], distance[j] = run_many(name, block.case, worlds, block.settings)
+            continue
+        for i, world in enumerate(worlds):
             if name == BOUND:
                 rmse[j, i] = bound_rmse(block.case, world, block.settings)
-            elif name == ROBUST:
-                rmse[j, i], distance[j, i] = run_robust(block.case, world, block.settings)
             else:
-                run = run_filter(name, block.case, world, block.settings)
-                rmse[j, i], distance[j, i] = run.rmse, run.final_distance
+                rmse[j, i], distance[j, i] = run_robust(block.case, world, block.settings)
     return {"rmse": rmse, "final_distance": distance}
 
 
@@ -134,11 +137,12 @@ class Question:
     names: tuple[str, ...]
     layouts: int
 
-    def blocks(self, size: int) -> dict[str, Block]:
+    def blocks(self) -> dict[str, Block]:
         """Return its blocks by names that tell everything they depend on."""
         tree = self.settings.model_dump(mode="json", exclude={"runs"})
         text = json.dumps([tree, self.case, self.names], sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
+        size = BLOCK if set(self.names) <= set(FILTERS) else SLOW_BLOCK
         blocks = {}
         for first in range(0, self.layouts, size):
             last = min(first + size, self.layouts)
@@ -154,13 +158,12 @@ def open_store(folder: Path) -> BlockStore:
 
 def ask(
     store: BlockStore,
-    questions: Mapping[str, Question],
-    block: int,
+    questions: Mapping[Any, Question],
     where: Where,
     progress: Callable[[float], None] | None = None,
-) -> dict[str, Outcome]:
+) -> dict[Any, Outcome]:
     """Answer questions, block by block; what the store holds already is not computed again."""
-    blocks = {label: question.blocks(block) for label, question in questions.items()}
+    blocks = {label: question.blocks() for label, question in questions.items()}
     everything = {name: b for some in blocks.values() for name, b in some.items()}
     finish(store, run_block, everything, where, progress)
     return {
