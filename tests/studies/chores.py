@@ -20,6 +20,7 @@ def slow_square(x):
 def die_once(folder_and_x):
     """Be killed the first time that a certain block is begun."""
     folder, x = folder_and_x
+    (Path(folder) / f"begun-{os.getpid()}-{x}").touch()
     if x == 3:
         try:
             (Path(folder) / "died").touch(exist_ok=False)
@@ -27,7 +28,6 @@ def die_once(folder_and_x):
             pass
         else:
             os.kill(os.getpid(), signal.SIGKILL)
-    (Path(folder) / f"begun-{x}-{time.monotonic_ns()}").touch()
     return slow_square(x)
 
 

@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 import yaml
 
 from homeward.errors import InputError
+
+Scheduler = Annotated[
+    str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Compute on so many Dask workers of this machine.")
+]
 
 
 def key_values(changes: list[str]) -> dict[str, Any]:
@@ -51,8 +59,6 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
 
 def print_table(rows: list[list[str]]) -> None:
     """Print rows of text, the head first; all columns but the first two stand right."""
-    import typer
-
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows:
         cells = [

@@ -7,14 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import print_table, progress
-
-Scheduler = Annotated[
-    str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
-]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="Compute on so many Dask workers of this machine.")
-]
+from homeward.cli.options import Scheduler, Workers, print_table, progress
 
 
 def study(

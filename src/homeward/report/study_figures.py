@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
 from homeward.report.canvas import (
@@ -75,8 +76,11 @@ def draw_overview(results: Results) -> Figure:
                 panels[1].plot((low, high), (place, place), color=colour, lw=1.6)
                 panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
             _bar(panels[-1], place, line.nees, colour)
-        panels[0].set(xscale="log", xlabel="position RMSE of a run [m]")
-        panels[-1].set(xscale="log", xlabel="mean NEES of a run")
+        for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
+            axes.set(xscale="log", xlabel=words)
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_major_locator(_ticks(axes))
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
         if closed:
             panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
@@ -93,6 +97,12 @@ def draw_overview(results: Results) -> Figure:
         ]
         figure.legend(handles=entries, loc="outside lower center", ncols=4)
     return figure
+
+
+def _ticks(axes: Axes) -> LogLocator:
+    """Return ticks at 1, 2 and 5 where the axis spans little, else at powers of ten."""
+    low, high = axes.get_xlim()
+    return LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 50 else (1.0,), numticks=7)
 
 
 def _places(rows: list[Line]) -> list[float]:

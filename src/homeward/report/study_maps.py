@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
 from homeward.report.canvas import BLUE, INK, VERMILLION, new_figure, style
@@ -29,6 +29,16 @@ SHOWN: dict[str, dict[str, str]] = {
     },
 }
 """Estimator to quantities and what they tell; others show RMSE and NEES."""
+WORDS = {
+    "parameter_sigma": "√P0: parameter_sigma [rad]",
+    "parameter_walk": "√Qd: parameter_walk [rad/√s]",
+    "parameters": "number of parameters",
+    "proportional": "Pi: proportional",
+    "integral_gain": "M: integral_gain",
+}
+"""Settings as the paper calls them."""
+DECADES = {"moved_bearing_error": 1.5}
+"""Ratio to the plain EKF at which a colour is full, in powers of ten; half of one otherwise."""
 OTHERS = {"position_rmse": "position RMSE [m]", "nees": "median NEES (3 is right)"}
 
 
@@ -82,17 +92,20 @@ def draw_maps(results: Results, grid: Grid) -> Figure:
             for axes, page in zip(row, pages, strict=True):
                 cells = _cells(results, grid, quantity, (across, up), page)
                 _draw_map(axes, cells, quantity, reference)
+                axes.set_title(" ", fontsize=9)  # keeps room for the words
                 axes.set_xticks(range(len(across)), [_word(v) for v in across])
                 axes.set_yticks(range(len(up)), [_word(v) for v in up])
                 axes.grid(False)
                 axes.spines[:].set_visible(False)
             told = "" if np.isnan(reference) else f"; plain EKF: {number(reference)}"
-            row[0].set_title(words + told, loc="left", fontsize=9)
-            row[0].set_ylabel(grid.axes[1])
+            title = row[0].text(0.0, 1.05, words + told, transform=row[0].transAxes)
+            title.set_in_layout(False)  # or the first column grows to its width
+        figure.supylabel(WORDS.get(grid.axes[1], grid.axes[1]), fontsize=9)
         for axes, page in zip(panels[-1], pages, strict=True):
-            axes.set_xlabel(grid.axes[0])
+            words = WORDS.get(grid.axes[0], grid.axes[0])
             if page is not None:
-                axes.set_xlabel(f"{grid.axes[0]}\n\n{grid.axes[2]}: {_word(page)}")
+                words += f"\n\n{WORDS.get(grid.axes[2], grid.axes[2])}: {_word(page)}"
+            axes.set_xlabel(words)
     return figure
 
 
@@ -142,18 +155,20 @@ def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float) ->
     else:
         middle = reference if np.isfinite(reference) else float(np.nanmedian(cells))
         worse = np.log10(np.maximum(cells, 1e-9) / max(middle, 1e-9))
-    finite = np.where(np.isfinite(worse), worse, np.where(np.isnan(worse), 0.0, 9.0))
-    axes.imshow(
-        np.clip(finite, -0.5, 0.5),
-        cmap=GOOD_TO_BAD,
-        norm=TwoSlopeNorm(0.0, -0.6, 0.6),
-        aspect="auto",
-        origin="lower",
-    )
+    worse = np.clip(worse / DECADES.get(quantity, 0.5), -1.0, 1.0)
+    shown = np.where(np.isnan(worse), 0.0, worse)
+    norm = Normalize(-1.2, 1.2)
+    axes.imshow(shown, cmap=GOOD_TO_BAD, norm=norm, aspect="auto", origin="lower")
     for (y, x), value in np.ndenumerate(cells):
-        strong = abs(float(np.clip(finite[y, x], -0.5, 0.5))) > 0.33
-        colour = "white" if strong else INK
-        axes.text(x, y, number(value), ha="center", va="center", fontsize=8, color=colour)
+        colour = "white" if abs(shown[y, x]) > 0.66 else INK
+        axes.text(x, y, _number(value), ha="center", va="center", fontsize=8, color=colour)
+
+
+def _number(value: float) -> str:
+    """Return a number that fits into a cell."""
+    if np.isnan(value):
+        return ""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}" if value < 999.5 else "> 999"
 
 
 def _word(value: Any) -> str:

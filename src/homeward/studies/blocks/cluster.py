@@ -57,7 +57,9 @@ def on_cluster(
             for name, argument in arguments.items()
         }
         try:
-            for future in distributed.as_completed(futures):
+            with client.as_current():
+                completed = distributed.as_completed(futures)
+            for future in completed:
                 result = future.result()
                 name = futures.pop(future)
                 future.release()
@@ -80,7 +82,7 @@ def _connect(distributed: Any, stack: ExitStack, scheduler: str | None, workers:
                 distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
-                    dashboard_address=None,
+                    dashboard_address=":0",
                     silence_logs=logging.CRITICAL,
                 )
             )

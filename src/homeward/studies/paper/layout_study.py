@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from homeward.drives.settings import validated
 from homeward.studies.blocks.finish import Where
 from homeward.studies.blocks.store import BlockStore
 from homeward.studies.paper.layouts import (
@@ -19,6 +21,7 @@ from homeward.studies.paper.layouts import (
     varied_questions,
 )
 from homeward.studies.paper.search import Search, search
+from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.tables import printed_order
 from homeward.studies.paper.world import CaseName
 
@@ -40,6 +43,25 @@ class LayoutStudy:
     varied: dict[tuple[str, CaseName], Outcome]
     """By variant and case, over the first of them."""
     search: Search
+
+
+def layout_settings(
+    values: Mapping[str, Any], layouts: int | None = None, seed: int | None = None
+) -> LayoutSettings:
+    """Return settings from values by key: those of `PaperSettings`, and varied, searched, robust.
+
+    Raises
+    ------
+    InputError
+        For a key that does not exist, or a value out of range.
+    """
+    own = {k: v for k, v in values.items() if k in LayoutSettings.model_fields and k != "paper"}
+    paper = {k: v for k, v in values.items() if k not in own}
+    if seed is not None:
+        paper["seed"] = seed
+    if layouts is not None:
+        own["layouts"] = layouts
+    return validated(LayoutSettings, {**own, "paper": validated(PaperSettings, paper)})
 
 
 def study_layouts(
@@ -111,8 +133,3 @@ def better_share(outcome: Outcome, name: str, other: str, column: int) -> float:
 def printed_shares(outcome: Outcome, case: CaseName) -> list[float]:
     """Return the share with the order that the table prints, for R, theta and alpha."""
     return [order_share(outcome, printed_order(case, column), column) for column in range(3)]
-
-
-def interval(share: float, n: int) -> float:
-    """Return half the width of the 95 % interval of a share seen in n layouts."""
-    return float(1.96 * np.sqrt(max(share * (1 - share), 1e-9) / n))

@@ -66,7 +66,7 @@ class LayoutSettings(Strict):
 
     layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
     """Random layouts and fault sets of the main question."""
-    varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    varied: Annotated[int, Field(ge=1, le=1_000_000)] = 2000
     """The first so many of them for each of `VARIANTS`."""
     searched: Annotated[int, Field(ge=2, le=1_000_000)] = 500
     """The first so many to choose the gains of the search by, and as many to judge them by."""

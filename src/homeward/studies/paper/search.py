@@ -112,10 +112,11 @@ class _Rounds:
     ) -> None:
         self._settings, self._store, self._where = settings, store, where
         self._progress, self._done = progress, 0
+        self._n = min(settings.searched, settings.layouts)
 
     def reference(self) -> dict[CaseName, np.ndarray]:
         """Return the EKF's errors on the layouts that choose."""
-        n = self._settings.searched
+        n = self._n
         asked = {case: Question(self._settings.paper, case, ("EKF",), n) for case in STUDIED}
         answers = self._ask(asked)
         return {case: answers[case].of("EKF") for case in STUDIED}
@@ -134,18 +135,18 @@ class _Rounds:
         ekf: dict[CaseName, np.ndarray],
     ) -> list[Tried]:
         """Return the costs of gains, each in its case."""
-        n = self._settings.searched
+        n = self._n
         answers = self._ask(
-            {str(i): self._question(Pi, M, case, n) for i, (_, Pi, M, case) in enumerate(gains)}
+            {i: self._question(Pi, M, case, n) for i, (_, Pi, M, case) in enumerate(gains)}
         )
         return [
-            Tried(family, case, Pi, M, cost(answers[str(i)].of("PI-EKF"), ekf[case]))
+            Tried(family, case, Pi, M, cost(answers[i].of("PI-EKF"), ekf[case]))
             for i, (family, Pi, M, case) in enumerate(gains)
         ]
 
     def judge(self, tried: list[Tried]) -> list[Best]:
         """Return the best of each family in each case, over layouts that did not choose."""
-        n = self._settings.searched
+        n = self._n
         best = [
             min(
                 (t for t in tried if t.family == family and t.case == case),
@@ -154,14 +155,16 @@ class _Rounds:
             for family in FAMILIES
             for case in STUDIED
         ]
-        asked = {str(i): self._question(t.Pi, t.M, t.case, 2 * n) for i, t in enumerate(best)}
+        asked: dict[Any, Question] = {
+            i: self._question(t.Pi, t.M, t.case, 2 * n) for i, t in enumerate(best)
+        }
         others = ("EKF", "A-EKF (all)")
         asked |= {c: Question(self._settings.paper, c, others, 2 * n) for c in STUDIED}
         answers = self._ask(asked)
         return [
             Best(
                 t,
-                answers[str(i)].of("PI-EKF")[n:],
+                answers[i].of("PI-EKF")[n:],
                 answers[t.case].of("EKF")[n:],
                 answers[t.case].of("A-EKF (all)")[n:],
             )

@@ -126,7 +126,10 @@ def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.nda
 
 
 def table(results: Results) -> list[list[str]]:
-    """Return the table of the terminal and of the page, its head first, as text."""
+    """Return the table of the terminal and of the page, its head first, as text.
+
+    A column in which nothing is known is left out.
+    """
     closed = results.plan.study.loop == "closed"
     head = ["scenario", "estimator", "RMSE [m]", "5 to 95 % of runs", "/ bound", "heading [deg]"]
     head += ["NEES", *(["home"] if closed else []), "moved right", "no pose", "failed", "s a run"]
@@ -150,7 +153,8 @@ def table(results: Results) -> list[list[str]]:
                 number(line.seconds),
             ]
         )
-    return rows
+    known = [k for k in range(len(head)) if k < 2 or any(row[k] for row in rows[1:])]
+    return [[row[k] for k in known] for row in rows]
 
 
 def number(value: float) -> str:
