@@ -33,3 +33,9 @@ def die_once(folder_and_x):
 
 def die_always(x):
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def in_this_process(function, arguments):
+    """Stand in for a pool of processes where a test is not about it."""
+    for name, argument in arguments.items():
+        yield name, function(argument)

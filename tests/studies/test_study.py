@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 import yaml
+from studies.chores import in_this_process
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
@@ -259,7 +260,8 @@ def test_lines_and_means_over_time_are_those_of_the_runs(results):
     assert over_time(results, "position_error", 0, 1, root=True)[4] == pytest.approx(expected)
 
 
-def test_a_study_repeats_from_the_study_yaml_that_it_wrote(tmp_path):
+def test_a_study_repeats_from_the_study_yaml_that_it_wrote(tmp_path, monkeypatch):
+    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
     path = written(tmp_path, runs=1, grid={}, estimators=["ekf"])
     first = call("study", path, "--out", tmp_path / "a")
     assert first.exit_code == 0, first.output

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
 from homeward.report.canvas import (
     BLUE,
@@ -99,9 +99,11 @@ def draw_order(study: LayoutStudy) -> Figure:
                     axes.axhspan(place - 0.5, place + 0.5, color=MUTED, alpha=0.12, lw=0)
                 for k, colour in enumerate(_QUANTITY_COLOURS):
                     share = 100 * order_share(study.varied[name, case], CLAIMED, k)
-                    axes.plot(share, place, "o", ms=5, mew=0, color=colour)
+                    at = place + 0.2 * (k - 1)
+                    axes.plot(share, at, "o", ms=5, mew=0, color=colour)
             axes.set_title(TITLES[case], loc="left", fontsize=9)
-            axes.set(xlabel="layouts with PI-EKF < A-EKF < EKF [%]", xlim=(-1, None))
+            axes.set(xlabel="layouts with PI-EKF < A-EKF < EKF [%]")
+            axes.set_xlim(-1, 1.05 * axes.get_xlim()[1])
             axes.grid(False, axis="y")
         panels[0].set_yticks(range(len(VARIANTS)), tuple(VARIANTS))
         panels[0].set_ylim(len(VARIANTS) - 0.4, -0.6)
@@ -134,7 +136,7 @@ def draw_search(study: LayoutStudy) -> Figure:
             axes.axhline(1.0, color=INK, lw=0.9, label="EKF")
         left.set(xscale="log", yscale="log", xlabel="Pi times M, as printed")
         left.set_ylabel("errors over the EKF's")
-        left.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        left.yaxis.set_major_locator(FixedLocator((0.3, 0.5, 0.7, 0.8, 1, 1.25, 1.5, 2, 3, 5)))
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         left.yaxis.set_minor_formatter(NullFormatter())
         words = ("best product\nas printed", "best free Pi,\nM ones", "best free Pi,\nM own")
