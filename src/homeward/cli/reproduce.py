@@ -7,7 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from homeward.cli.options import Scheduler, Workers, key_values, print_table, progress
+from homeward.cli.options import (
+    Scheduler,
+    Workers,
+    key_values,
+    print_table,
+    progress,
+    resumable,
+)
 from homeward.errors import InputError
 
 
@@ -109,7 +116,7 @@ def _study(
     settings = layout_settings(values, runs, seed)
     check_output(out, MARKER)
     store = open_store(out)
-    with progress("layouts of the paper's cases") as tell:
+    with resumable(), progress("layouts of the paper's cases") as tell:
         result = study_layouts(settings, store, where, tell)
         write_layouts(out, result)
     for table in (error_table, ratio_table, order_table, search_table):

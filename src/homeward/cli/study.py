@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Scheduler, Workers, print_table, progress
+from homeward.cli.options import Scheduler, Workers, print_table, progress, resumable
 
 
 def study(
@@ -43,7 +43,7 @@ def study(
     folder = out or Path("out") / Path(study).stem
     check_output(folder, MARKER)
     store = open_study(plan, folder)
-    with progress(plan.study.name) as tell:
+    with resumable(), progress(plan.study.name) as tell:
         results = run_study(plan, store, where, tell)
         write_study(folder, results)
     print_table(table(results))

@@ -20,7 +20,7 @@ from homeward.studies.study.settings import EstimatorEntry, StudySettings
 
 MOST_CELLS = 10_000
 """Scenarios times estimators."""
-MOST_NUMBERS = 400_000_000
+MOST_NUMBERS = 100_000_000
 """Of each error over time; more would not fit into memory."""
 
 
