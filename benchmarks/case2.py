@@ -12,14 +12,13 @@ import argparse
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
-from homeward.frames import polar_covariance_to_pose, to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.presets import PAPER_HOMING
 from homeward.simulation.scenario import Moved, Scenario
 from homeward.simulation.simulate import Simulation, simulate
+from homeward.studies.study.bound import simulation_bound
 
 
 def scenario(seed: int, moved: int) -> Scenario:
@@ -29,32 +28,7 @@ def scenario(seed: int, moved: int) -> Scenario:
 
 def bound(simulation: Simulation) -> np.ndarray:
     """Return the bound at the last bearing stamp of a run, shape (3, 3)."""
-    drive, case = simulation.drive, simulation.scenario
-    stamps = np.unique(drive.sightings.t)
-    true = drive.truth.at(stamps)
-    poses = np.stack([true.x, true.y, true.heading], axis=1)
-    ids = list(simulation.world.ids)
-    visible = np.zeros((stamps.size, len(ids)), bool)
-    row = np.searchsorted(stamps, drive.sightings.t)
-    visible[row, [ids.index(n) for n in drive.sightings.landmark]] = True
-    dt = np.diff(stamps)
-    step = np.diff(poses, axis=0)
-    twists = np.stack([np.hypot(step[:, 0], step[:, 1]) / dt, wrap(step[:, 2]) / dt], axis=1)
-    start = to_polar(case.start.in_home_frame(case.home.pose))
-    sigmas = case.start.sigma_R, case.start.sigma_theta, case.start.sigma_alpha
-    return posterior_bound(
-        poses,
-        twists,
-        dt,
-        simulation.world.in_home_frame,
-        visible,
-        bearing_sigma=case.noise.bearing_sigma,
-        home_sigma=case.noise.home_sigma,
-        speed_sigma=case.odometry.speed_sigma,
-        turn_sigma=case.odometry.turn_sigma,
-        moved=simulation.world.fault != 0,
-        start_covariance=polar_covariance_to_pose(start, np.diag(np.square(sigmas))),
-    )[-1]
+    return simulation_bound(simulation)[1][-1]
 
 
 def final_error(drive: Drive, estimator: Estimator) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -179,6 +179,22 @@ def run(
     if progress is not None:
         progress(1.0)
     return rows.track(estimator, np.array(update_seconds), time.perf_counter() - began)
+
+
+def track_of(estimator: Estimator, answers: Sequence[Estimate]) -> Track:
+    """Return the track of answers that an estimator has given already, in order of time.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        After its drive.
+    answers : sequence of Estimate
+        At increasing times.
+    """
+    rows = _Rows(len(answers))
+    for answer in answers:
+        rows.keep(answer.t, answer)
+    return rows.track(estimator, np.empty(0), 0.0)
 
 
 _ODOMETRY, _BEARINGS, _GRID = 0, 1, 2

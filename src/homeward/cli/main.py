@@ -14,6 +14,7 @@ from homeward.cli.plan import plan
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.simulate import simulate
+from homeward.cli.study import study
 from homeward.cli.view import view
 from homeward.errors import HomewardError
 
@@ -39,5 +40,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, view, simulate, reproduce, observe, plan, info, convert):
+for command in (run, view, simulate, reproduce, study, observe, plan, info, convert):
     app.command()(command)

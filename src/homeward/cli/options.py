@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 import yaml
 
 from homeward.errors import InputError
+
+Scheduler = Annotated[
+    str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Compute on so many Dask workers of this machine.")
+]
 
 
 def key_values(changes: list[str]) -> dict[str, Any]:
@@ -32,26 +41,6 @@ def key_values(changes: list[str]) -> dict[str, Any]:
     return chosen
 
 
-def nested(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
-
-    Raises
-    ------
-    InputError
-        When a key is used both as a value and as the head of others.
-    """
-    tree: dict[str, Any] = {}
-    for key, value in values.items():
-        *heads, last = key.split(".")
-        branch = tree
-        for head in heads:
-            branch = branch.setdefault(head, {})
-            if not isinstance(branch, dict):
-                raise InputError(f"--set {key}: {head} is a value already")
-        branch[last] = value
-    return tree
-
-
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     """Return three finite numbers written with commas between them.
 
@@ -69,6 +58,37 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     return a, b, c
 
 
+def print_table(rows: list[list[str]]) -> None:
+    """Print rows of text, the head first; all columns but the first two stand right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if k < 2 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        typer.echo("  ".join(cells).rstrip())
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Let Ctrl-C and a kill end the block with one line and exit status 130."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(
+            "homeward: stopped; finished blocks are kept, and the same command goes on from them",
+            err=True,
+        )
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 @contextmanager
 def progress(words: str) -> Iterator[Callable[[float], None]]:
     """Show a bar on a terminal's standard error while the block runs; yield its teller."""
@@ -77,8 +97,13 @@ def progress(words: str) -> Iterator[Callable[[float], None]]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    bar = Progress(
+        *columns,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+        speed_estimate_period=600.0,  # a block of a study may take a minute
+    )
+    with bar:
         task = bar.add_task(words, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)

@@ -3,32 +3,69 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from homeward.cli.options import key_values, nested, progress
+from homeward.cli.options import (
+    Scheduler,
+    Workers,
+    key_values,
+    print_table,
+    progress,
+    resumable,
+)
+from homeward.errors import InputError
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/paper"),
-    runs: Annotated[int | None, typer.Option(help="Random layouts per case [100].")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The folder to write [out/paper, or out/paper-study].")
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option(help="Random layouts per case [100, or 10000].")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of the first of them [0].")] = None,
+    study: Annotated[
+        bool,
+        typer.Option(
+            "--study",
+            help="Instead: Cases 2 and 4 over thousands of layouts; what their order depends on.",
+        ),
+    ] = False,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     changes: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             help="KEY=VALUE, as in assumed.bearing_sigma=0.05, assumed.fault=[0.1,0.2], "
             "assumed.initial_error=[0,0,0], assumed.meaning_of_Q=state, "
-            "assumed.meaning_of_R=deviation or assumed.stop_radius=0.02; repeatable.",
+            "assumed.meaning_of_R=deviation or assumed.stop_radius=0.02; repeatable. With --study "
+            "also varied, searched, robust: how many layouts these parts get.",
         ),
     ] = None,
 ) -> None:
     """Run the paper's Cases 1 to 4 with its filters and printed parameters.
 
     The folder gets paper.html, with both RMSE tables beside the printed ones, what the paper
-    leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
+    leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml. With
+    --study it gets layouts.html, figures, layouts.csv and the finished blocks, from which a stopped
+    study goes on.
     """
+    from homeward.drives.settings import nested
+
+    values = nested(key_values(changes or []))
+    if study:
+        _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values)
+        return
+    if scheduler is not None or workers is not None:
+        raise InputError("--scheduler and --workers need --study")
+    values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
+    _cases(out or Path("out/paper"), values)
+
+
+def _cases(out: Path, values: dict[str, Any]) -> None:
     from homeward.drives.settings import validated
     from homeward.report.output import check_output
     from homeward.report.paper_page import PAGE, SETTINGS_FILE, write_reproduction
@@ -36,8 +73,6 @@ def reproduce(
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.paper.tables import rows
 
-    values = nested(key_values(changes or []))
-    values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
     settings = validated(PaperSettings, values)
     check_output(out, SETTINGS_FILE)
     with progress("the paper's cases") as tell:
@@ -53,3 +88,38 @@ def reproduce(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
         f"Page: {out / PAGE}"
     )
+
+
+def _study(
+    out: Path,
+    runs: int | None,
+    seed: int | None,
+    places: tuple[str | None, int | None],
+    values: dict[str, Any],
+) -> None:
+    from homeward.report.layout_page import (
+        DATA,
+        PAGE,
+        error_table,
+        headline,
+        order_table,
+        ratio_table,
+        search_table,
+        write_layouts,
+    )
+    from homeward.report.output import check_output
+    from homeward.studies.blocks.finish import Where
+    from homeward.studies.paper.layout_study import layout_settings, study_layouts
+    from homeward.studies.paper.layouts import MARKER, open_store
+
+    where = Where(*places)
+    settings = layout_settings(values, runs, seed)
+    check_output(out, MARKER)
+    store = open_store(out)
+    with resumable(), progress("layouts of the paper's cases") as tell:
+        result = study_layouts(settings, store, where, tell)
+        write_layouts(out, result)
+    for table in (error_table, ratio_table, order_table, search_table):
+        print_table(table(result))
+        typer.echo("")
+    typer.echo(f"{headline(result)}. Page: {out / PAGE}; every run: {out / DATA}")

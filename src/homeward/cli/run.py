@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import key_values, nested, progress, three_numbers
+from homeward.cli.options import key_values, progress, three_numbers
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ def run(
     The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
     report.html and run.yaml, from which the run repeats.
     """
+    from homeward.drives.settings import nested
+
     own = nested(key_values(changes or []))
     if engine is not None:
         own["engine"] = engine

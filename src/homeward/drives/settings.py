@@ -44,6 +44,25 @@ def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
     return validated(model, sections, path)
 
 
+def read_tree(path: Path) -> dict[str, Any]:
+    """Read a YAML file of keys to values of any kind, for settings that are checked later.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or is no mapping.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", path) from None
+    except (yaml.YAMLError, UnicodeError, RecursionError):
+        raise InputError("not YAML", path) from None
+    if not isinstance(tree, dict):
+        raise InputError("not a mapping of keys to values", path)
+    return tree
+
+
 def validated(model: type[Model], values: Any, file: Path | None = None) -> Model:
     """Return a settings model of `values`, or raise an `InputError` that names the key."""
     try:
@@ -53,6 +72,26 @@ def validated(model: type[Model], values: Any, file: Path | None = None) -> Mode
         key = _key(first["loc"], values)
         message = first["msg"].removeprefix("Value error, ")
         raise InputError(f"{quoted(key)}: {message}" if key else message, file) from error
+
+
+def nested(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
+
+    Raises
+    ------
+    InputError
+        When a key is used both as a value and as the head of others.
+    """
+    tree: dict[str, Any] = {}
+    for key, value in values.items():
+        *heads, last = key.split(".")
+        branch = tree
+        for head in heads:
+            branch = branch.setdefault(head, {})
+            if not isinstance(branch, dict):
+                raise InputError(f"{key}: {head} is a value already")
+        branch[last] = value
+    return tree
 
 
 def settings_yaml(settings: Strict) -> str:

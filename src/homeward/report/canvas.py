@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -58,7 +59,9 @@ _STYLE: dict[str, Any] = {
 def style(salt: str = "homeward") -> Iterator[None]:
     """Draw in homeward's style within this block; `salt` makes ids in the SVG unique to it."""
     rc: Any = {**_STYLE, "svg.hashsalt": salt}
-    with matplotlib.rc_context(rc):
+    with matplotlib.rc_context(rc), warnings.catch_warnings():
+        # Landmarks have any names; a box instead of a letter is no reason to stop.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 

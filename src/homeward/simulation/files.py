@@ -37,6 +37,11 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
         For a file that cannot be read, a key that does not exist, or a value out of range.
     """
     scenario = PRESETS.get(source) or read_settings(_existing(source), Scenario)
+    return changed_scenario(scenario, changes)
+
+
+def changed_scenario(scenario: Scenario, changes: Mapping[str, Any] | None) -> Scenario:
+    """Return a scenario with some keys changed; parameters and errors as `load_scenario`."""
     if not changes:
         return scenario
     tree = scenario.model_dump(exclude_none=True)

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
 from homeward.drives.opening import open_drive
-from homeward.drives.settings import validated
+from homeward.drives.settings import read_tree, validated
 from homeward.engine.online import OnlineFilter
 from homeward.errors import InputError
 from homeward.estimator import Estimator
@@ -68,14 +67,7 @@ def load_run(file: Path) -> RunSettings:
     InputError
         When it cannot be read, or is no run.yaml.
     """
-    try:
-        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", file) from None
-    except (yaml.YAMLError, UnicodeError):
-        raise InputError("not YAML", file) from None
-    if not isinstance(tree, dict):
-        raise InputError("not a mapping of keys to values", file)
+    tree = read_tree(file)
     tree.pop("versions", None)
     return validated(RunSettings, tree, file)
 

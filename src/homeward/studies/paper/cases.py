@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -123,10 +124,9 @@ def reproduce(
 
 def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings) -> Run:
     """Run one of `FILTERS` through a world, closing the loop in Cases 1 to 3."""
-    kind = _kind(name, world, settings)
-    law = _circle_law(settings.assumed.circle_turn_rate) if case == "4" else homing
+    kind, law = filter_kind(name, world, settings), control_law(case, settings)
     loop = Interpreter(closed_loop_function(kind, law))
-    _fill(loop.inputs, kind, world, settings)
+    fill(loop.inputs, kind, world, settings)
     steps = len(world.visible)
     pose, state, variance = np.zeros((steps, 3)), np.zeros((steps, kind.model.n)), []
     arrived, given = False, loop.inputs
@@ -146,7 +146,8 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
     return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
 
 
-def _kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:
+def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:
+    """Return one of `FILTERS` for a world, whose faults tell which parameter is the one."""
     q, assumed = settings.printed.landmarks, settings.assumed
     if name.startswith("A-EKF"):
         wrong = np.flatnonzero(world.faults)
@@ -158,7 +159,7 @@ def _kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFil
     return kind(model, assumed.integration)
 
 
-def _fill(
+def fill(
     given: dict[str, np.ndarray], kind: ExtendedKalmanFilter, world: World, settings: PaperSettings
 ) -> None:
     """Put everything that does not change from sample to sample into the loop's inputs."""
@@ -182,8 +183,28 @@ def _fill(
     given["variance"][:] = printed.R if assumed.meaning_of_R == "variance" else printed.R**2
     given["gate"][:], given["minimum_visible"][:] = np.inf, assumed.minimum_visible
     if kind.integral:
-        given["proportional"][...] = printed.Pi * np.diag(unit)
-        given["integral_gain"][...] = printed.M
+        given["proportional"][...] = np.diag(_gains(printed.Pi, model.q) * unit)
+        given["integral_gain"][...] = _integral_gain(printed.M, given["integral_gain"].shape)
+
+
+def _gains(Pi: float | tuple[float, ...], q: int) -> np.ndarray:
+    """Return the diagonal of Pi, (3 + q,)."""
+    pose, bearings = (Pi[:POLAR], Pi[POLAR]) if isinstance(Pi, tuple) else ([Pi] * POLAR, Pi)
+    return np.array([*pose, *[bearings] * q])
+
+
+def _integral_gain(M: float | Literal["own"], shape: tuple[int, ...]) -> np.ndarray:
+    """Return M, (3 + q, q)."""
+    if M != "own":
+        return np.full(shape, M)
+    matrix = np.ones((shape[0], shape[0] - POLAR))
+    matrix[POLAR:] = np.eye(shape[0] - POLAR)
+    return matrix.reshape(shape)
+
+
+def control_law(case: CaseName, settings: PaperSettings) -> Law:
+    """Return the law of a case; the same object for the same law."""
+    return _circle_law(settings.assumed.circle_turn_rate) if case == "4" else homing
 
 
 @lru_cache

@@ -34,10 +34,10 @@ class Printed(Strict):
     """Times the identity."""
     Qd: NonNegative = 0.0025
     """Of each parameter of the A-EKF, every sample [rad^2]."""
-    Pi: NonNegative = 0.05
-    """Times the identity."""
-    M: Finite = 1.0
-    """Every entry."""
+    Pi: Finite | tuple[Finite, Finite, Finite, Finite] = 0.05
+    """Times the identity; or its diagonal: for R, theta, alpha, and every bearing."""
+    M: Finite | Literal["own"] = 1.0
+    """Every entry; or "own": ones, but each bearing is steered by its own innovation alone."""
 
 
 class Assumed(Strict):

@@ -1,0 +1,55 @@
+"""Make the pictures of docs/reproduction.md again: `.venv/bin/python docs/make_study_pictures.py`.
+
+The studies behind them are computed for that in out/, or finished from what is there: half an hour
+of a processor for the paper's layouts, and ten minutes for the two tuning studies.
+"""
+
+import argparse
+from pathlib import Path
+
+from homeward.report.canvas import png
+from homeward.report.layout_figures import FIGURES
+from homeward.report.study_maps import draw_maps, grids
+from homeward.studies.blocks.finish import Where
+from homeward.studies.paper.layout_study import study_layouts
+from homeward.studies.paper.layouts import LayoutSettings, open_store
+from homeward.studies.study.plan import make_plan
+from homeward.studies.study.results import open_study, run_study
+from homeward.studies.study.settings import load_study
+
+IMAGES = Path(__file__).parent / "images"
+DPI = 110
+
+
+def layouts(out: Path) -> None:
+    """Draw the figures of `homeward reproduce --study`."""
+    study = study_layouts(LayoutSettings(), open_store(out / "paper-study"), Where())
+    for name, (_, draw) in FIGURES.items():
+        keep(f"layouts-{name}", draw(study))
+
+
+def tuning(name: str, out: Path) -> None:
+    """Draw the map of a tuning study."""
+    plan = make_plan(load_study(name))
+    results = run_study(plan, open_study(plan, out / name), Where())
+    for grid in grids(results):
+        keep(name, draw_maps(results, grid))
+
+
+def keep(name: str, figure) -> None:
+    """Write a figure beside the docs."""
+    (IMAGES / f"{name}.png").write_bytes(png(figure, dpi=DPI))
+
+
+def main() -> None:
+    """Compute what is left of the studies, and draw them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out"), help="where studies are kept")
+    out = parser.parse_args().out
+    layouts(out)
+    tuning("a-ekf-tuning", out)
+    tuning("pi-ekf-tuning", out)
+
+
+if __name__ == "__main__":
+    main()

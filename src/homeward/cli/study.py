@@ -1,0 +1,53 @@
+"""`homeward study`: estimators x scenarios x runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import Scheduler, Workers, print_table, progress, resumable
+
+
+def study(
+    study: Annotated[
+        str, typer.Argument(help="A YAML file, or one that ships: a-ekf-tuning, pi-ekf-tuning.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="The folder to write [out/NAME OF THE STUDY].")
+    ] = None,
+    runs: Annotated[int | None, typer.Option(help="Another number than the study's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Another seed than the study's.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+) -> None:
+    """Run a Monte Carlo study: every estimator in every scenario, many times.
+
+    The folder gets results.nc (netCDF: errors of every run, over time too), study.html, every
+    figure as PNG, study.yaml, and the finished blocks; stopped, the same command goes on from
+    them. By default all processors of this machine work.
+    """
+    from homeward.report.output import check_output
+    from homeward.report.study_page import DATA, PAGE, headline, write_study
+    from homeward.studies.blocks.finish import Where
+    from homeward.studies.study.plan import make_plan
+    from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
+    from homeward.studies.study.settings import load_study
+    from homeward.studies.study.summary import failures, table
+
+    require_scale()
+    where = Where(scheduler, workers)
+    changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
+    plan = make_plan(load_study(study, changes))
+    folder = out or Path("out") / Path(study).stem
+    check_output(folder, MARKER)
+    store = open_study(plan, folder)
+    with resumable(), progress(plan.study.name) as tell:
+        results = run_study(plan, store, where, tell)
+        write_study(folder, results)
+    print_table(table(results))
+    typer.echo(headline(results) + ".")
+    for reason, number in failures(results).items():
+        typer.echo(f"  {number} failed: {reason}")
+    typer.echo(f"Page: {folder / PAGE}; results: {folder / DATA}")

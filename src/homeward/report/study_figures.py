@@ -1,0 +1,182 @@
+"""Figures of a study: what came out, over time, and over the settings of a grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory
+
+from homeward.report.canvas import new_figure, style
+from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
+from homeward.report.study_maps import draw_maps, grids
+from homeward.studies.study.results import Results
+from homeward.studies.study.summary import Line, lines, over_time
+
+COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
+MOST_ROWS = 80
+"""Of the overview."""
+MOST_PANELS = 8
+"""Scenarios over time."""
+CONSISTENT = 3.0
+"""Mean NEES of (x, y, heading) of a consistent estimator."""
+
+
+def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
+    """Yield (file name, caption, figure) of everything worth drawing."""
+    for grid in grids(results):
+        yield f"map_{grid.name}", grid.caption, draw_maps(results, grid)
+    yield "overview", "Errors, homecoming and consistency, over all runs", draw_overview(results)
+    if len(results.plan.contenders) <= len(COLOURS):
+        yield (
+            "rmse_over_time",
+            "RMSE of the position over time, and the Cramér-Rao bound",
+            draw_rmse(results),
+        )
+        yield (
+            "nees_over_time",
+            "Consistency over time: mean NEES of (x, y, heading), 3 when consistent",
+            draw_nees(results),
+        )
+
+
+def draw_overview(results: Results) -> Figure:
+    """Draw a row for each scenario and estimator: errors, share at home, NEES."""
+    rows = lines(results)[:MOST_ROWS]
+    closed = results.plan.study.loop == "closed"
+    colours = {c.label: COLOURS[j % len(COLOURS)] for j, c in enumerate(results.plan.contenders)}
+    places = _places(rows)
+    with style():
+        figure = new_figure(1.1 + 0.21 * (places[-1] + 1))
+        panels = figure.subplots(
+            1, 3 if closed else 2, sharey=True, width_ratios=[5, 2, 3] if closed else [5, 3]
+        )
+        for place, line in zip(places, rows, strict=True):
+            colour = colours[line.estimator]
+            _bar(panels[0], place, line.quantiles, colour)
+            if np.isfinite(line.bound):
+                panels[0].plot(line.bound, place, "|", color=INK, ms=9, mew=1.4)
+            if closed:
+                low, high = 100 * np.array(line.home_interval)
+                panels[1].plot((low, high), (place, place), color=colour, lw=1.6)
+                panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
+            _bar(panels[-1], place, line.nees, colour)
+        for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
+            axes.set(xscale="log", xlabel=words)
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_major_locator(_ticks(axes))
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
+        if closed:
+            panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
+        panels[0].set_yticks(places, [line.estimator for line in rows])
+        panels[0].set_ylim(places[-1] + 0.7, places[0] - 1.3)
+        for axes in panels:
+            axes.grid(False, axis="y")
+        _name_scenarios(panels[0], rows, places)
+        entries = [
+            Line2D([], [], color=MUTED, marker="o", ms=5, lw=0, label="median"),
+            Line2D([], [], color=MUTED, lw=4, label="half of the runs"),
+            Line2D([], [], color=MUTED, lw=1.2, label="90 %"),
+            Line2D([], [], color=INK, marker="|", ms=9, mew=1.4, ls="none", label="bound"),
+        ]
+        figure.legend(handles=entries, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _ticks(axes: Axes) -> LogLocator:
+    """Return ticks at 1, 2 and 5 where the axis spans little, else at powers of ten."""
+    low, high = axes.get_xlim()
+    return LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 50 else (1.0,), numticks=7)
+
+
+def _places(rows: list[Line]) -> list[float]:
+    """Return where each row stands, with room for a heading before each scenario."""
+    places, at, before = [], 0.0, rows[0].scenario
+    for line in rows:
+        at += 1.4 if line.scenario != before else 0.0
+        before = line.scenario
+        places.append(at)
+        at += 1.0
+    return places
+
+
+def _bar(axes: Axes, place: float, values: np.ndarray, colour: str) -> None:
+    """Draw quantiles as a thin and a thick line and a dot; what is infinite, up to a large one."""
+    if not np.isfinite(values[0]):
+        return
+    shown = np.maximum(np.where(np.isfinite(values), values, 1e12), 1e-12)
+    axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
+    axes.plot(shown[[1, 3]], (place, place), color=colour, lw=4, solid_capstyle="butt", alpha=0.6)
+    axes.plot(shown[2], place, "o", ms=5, color=colour, mec="white", mew=0.8)
+
+
+def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:
+    across = blended_transform_factory(axes.transAxes, axes.transData)
+    before = None
+    for line, place in zip(rows, places, strict=True):
+        if line.scenario != before:
+            axes.text(0.0, place - 0.75, line.scenario, transform=across, color=MUTED, va="center")
+            before = line.scenario
+
+
+def draw_rmse(results: Results) -> Figure:
+    """Draw the RMSE of the position over time in each scenario, with the bound."""
+
+    def draw(axes: Axes, i: int) -> None:
+        times = results.plan.times
+        for j in range(len(results.plan.contenders)):
+            rmse = over_time(results, "position_error", i, j, root=True)
+            axes.plot(times, rmse, color=COLOURS[j])
+            bound = over_time(results, "position_bound_over_time", i, j, root=True)
+            axes.plot(times, bound, color=COLOURS[j], lw=0.9, ls=(0, (4, 3)))
+        axes.set(yscale="log", ylabel="RMSE [m]")
+
+    return _panels(results, draw, [Line2D([], [], color=MUTED, lw=0.9, ls="--", label="bound")])
+
+
+def draw_nees(results: Results) -> Figure:
+    """Draw the mean NEES over time in each scenario, with what it should be."""
+
+    def draw(axes: Axes, i: int) -> None:
+        for j in range(len(results.plan.contenders)):
+            nees = over_time(results, "nees_over_time", i, j, root=False)
+            axes.plot(results.plan.times, nees, color=COLOURS[j])
+        # Of the mean of N draws from chi-square(3), which has variance 6.
+        half = 1.96 * math.sqrt(6.0 / results.plan.study.runs)
+        axes.axhspan(max(CONSISTENT - half, 0.1), CONSISTENT + half, color=RULE, lw=0, zorder=0)
+        axes.axhline(CONSISTENT, color=INK, lw=0.8, zorder=0)
+        axes.set(yscale="log", ylabel="mean NEES")
+
+    return _panels(results, draw, [Line2D([], [], color=RULE, lw=6, label="95 % if consistent")])
+
+
+def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[Line2D]) -> Figure:
+    """Draw a panel for each scenario, and one legend for all."""
+    cases = results.plan.cases[:MOST_PANELS]
+    columns = min(len(cases), 2)
+    rows = -(-len(cases) // columns)
+    with style():
+        figure = new_figure(0.9 + 2.3 * rows)
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for i, case in enumerate(cases):
+            axes = panels.flat[i]
+            draw(axes, i)
+            axes.set_title(case.label, loc="left", fontsize=9, color=MUTED)
+            axes.label_outer()
+        for axes in panels.flat[len(cases) :]:
+            axes.set_visible(False)
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        handles = [
+            Line2D([], [], color=COLOURS[j], label=contender.label)
+            for j, contender in enumerate(results.plan.contenders)
+        ]
+        columns = 4 if len(handles) + len(entries) > 3 else 3
+        figure.legend(handles=[*handles, *entries], loc="outside lower center", ncols=columns)
+    return figure

@@ -1,0 +1,1 @@
+"""Long computations in blocks: spread over processes or machines, stopped and resumed."""

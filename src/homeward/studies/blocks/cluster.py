@@ -1,0 +1,112 @@
+"""Blocks on Dask distributed: workers here or anywhere; what a lost one had begun is done again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, closing, suppress
+from importlib import import_module
+from typing import Any, TypeVar
+from uuid import uuid4
+
+from homeward.errors import HomewardError, InputError
+from homeward.studies.blocks.store import Arrays, our_version
+
+Argument = TypeVar("Argument")
+CONNECT_S = 10.0
+"""A scheduler that does not answer for so long is not there [s]."""
+
+
+def on_cluster(
+    function: Callable[[Argument], Arrays],
+    arguments: Mapping[str, Argument],
+    scheduler: str | None = None,
+    workers: int = 1,
+) -> Generator[tuple[str, Arrays]]:
+    """Yield (name, result) of each block as it finishes, computed by Dask workers.
+
+    A block whose worker is lost goes to another one; each name is yielded once.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that workers can import it.
+    arguments : mapping of name to argument
+        What can be pickled.
+    scheduler : str, optional
+        Address of a running scheduler, whose workers have the same homeward installed; None: a
+        cluster of our own on this machine.
+    workers : int
+        Processes of that cluster.
+
+    Raises
+    ------
+    HomewardError
+        When Dask is not installed, no scheduler answers, its workers have no homeward or another,
+        or blocks kill their workers again and again.
+    """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError:
+        raise InputError("Dask is not installed: pip install 'homeward[scale]'") from None
+    with ExitStack() as stack:
+        client = _connect(distributed, stack, scheduler, workers)
+        token = uuid4().hex[:8]
+        futures = {
+            client.submit(function, argument, key=f"homeward-{token}-{name}", pure=False): name
+            for name, argument in arguments.items()
+        }
+        try:
+            with client.as_current():
+                completed = distributed.as_completed(futures)
+            for future in completed:
+                result = future.result()
+                name = futures.pop(future)
+                future.release()
+                yield name, result
+        except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+            raise HomewardError(
+                f"the workers are lost ({type(error).__name__}); finished blocks are kept, and "
+                "the same command goes on from them"
+            ) from error
+        finally:
+            with suppress(Exception):
+                client.cancel(list(futures), reason="the study ends")
+
+
+def _connect(distributed: Any, stack: ExitStack, scheduler: str | None, workers: int) -> Any:
+    """Return a client of the scheduler, or of a cluster of our own, that ends with the stack."""
+    if scheduler is None:
+        scheduler = stack.enter_context(
+            closing(
+                distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        )
+    try:
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {scheduler}") from error
+    stack.enter_context(closing(client))
+    _check_workers(client)
+    return client
+
+
+def _check_workers(client: Any) -> None:
+    """Refuse workers with another homeward than ours, or none."""
+    try:
+        found = client.run(our_version)
+    except Exception as error:
+        raise InputError(
+            f"the Dask workers cannot import this version of homeward ({type(error).__name__}: "
+            f"{error})"
+        ) from error
+    for address, version in found.items():
+        if version != our_version():
+            raise InputError(
+                f"Dask worker {address} has homeward {version}; here it is {our_version()}"
+            )

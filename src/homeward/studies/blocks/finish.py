@@ -1,0 +1,75 @@
+"""What is left of a study, computed wherever there are processors, and kept as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TypeVar
+
+from homeward.errors import InputError
+from homeward.studies.blocks.cluster import on_cluster
+from homeward.studies.blocks.pool import on_processes
+from homeward.studies.blocks.store import Arrays, BlockStore
+
+Argument = TypeVar("Argument")
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where blocks are computed; by default by a pool of processes on this machine."""
+
+    scheduler: str | None = None
+    """Address of a Dask scheduler."""
+    workers: int | None = None
+    """Processes of a Dask cluster of our own on this machine."""
+
+    def __post_init__(self) -> None:
+        """Refuse both at once."""
+        if self.scheduler is not None and self.workers is not None:
+            raise InputError("--scheduler and --workers: one of them; a scheduler has its workers")
+
+
+def finish(
+    store: BlockStore,
+    function: Callable[[Argument], Arrays],
+    arguments: Mapping[str, Argument],
+    where: Where,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Compute every block that the store does not hold yet, and keep it there.
+
+    Parameters
+    ----------
+    store : BlockStore
+        Gets the blocks.
+    function : callable
+        From an argument to what its block leaves; of a module, so that workers can import it.
+    arguments : mapping of name to argument
+        All blocks of the study.
+    where : Where
+        Which workers.
+    progress : callable, optional
+        Told the fraction done, in [0, 1], at the beginning and after each block.
+
+    Raises
+    ------
+    HomewardError
+        When the workers are lost, or the folder cannot be written; finished blocks are kept.
+    """
+    missing = {name: a for name, a in arguments.items() if name not in store}
+    done = len(arguments) - len(missing)
+    if progress is not None:
+        progress(done / len(arguments))
+    if not missing:
+        return
+    if where.scheduler is None and where.workers is None:
+        results: Generator[tuple[str, Arrays]] = on_processes(function, missing)
+    else:
+        results = on_cluster(function, missing, where.scheduler, where.workers or 1)
+    with closing(results):
+        for name, arrays in results:
+            store.save(name, arrays)
+            done += 1
+            if progress is not None:
+                progress(done / len(arguments))

@@ -1,0 +1,1 @@
+"""Monte Carlo studies: estimators x scenarios x runs."""

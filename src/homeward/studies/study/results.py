@@ -1,0 +1,177 @@
+"""The results of a study: arrays with names, and one netCDF file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homeward.errors import InputError
+from homeward.studies.blocks.finish import Where, finish
+from homeward.studies.blocks.store import BlockStore, our_version
+from homeward.studies.study.plan import Plan, block_name
+from homeward.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.studies.study.runs import run_block, run_seed
+
+MARKER = "study.yaml"
+"""The settings of a study; a folder that holds it is one of ours."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything that came out of a study."""
+
+    plan: Plan
+    run: dict[str, np.ndarray]
+    """Quantities of `RUN`, (scenarios, estimators, runs)."""
+    series: dict[str, np.ndarray]
+    """Quantities of `SERIES`, (scenarios, estimators, runs, times)."""
+    failure: np.ndarray
+    """(scenarios, estimators, runs), why a run failed; empty where it did not."""
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Which runs failed, (scenarios, estimators, runs)."""
+        return np.asarray(self.failure != "")
+
+
+def require_scale() -> None:
+    """Raise InputError unless the packages that write results are installed."""
+    for package in ("xarray", "h5netcdf"):
+        try:
+            import_module(package)
+        except ImportError:
+            raise InputError(f"{package} is not installed: pip install 'homeward[scale]'") from None
+
+
+def open_study(plan: Plan, folder: Path) -> BlockStore:
+    """Return the store of a study in a folder, new or resumed.
+
+    Raises
+    ------
+    InputError
+        When the folder holds another study, or something else.
+    """
+    settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return BlockStore(folder, settings, MARKER)
+
+
+def run_study(
+    plan: Plan,
+    store: BlockStore,
+    where: Where,
+    progress: Callable[[float], None] | None = None,
+) -> Results:
+    """Compute what is left of a study, and return all of it.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to compute.
+    store : BlockStore
+        Of `open_study`; holds what is finished.
+    where : Where
+        Which workers.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Raises
+    ------
+    HomewardError
+        As `homeward.studies.blocks.finish.finish`.
+    """
+    finish(store, run_block, plan.blocks(), where, progress)
+    return _gather(plan, store)
+
+
+def _gather(plan: Plan, store: BlockStore) -> Results:
+    """Put the blocks together."""
+    study = plan.study
+    shape = len(plan.cases), len(plan.contenders), study.runs
+    run = {name: np.full(shape, np.nan) for name in RUN}
+    series = {name: np.full((*shape, plan.times.size), np.nan, np.float32) for name in SERIES}
+    failure = np.full(shape, "", dtype=object)
+    for i in range(shape[0]):
+        for first in range(0, study.runs, study.block):
+            block = store.load(block_name(i, first))
+            part = slice(first, first + study.block)
+            for name in RUN:
+                run[name][i, :, part] = block[name]
+            for name in SERIES:
+                series[name][i, :, part] = block[name]
+            failure[i, :, part] = block[FAILURE]
+    return Results(plan, run, series, failure.astype(np.str_))
+
+
+def to_dataset(results: Results) -> Any:
+    """Return results as an `xarray.Dataset` whose variables carry units and meanings."""
+    xarray: Any = import_module("xarray")
+    plan, study = results.plan, results.plan.study
+    dims = ("scenario", "estimator", "run")
+    data: dict[str, Any] = {}
+    for name, quantity in RUN.items():
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
+        data[name] = (dims, results.run[name], attributes)
+    for name, quantity in SERIES.items():
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
+        data[name] = ((*dims, "time"), results.series[name], attributes)
+    words = {"long_name": "why the run failed; empty where it did not"}
+    data[FAILURE] = (dims, results.failure.astype(object), words)
+
+    seeds = [run_seed(study.seed, k) for k in range(study.runs)]
+    coordinates: dict[str, Any] = {
+        "scenario": [case.label for case in plan.cases],
+        "estimator": [contender.label for contender in plan.contenders],
+        "run": np.arange(study.runs),
+        "time": ("time", plan.times, {"units": "s", "long_name": "since the drive began"}),
+        "seed": ("run", np.array(seeds), {"long_name": "seed of the scenario of each run"}),
+    }
+    for key in study.grid:
+        values = _coordinate([case.point[key] for case in plan.cases])
+        coordinates[_name(f"scenario {key}")] = ("scenario", values)
+    for key in sorted({key for contender in plan.contenders for key in contender.point}):
+        found = [contender.point.get(key, np.nan) for contender in plan.contenders]
+        coordinates[_name(f"estimator {key}")] = ("estimator", _coordinate(found))
+    attributes = {
+        "title": study.name,
+        "source": f"homeward {our_version()}",
+        "study": json.dumps(study.model_dump(mode="json", by_alias=True, exclude_none=True)),
+        "estimator_settings": json.dumps(
+            {c.label: c.settings.model_dump(mode="json") for c in plan.contenders}
+        ),
+    }
+    return xarray.Dataset(data, coordinates, attributes)
+
+
+def write_netcdf(results: Results, path: Path) -> None:
+    """Write results as one compressed netCDF 4 file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written.
+    """
+    dataset = to_dataset(results)
+    compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
+    try:
+        dataset.to_netcdf(path, engine="h5netcdf", encoding=compressed)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", path) from error
+
+
+def _coordinate(values: list[Any]) -> Any:
+    """Return numbers as numbers, and anything else as words."""
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        return np.array(values, float)
+    words = [v if isinstance(v, str) else json.dumps(v) for v in values]
+    return np.array(words, dtype=object)
+
+
+def _name(text: str) -> str:
+    """Return a name that netCDF takes for a coordinate."""
+    return "_".join(text.replace("/", " ").split())

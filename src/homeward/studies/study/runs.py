@@ -1,0 +1,203 @@
+"""The runs of a block: simulated, estimated, measured; what fails is told and ends nothing."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.estimator import Estimator
+from homeward.registry import make_estimator
+from homeward.scoring import Errors, accuracy, errors, score
+from homeward.simulation.scenario import Scenario
+from homeward.simulation.simulate import Simulation, prepare, simulate
+from homeward.studies.blocks.store import Arrays
+from homeward.studies.study.bound import has_bound, simulation_bound
+from homeward.studies.study.plan import Contender, StudyBlock
+from homeward.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.track import Track, track_of
+from homeward.track import run as follow
+
+LONGEST_REASON = 200
+"""Letters of the reason of a failure that are kept."""
+
+Bound = tuple[np.ndarray, np.ndarray] | None
+"""Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`, or None where it is not known."""
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Return the seed of the scenario of run number `run` in a study with a seed."""
+    state = np.random.SeedSequence([seed, run]).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))  # so that it fits a signed integer of netCDF
+
+
+def run_block(block: StudyBlock) -> Arrays:
+    """Run a block: every estimator through every run.
+
+    Returns
+    -------
+    dict of ndarray
+        The quantities of `RUN`, (estimators, runs); of `SERIES`, (estimators, runs, times); and
+        `FAILURE`, (estimators, runs), the reason where a run failed.
+    """
+    shape = len(block.contenders), block.last - block.first
+    kept: Arrays = {name: np.full(shape, np.nan) for name in RUN}
+    kept |= {name: np.full((*shape, block.times.size), np.nan, np.float32) for name in SERIES}
+    failures = [[""] * shape[1] for _ in range(shape[0])]
+    for i, run in enumerate(range(block.first, block.last)):
+        seed = run_seed(block.study.seed, run)
+        scenario = block.case.scenario.model_copy(update={"seed": seed})
+        shared = None
+        for j, contender in enumerate(block.contenders):
+            try:
+                if block.study.loop == "open" and shared is None:
+                    shared = _open_loop(scenario)
+                found = _run(scenario, contender, block, shared)
+            except Exception as error:
+                # Whatever goes wrong in one of a million runs must not end the others.
+                failures[j][i] = _reason(error)
+            else:
+                for name, value in found.items():
+                    kept[name][j, i] = value
+    return {**kept, FAILURE: np.array(failures, dtype=np.str_)}
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
+
+
+def _open_loop(scenario: Scenario) -> tuple[Simulation, Bound]:
+    simulation = simulate(scenario.model_copy(update={"estimator": "truth"}))
+    return simulation, _bound(simulation)
+
+
+def _bound(simulation: Simulation) -> Bound:
+    return simulation_bound(simulation) if has_bound(simulation) else None
+
+
+def _run(
+    scenario: Scenario,
+    contender: Contender,
+    block: StudyBlock,
+    shared: tuple[Simulation, Bound] | None,
+) -> dict[str, float | np.ndarray]:
+    """Run one estimator once; over the shared drive, or over one that it steers itself."""
+    began = time.process_time()
+    if shared is not None:
+        simulation, bound = shared
+        estimator = make_estimator(contender.estimator, simulation.drive, contender.settings)
+        track = follow(simulation.drive, estimator)
+        seconds = time.process_time() - began
+    else:
+        own = scenario.model_copy(update={"estimator": contender.estimator})
+        estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
+        simulation = simulate(own, estimator)
+        track = track_of(estimator, simulation.estimates)
+        seconds = time.process_time() - began
+        bound = _bound(simulation)
+    return _measure(simulation, estimator, track, bound, block) | {"seconds": seconds}
+
+
+def _measure(
+    simulation: Simulation, estimator: Estimator, track: Track, bound: Bound, block: StudyBlock
+) -> dict[str, float | np.ndarray]:
+    """Return every quantity of one run that is known."""
+    found: dict[str, float | np.ndarray] = {
+        "duration": simulation.drive.span[1],
+        "final_distance": simulation.final_distance,
+        "pose_share": 0.0,
+        **_landmarks(simulation, estimator),
+    }
+    if block.study.loop == "closed":
+        found["reached_home"] = float(simulation.final_distance <= block.study.home_radius)
+    if not track.t.size:
+        return found
+    assert simulation.drive.truth is not None  # every simulated drive has it
+    e = errors(track, simulation.drive.truth)
+    metrics = score(track, simulation.drive.truth)
+    found["pose_share"] = _known(metrics.pose_share)
+    found["first_pose"] = _known(metrics.first_pose_after_s)
+    found["nis"] = _known(metrics.innovation_nis_mean)
+    times, longest = block.times, 1.5 * block.study.interval
+    found |= {
+        "position_error": _latest(times, e.t, e.position, longest),
+        "heading_error": _latest(times, e.t, e.heading, longest),
+        "nees_over_time": _latest(times, e.t, e.nees, longest),
+    }
+    if bound is not None:
+        found |= _bounds(times, bound, longest)
+    return found | _errors(e)
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _errors(e: Errors) -> dict[str, float | np.ndarray]:
+    """Return errors over the whole run, and how they split into bias and oscillation."""
+    total = accuracy(e)
+    if total is None:
+        return {}
+    late = e.t >= (e.t[0] + e.t[-1]) / 2
+    mean_x, mean_y = float(e.x[late].mean()), float(e.y[late].mean())
+    left = (e.x[late] - mean_x) ** 2 + (e.y[late] - mean_y) ** 2
+    return {
+        "position_rmse": total.position.rmse,
+        "R_rmse": total.R.rmse,
+        "theta_rmse": total.theta.rmse,
+        "heading_rmse": total.heading.rmse,
+        "position_max": total.position.max,
+        "position_bias": math.hypot(mean_x, mean_y),
+        "position_oscillation": float(np.sqrt(left.mean())),
+        "nees": total.nees_mean,
+        "nees_inside_95": total.nees_inside_95_share,
+    }
+
+
+def _bounds(
+    times: np.ndarray, bound: tuple[np.ndarray, np.ndarray], longest: float
+) -> dict[str, float | np.ndarray]:
+    stamps, covariances = bound
+    position = covariances[:, 0, 0] + covariances[:, 1, 1]
+    heading = covariances[:, 2, 2]
+    finite = np.isfinite(position)
+    if not finite.any():
+        return {}
+    return {
+        "position_bound": float(np.sqrt(position[finite].mean())),
+        "heading_bound": float(np.sqrt(heading[finite].mean())),
+        "position_bound_over_time": _latest(times, stamps, np.sqrt(position), longest),
+        "heading_bound_over_time": _latest(times, stamps, np.sqrt(heading), longest),
+    }
+
+
+def _latest(
+    times: np.ndarray, stamps: np.ndarray, values: np.ndarray, longest: float
+) -> np.ndarray:
+    """Return the latest value at each time, NaN where there is none as young as `longest` [s]."""
+    if not stamps.size:
+        return np.full(times.shape, np.nan)
+    row = np.searchsorted(stamps, times + 1e-9, side="right") - 1
+    age = times - stamps[np.maximum(row, 0)]
+    return np.asarray(np.where((row >= 0) & (age < longest), values[np.maximum(row, 0)], np.nan))
+
+
+def _landmarks(simulation: Simulation, estimator: Estimator) -> dict[str, float | np.ndarray]:
+    """Return what became of the moved landmarks, as far as the estimator says."""
+    known, world, home = estimator.landmarks(), simulation.world, simulation.drive.home_bearings()
+    found: dict[str, float | np.ndarray] = {}
+    judged = {m.landmark: m.moved for m in known if m.moved is not None}
+    if judged:
+        named = {landmark for landmark, moved in judged.items() if moved}
+        found["moved_right"] = float(named == set(world.moved))
+    # The stored bearing holds the fault and the noise of home; the truth is where it stands.
+    true = dict(zip(world.ids, np.arctan2(*world.in_home_frame.T[::-1]), strict=True))
+    moved = [m for m in known if m.landmark in world.moved]
+    if moved:
+        stored = np.array([wrap(home[m.landmark] - true[m.landmark]) for m in moved])
+        now = [wrap(m.home_bearing_estimated - true[m.landmark]) for m in moved]
+        found["moved_bearing_stored"] = float(np.sqrt(np.mean(stored**2)))
+        found["moved_bearing_error"] = float(np.sqrt(np.mean(np.square(now))))
+    return found

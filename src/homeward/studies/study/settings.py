@@ -1,0 +1,119 @@
+"""A study as validated settings: what STUDY.yaml may say."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from homeward.control import STOP_RADIUS
+from homeward.drives.drive import Positive, Strict
+from homeward.drives.settings import read_tree, validated
+from homeward.errors import InputError
+from homeward.registry import ESTIMATORS
+from homeward.simulation.files import load_scenario
+from homeward.simulation.presets import PRESETS
+
+VERSION_KEY = "homeward"
+"""A study.yaml that a study wrote carries the version of homeward under this key."""
+
+Axis = list[Any] | dict[str, dict[str, Any]]
+"""Values of one key, or names of points to the keys that each sets."""
+
+
+class EstimatorEntry(Strict):
+    """An estimator of a study, perhaps with several settings."""
+
+    estimator: str
+    """robust, ekf, a-ekf or pi-ekf."""
+    label: str | None = None
+    """Its name in figures; None: the estimator's."""
+    settings: dict[str, Any] = {}
+    """As `homeward run --set` takes them; keys may have dots."""
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    """Key to values; the entry stands for every combination."""
+
+    @field_validator("estimator")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in ESTIMATORS:
+            raise ValueError(f"no estimator {name!r}: there are {', '.join(ESTIMATORS)}")
+        return name
+
+
+class StudySettings(Strict):
+    """Everything that a study depends on."""
+
+    name: str = "study"
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of everything; run k of a study with this seed is the same in every scenario and block."""
+    runs: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Of each scenario."""
+    block: Annotated[int, Field(ge=1, le=100_000)] = 10
+    """Runs that are computed, and kept, together; changes no result."""
+    loop: Literal["closed", "open"] = "closed"
+    """Whether each estimator steers its own drives, or the truth steers one drive for all."""
+    scenario: str | dict[str, Any] = "paper-homing"
+    """A preset, a scenario's file, or a whole scenario; its seed and estimator do not count."""
+    changes: Annotated[dict[str, Any], Field(alias="set")] = {}
+    """Keys of the scenario, in dots, to what they become."""
+    grid: dict[str, Axis] = {}
+    """Axes of scenarios: a key of the scenario to values, or a name to points that set keys."""
+    estimators: Annotated[tuple[EstimatorEntry, ...], Field(min_length=1)]
+    interval: Positive = 0.5
+    """Errors over time are kept this often [s]."""
+    home_radius: Positive = 2 * STOP_RADIUS
+    """A run reached home when it truly ended within this distance of it [m]."""
+
+    @field_validator("estimators", mode="before")
+    @classmethod
+    def _bare_names(cls, entries: Any) -> Any:
+        """Let a name stand for an entry with defaults."""
+        if not isinstance(entries, (list, tuple)):
+            return entries
+        return [{"estimator": e} if isinstance(e, str) else e for e in entries]
+
+    @model_validator(mode="after")
+    def _axes_hold_something(self) -> Self:
+        for key, axis in self.grid.items():
+            if not axis:
+                raise ValueError(f"grid.{key}: has no values")
+        return self
+
+
+def shipped() -> dict[str, Path]:
+    """Return the studies that come with homeward, by name."""
+    folder = Path(str(files("homeward").joinpath("data", "studies")))
+    return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+
+
+def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:
+    """Return a study by the name of one that ships or from a file, with its scenario spelt out.
+
+    Parameters
+    ----------
+    source : str
+        A key of `shipped`, or the path of a file.
+    changes : dict, optional
+        Top-level keys to what they become.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, a key that does not exist, or a value out of range.
+    """
+    file = shipped().get(source, Path(source))
+    if not file.exists():
+        raise InputError(f"neither a file nor one of the studies {', '.join(shipped())}", file)
+    tree = read_tree(file)
+    tree.pop(VERSION_KEY, None)
+    study = validated(StudySettings, {**tree, **(changes or {})}, file)
+    if not isinstance(study.scenario, str):
+        return study
+    beside = file.parent / study.scenario
+    named = study.scenario in PRESETS or not beside.exists()
+    scenario = load_scenario(study.scenario if named else str(beside))
+    whole = scenario.model_dump(mode="json", exclude_none=True, exclude={"seed", "estimator"})
+    return study.model_copy(update={"scenario": whole})
