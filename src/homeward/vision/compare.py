@@ -1,0 +1,109 @@
+"""Two panoramas in, heading change and direction home out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.acceptance import Verdict, judge
+from homeward.vision.camera import Panorama
+from homeward.vision.epipolar import Motion, Pairs
+from homeward.vision.features import View
+from homeward.vision.matching import match
+from homeward.vision.refine import Fit
+from homeward.vision.search import search
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What two panoramas say of where the second camera stands, seen from the first (home).
+
+    Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
+    """
+
+    verdict: Verdict
+    pairs: Pairs
+    """All matches."""
+    home_row: np.ndarray
+    """(n,): the feature of the home view of each match."""
+    now_row: np.ndarray
+    """(n,): and that of the view now."""
+    agrees: np.ndarray
+    """(n,) bool: matches that fit the motion."""
+    motion: Motion | None
+    """None when not even a guess could be made; not to be used unless `accepted`."""
+    covariance: np.ndarray
+    """(2, 2): of (theta, alpha) [rad^2]; infinite without a motion."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the motion stands on more than chance."""
+        return self.verdict.accepted
+
+    @property
+    def heading(self) -> float:
+        """Heading now in the home frame, alpha [rad]; NaN when not accepted."""
+        return self.motion.alpha if self.accepted and self.motion else np.nan
+
+    @property
+    def heading_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[1, 1]))
+
+    @property
+    def direction(self) -> float:
+        """Direction now seen from home, theta [rad]; NaN when not accepted."""
+        return self.motion.theta if self.accepted and self.motion else np.nan
+
+    @property
+    def direction_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def homewards(self) -> float:
+        """Direction of home from the camera's axis now [rad]; NaN when not accepted."""
+        return float(wrap(self.direction + np.pi - self.heading))
+
+    @property
+    def homewards_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        away = np.array([1.0, -1.0])
+        return float(np.sqrt(away @ self.covariance @ away))
+
+
+def compare(home: View, now: View, camera: Panorama) -> Comparison:
+    """Compare two views.
+
+    Parameters
+    ----------
+    home, now : View
+        From `homeward.vision.features.look`.
+    camera : Panorama
+        That took both; only its `tilt_sigma` is looked at.
+    """
+    rows, quality = match(home.descriptor, now.descriptor)
+    i, j = rows.T
+    pairs = Pairs(
+        np.column_stack([home.azimuth[i], home.elevation[i]]),
+        np.column_stack([now.azimuth[j], now.elevation[j]]),
+        home.sigma[i],
+        now.sigma[j],
+    )
+    fit = search(pairs, quality, camera.tilt_sigma)
+    return Comparison(
+        verdict=judge(fit, pairs),
+        pairs=pairs,
+        home_row=i,
+        now_row=j,
+        agrees=np.zeros(len(pairs), bool) if fit is None else fit.inlier,
+        motion=None if fit is None else fit.motion,
+        covariance=np.full((2, 2), np.inf) if fit is None else covariance(fit),
+    )
+
+
+def covariance(fit: Fit) -> np.ndarray:
+    """Return the covariance, (2, 2), of theta and alpha [rad^2]."""
+    return np.linalg.inv(fit.information)[:2, :2]
