@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from homeward.cli.compare import compare
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.simulate import simulate
@@ -34,5 +35,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, reproduce):
+for command in (run, simulate, reproduce, compare):
     app.command()(command)

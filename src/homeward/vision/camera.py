@@ -8,13 +8,14 @@ wrap round after the last one. Pixel centres have whole coordinates, as in OpenC
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from homeward.angles import wrap
 from homeward.drives.drive import Finite, Strict
+from homeward.errors import InputError
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Tilt = Annotated[float, Field(ge=-math.pi / 3, le=math.pi / 3)]
@@ -62,6 +63,24 @@ class Panorama(Strict):
         """Return the azimuth that one column spans [rad]."""
         return 2 * math.pi / width
 
+    def panorama(self, image: np.ndarray) -> np.ndarray:
+        """Return the panorama, uint8 (height, width), that `directions` speaks of.
+
+        Parameters
+        ----------
+        image : ndarray of uint8, shape (height, width)
+            As the camera gives it, grey.
+
+        Raises
+        ------
+        InputError
+            When its size does not suit the camera.
+        """
+        height, width = image.shape
+        if height > width:
+            raise InputError(f"{width}x{height} pixels: taller than wide; is it rotated?")
+        return image
+
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         """Return the elevation [rad] of rows `above` the horizon, in units of width / 2 pi."""
         raise NotImplementedError
@@ -77,8 +96,20 @@ class Panorama(Strict):
 class Equirectangular(Panorama):
     """Elevation grows evenly with the rows; pixels are square unless told otherwise."""
 
+    model: Literal["equirectangular"] = "equirectangular"
     row_scale: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Elevation that a row spans, over the azimuth that a column spans [1]."""
+
+    def panorama(self, image: np.ndarray) -> np.ndarray:
+        """Return the image itself; it must not span more than 180 degrees of elevation."""
+        height, width = image.shape
+        span = height * self.column_angle(width) * self.row_scale
+        if span > math.pi * 1.01 and width >= height:
+            raise InputError(
+                f"{width}x{height} pixels would span {math.degrees(span):.0f} deg of elevation: "
+                "no equirectangular panorama of 360 deg; name its camera"
+            )
+        return super().panorama(image)
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         return np.clip(above * self.row_scale, -math.pi / 2, math.pi / 2)
@@ -86,6 +117,8 @@ class Equirectangular(Panorama):
 
 class Cylindrical(Panorama):
     """A vertical cylinder unrolled: the tangent of the elevation grows evenly with the rows."""
+
+    model: Literal["cylindrical"] = "cylindrical"
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         return np.asarray(np.arctan(above))

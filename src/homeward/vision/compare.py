@@ -9,11 +9,16 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.acceptance import Verdict, judge
 from homeward.vision.camera import Panorama
+from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
 from homeward.vision.matching import match
-from homeward.vision.refine import Fit
+from homeward.vision.moved import moved_groups
+from homeward.vision.refine import prior_information
 from homeward.vision.search import search
+
+LARGEST_DIRECTION_SIGMA = np.radians(20.0)
+"""With a larger one [rad] the direction counts as not known."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,8 @@ class Comparison:
     """(n,): and that of the view now."""
     agrees: np.ndarray
     """(n,) bool: matches that fit the motion."""
+    moved: np.ndarray
+    """(n,) bool: matches that do not, but agree with each other: on things that were moved."""
     motion: Motion | None
     """None when not even a guess could be made; not to be used unless `accepted`."""
     covariance: np.ndarray
@@ -61,6 +68,11 @@ class Comparison:
     def direction_sigma(self) -> float:
         """Its standard deviation [rad]."""
         return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def knows_direction(self) -> bool:
+        """Whether the direction is known, not only the heading: too near to home, it is not."""
+        return self.accepted and self.direction_sigma < LARGEST_DIRECTION_SIGMA
 
     @property
     def homewards(self) -> float:
@@ -93,17 +105,20 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         now.sigma[j],
     )
     fit = search(pairs, quality, camera.tilt_sigma)
+    verdict = judge(fit, pairs)
+    agrees = np.zeros(len(pairs), bool) if fit is None else fit.inlier
+    moved = np.zeros(len(pairs), bool)
+    if verdict.accepted:
+        moved = moved_groups(home, now, rows, ~agrees)
     return Comparison(
-        verdict=judge(fit, pairs),
+        verdict=verdict,
         pairs=pairs,
         home_row=i,
         now_row=j,
-        agrees=np.zeros(len(pairs), bool) if fit is None else fit.inlier,
+        agrees=agrees,
+        moved=moved,
         motion=None if fit is None else fit.motion,
-        covariance=np.full((2, 2), np.inf) if fit is None else covariance(fit),
+        covariance=np.full((2, 2), np.inf)
+        if fit is None
+        else covariance(fit, pairs.home[:, 0], prior_information(camera.tilt_sigma))[:2, :2],
     )
-
-
-def covariance(fit: Fit) -> np.ndarray:
-    """Return the covariance, (2, 2), of theta and alpha [rad^2]."""
-    return np.linalg.inv(fit.information)[:2, :2]

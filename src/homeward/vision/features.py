@@ -21,10 +21,14 @@ class View:
 
     shape: tuple[int, int]
     """Height and width of the panorama [px]."""
+    axis: float
+    """Where azimuth 0 stands, as a share of the width from the left edge."""
     column: np.ndarray
     row: np.ndarray
     size: np.ndarray
     """Diameter of the patch that a feature describes [px]."""
+    angle: np.ndarray
+    """How that patch is turned, clockwise from the right [rad]."""
     azimuth: np.ndarray
     """In the level camera's frame [rad]."""
     elevation: np.ndarray
@@ -49,10 +53,21 @@ def look(image: np.ndarray, camera: Panorama) -> View:
         What its pixels look at.
     """
     height, width = image.shape
-    column, row, size, descriptor = _detect(image)
+    column, row, size, angle, descriptor = _detect(image)
     azimuth, elevation = camera.directions(column, row, (height, width))
     sigma = pixel_sigma(size) * camera.column_angle(width)
-    return View((height, width), column, row, size, azimuth, elevation, sigma, descriptor)
+    return View(
+        (height, width),
+        camera.axis,
+        column,
+        row,
+        size,
+        angle,
+        azimuth,
+        elevation,
+        sigma,
+        descriptor,
+    )
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:
@@ -60,20 +75,21 @@ def pixel_sigma(size: np.ndarray) -> np.ndarray:
     return 0.14 + 0.04 * size
 
 
-def _detect(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return columns, rows, sizes [px] and RootSIFT descriptors, the seam not felt."""
+def _detect(image: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return columns, rows, sizes [px], angles and RootSIFT descriptors, the seam not felt."""
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 16)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
     points, found = _sift().detectAndCompute(padded, None)
     if not points:
-        return np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32)
-    rows = np.array([(*p.pt, p.size) for p in points])
+        return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
+    rows = np.array([(*p.pt, p.size, p.angle) for p in points])
     inside = (rows[:, 0] >= pad - 0.5) & (rows[:, 0] < pad + width - 0.5)
     rows, found = rows[inside], found[inside]
     # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
     found /= np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
-    return rows[:, 0] - pad, rows[:, 1], rows[:, 2], np.sqrt(found)
+    column, row, size, degrees = rows.T
+    return column - pad, row, size, np.radians(degrees), np.sqrt(found)
 
 
 @cache
