@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 from homeward.cli.compare import compare
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
+from homeward.cli.see import see
 from homeward.cli.simulate import simulate
 from homeward.errors import HomewardError
 
@@ -35,5 +36,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, simulate, reproduce, compare):
+for command in (run, simulate, reproduce, compare, see):
     app.command()(command)

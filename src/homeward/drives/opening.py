@@ -82,7 +82,20 @@ def _open_folder(path: Path, choices: Choices) -> Drive:
     return read_folder(path)
 
 
+def _open_images(path: Path, choices: Choices) -> Drive:
+    choices.refuse("folder of images", path)
+    # Imported here alone: what only reads logs needs no images.
+    from homeward.vision.folder import see_folder
+
+    return see_folder(path)
+
+
+def _is_image_folder(path: Path) -> bool:
+    return (path / "images.csv").exists()
+
+
 READERS = (
+    Reader("a folder of images (images.csv)", _is_image_folder, _open_images),
     Reader("an MRCLAM folder (Barcodes.dat)", is_mrclam, _open_mrclam),
     Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
 )

@@ -85,9 +85,15 @@ def _chance(fit: Fit, pairs: Pairs) -> float:
     for shift in shifts:
         other = np.empty(n, int)
         other[order] = np.roll(order, shift)
-        shuffled = Pairs(pairs.home, pairs.now[other], pairs.home_sigma, pairs.now_sigma[other])
+        shuffled = Pairs(
+            pairs.home,
+            pairs.now[other],
+            pairs.home_sigma,
+            pairs.now_sigma[other],
+            pairs.growth[other],
+        )
         found = residuals(fit.motion, shuffled)
-        fits += int((found.in_front & (np.abs(found.value) <= INLIER)).sum())
+        fits += int((found.possible & (np.abs(found.value) <= INLIER)).sum())
         total += n
     return (fits + 1) / (total + 2)
 

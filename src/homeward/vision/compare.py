@@ -14,11 +14,14 @@ from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
-from homeward.vision.refine import prior_information
 from homeward.vision.search import search
 
 LARGEST_DIRECTION_SIGMA = np.radians(20.0)
 """With a larger one [rad] the direction counts as not known."""
+
+
+LARGEST_TURN = 0.6
+"""A feature may be turned in the image by this much [rad]."""
 
 
 @dataclass(frozen=True)
@@ -96,14 +99,8 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     camera : Panorama
         That took both; only its `tilt_sigma` is looked at.
     """
-    rows, quality = match(home.descriptor, now.descriptor)
+    rows, pairs, quality = paired(home, now)
     i, j = rows.T
-    pairs = Pairs(
-        np.column_stack([home.azimuth[i], home.elevation[i]]),
-        np.column_stack([now.azimuth[j], now.elevation[j]]),
-        home.sigma[i],
-        now.sigma[j],
-    )
     fit = search(pairs, quality, camera.tilt_sigma)
     verdict = judge(fit, pairs)
     agrees = np.zeros(len(pairs), bool) if fit is None else fit.inlier
@@ -120,5 +117,29 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         motion=None if fit is None else fit.motion,
         covariance=np.full((2, 2), np.inf)
         if fit is None
-        else covariance(fit, pairs.home[:, 0], prior_information(camera.tilt_sigma))[:2, :2],
+        else covariance(fit, pairs.home[:, 0])[:2, :2],
     )
+
+
+def paired(home: View, now: View) -> tuple[np.ndarray, Pairs, np.ndarray]:
+    """Return the features that look alike, (n, 2) rows, their directions and qualities.
+
+    Features that turned in the image are left out, since cameras are nearly upright; so are
+    further ones at the same two places.
+    """
+    rows, quality = match(home.descriptor, now.descriptor)
+    i, j = rows.T
+    upright = np.abs(wrap(now.angle[j] - home.angle[i])) < LARGEST_TURN
+    places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
+    order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
+    _, first = np.unique(places[order].round(), axis=0, return_index=True)
+    kept = np.sort(order[first])
+    i, j = rows[kept].T
+    pairs = Pairs(
+        np.column_stack([home.azimuth[i], home.elevation[i]]),
+        np.column_stack([now.azimuth[j], now.elevation[j]]),
+        home.sigma[i],
+        now.sigma[j],
+        np.log(now.size[j] / home.size[i]),
+    )
+    return rows[kept], pairs, quality[kept]

@@ -8,7 +8,7 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,17 +43,28 @@ class Pairs:
     """(n,): standard deviation of either angle [rad]."""
     now_sigma: np.ndarray
     """(n,): [rad]"""
+    growth: np.ndarray
+    """(n,): logarithm of how much larger the feature looks now than at home."""
 
     def __len__(self) -> int:
         return len(self.home)
 
     def __getitem__(self, rows: np.ndarray) -> Pairs:
-        return Pairs(self.home[rows], self.now[rows], self.home_sigma[rows], self.now_sigma[rows])
+        return Pairs(
+            self.home[rows],
+            self.now[rows],
+            self.home_sigma[rows],
+            self.now_sigma[rows],
+            self.growth[rows],
+        )
 
     def loosened(self, sigma: float) -> Pairs:
         """Return the same pairs with a further error of `sigma` [rad] at either end."""
-        both = (np.hypot(side, sigma) for side in (self.home_sigma, self.now_sigma))
-        return Pairs(self.home, self.now, *both)
+        return replace(
+            self,
+            home_sigma=np.hypot(self.home_sigma, sigma),
+            now_sigma=np.hypot(self.now_sigma, sigma),
+        )
 
 
 class Residuals(NamedTuple):
@@ -63,11 +74,14 @@ class Residuals(NamedTuple):
     """(n,)"""
     jacobian: np.ndarray
     """(n, 5), with respect to `Motion`."""
-    in_front: np.ndarray
-    """(n,) bool: the rays meet ahead of both cameras, as far as their errors allow to say."""
+    possible: np.ndarray
+    """(n,) bool: the rays meet ahead of both cameras, and as far away as the features' sizes say,
+    as far as errors allow to tell."""
 
 
 IN_FRONT_SIGMAS = 3.0
+GROWTH = 0.5
+"""How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
 
 
 def residuals(motion: Motion, pairs: Pairs) -> Residuals:
@@ -94,7 +108,7 @@ def residuals(motion: Motion, pairs: Pairs) -> Residuals:
     deviation = np.sqrt((pairs.home_sigma * home_slope) ** 2 + (pairs.now_sigma * now_slope) ** 2)
     deviation = np.maximum(deviation, 1e-9)
     return Residuals(
-        (normal @ t) / deviation, jacobian / deviation[:, None], _in_front(t, x1, y, normal, pairs)
+        (normal @ t) / deviation, jacobian / deviation[:, None], _possible(t, x1, y, normal, pairs)
     )
 
 
@@ -144,16 +158,22 @@ def _slope(gradient: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(by_azimuth, by_elevation))
 
 
-def _in_front(
+def _possible(
     t: np.ndarray, x1: np.ndarray, y: np.ndarray, normal: np.ndarray, pairs: Pairs
 ) -> np.ndarray:
-    """Whether both distances along the rays are positive, or too uncertain to be called negative.
+    """Whether both distances along the rays are positive, and in the ratio of the sizes.
 
-    With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n, n = x1 x y.
+    With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n, n = x1 x y. This is
+    what tells a wrong match along the epipolar line from a right one.
     """
     slack = IN_FRONT_SIGMAS * np.hypot(pairs.home_sigma, pairs.now_sigma)
-    good = np.ones(len(x1), bool)
+    good, far, doubt = np.ones(len(x1), bool), [], np.zeros(len(x1))
     for ray in (y, x1):
         arm = cross(t, ray)
-        good &= np.sum(arm * normal, axis=1) >= -slack * np.linalg.norm(arm, axis=1)
-    return good
+        distance = np.sum(arm * normal, axis=1)
+        error = slack * np.sqrt(np.sum(arm * arm, axis=1))
+        good &= distance >= -error
+        far.append(np.maximum(distance, 1e-12))
+        doubt += error / far[-1]
+    ratio = np.log(far[0] / far[1])
+    return np.asarray(good & (np.abs(ratio - pairs.growth) <= GROWTH + doubt))

@@ -26,8 +26,10 @@ class Fit:
     """MSAC cost over all matches, prior included."""
     information: np.ndarray
     """(5, 5): of the motion, were all errors independent and as large as assumed."""
-    scores: np.ndarray
-    """(n, 5): gradient of each match's loss; zero where it does not count."""
+    rows: np.ndarray
+    """(n, 5): Jacobian of each match's residual, times the root of its weight."""
+    residuals: np.ndarray
+    """(n,): normalised residuals, times the root of their weights."""
 
 
 def refine(start: Motion, pairs: Pairs, tilt_sigma: float) -> Fit:
@@ -68,25 +70,26 @@ def cost(found: Residuals) -> float:
 
 
 def squares(found: Residuals) -> np.ndarray:
-    """Return the squared residuals, (n,); infinite where the rays meet behind a camera."""
-    return np.where(found.in_front, found.value**2, np.inf)
+    """Return the squared residuals, (n,); infinite for impossible matches."""
+    return np.where(found.possible, found.value**2, np.inf)
 
 
 def _judged(motion: Motion, pairs: Pairs, prior: np.ndarray) -> Fit:
     found = residuals(motion, pairs)
     inlier = squares(found) <= INLIER**2
-    weight = _weight(found, SCALES[-1]) * inlier
-    weighted = found.jacobian * weight[:, None]
+    root = np.sqrt(_weight(found, SCALES[-1]) * inlier)
+    rows = found.jacobian * root[:, None]
     x = np.array(motion)
     return Fit(
         motion=motion,
         inlier=inlier,
         cost=cost(found) + float(x @ prior @ x),
-        information=weighted.T @ found.jacobian + prior,
-        scores=weighted * found.value[:, None],
+        information=rows.T @ rows + prior,
+        rows=rows,
+        residuals=found.value * root,
     )
 
 
 def _weight(found: Residuals, scale: float) -> np.ndarray:
-    """Return Geman and McClure's weights; rays that meet behind a camera do not count."""
-    return np.asarray(found.in_front / (1.0 + (found.value / scale) ** 2) ** 2)
+    """Return Geman and McClure's weights; impossible matches do not count."""
+    return np.asarray(found.possible / (1.0 + (found.value / scale) ** 2) ** 2)

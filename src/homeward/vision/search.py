@@ -9,11 +9,11 @@ from homeward.vision.epipolar import Motion, Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, cost, refine
 from homeward.vision.two_point import costs, rows_of, solve
 
-SAMPLES = 400
+SAMPLES = 800
 """Pairs of matches that are tried."""
-CANDIDATES = 6
+CANDIDATES = 12
 """That are looked at closely, each travelled both ways."""
-REFINED = 2
+REFINED = 3
 """The best of them."""
 APART = 0.1
 """Candidates must differ by this much in theta or alpha [rad]."""

@@ -34,7 +34,7 @@ class ImageSettings(Strict):
 
 
 def read_image_settings(path: Path | None) -> ImageSettings:
-    """Read images.yaml; None or a file that is not there gives the defaults.
+    """Read images.yaml; None gives the defaults.
 
     Raises
     ------
