@@ -9,12 +9,12 @@ home direction with the now directions of other matches.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from homeward.vision.epipolar import Pairs, residuals
-from homeward.vision.refine import INLIER, Fit
+from homeward.vision.refine import INLIER, Fit, squares
 
 LARGEST_LOG_FALSE_ALARMS = -4.0
 """Accept below this (base 10)."""
@@ -81,21 +81,14 @@ def _chance(fit: Fit, pairs: Pairs) -> float:
     n = len(pairs)
     shifts = np.unique(np.linspace(1, n - 1, SHUFFLES).astype(int))
     order = np.argsort(pairs.now[:, 0], kind="stable")
-    fits = total = 0
-    for shift in shifts:
-        other = np.empty(n, int)
-        other[order] = np.roll(order, shift)
-        shuffled = Pairs(
-            pairs.home,
-            pairs.now[other],
-            pairs.home_sigma,
-            pairs.now_sigma[other],
-            pairs.growth[other],
-        )
-        found = residuals(fit.motion, shuffled)
-        fits += int((found.possible & (np.abs(found.value) <= INLIER)).sum())
-        total += n
-    return (fits + 1) / (total + 2)
+    other = np.empty((shifts.size, n), int)
+    for row, shift in zip(other, shifts, strict=True):
+        row[order] = np.roll(order, shift)
+    home, now = pairs[np.tile(np.arange(n), shifts.size)], pairs[other.ravel()]
+    shuffled = replace(home, now=now.now, now_sigma=now.now_sigma, growth=now.growth)
+    found = residuals(np.array([fit.motion]), shuffled)
+    fits = int((squares(found) <= INLIER**2).sum())
+    return (fits + 1) / (len(shuffled) + 2)
 
 
 def _sectors(azimuth: np.ndarray) -> np.ndarray:

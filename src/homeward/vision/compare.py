@@ -45,7 +45,7 @@ class Comparison:
     motion: Motion | None
     """None when not even a guess could be made; not to be used unless `accepted`."""
     covariance: np.ndarray
-    """(2, 2): of (theta, alpha) [rad^2]; infinite without a motion."""
+    """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
 
     @property
     def accepted(self) -> bool:
@@ -116,7 +116,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         moved=moved,
         motion=None if fit is None else fit.motion,
         covariance=np.full((2, 2), np.inf)
-        if fit is None
+        if fit is None or not verdict.accepted
         else covariance(fit, pairs.home[:, 0])[:2, :2],
     )
 

@@ -21,6 +21,9 @@ from homeward.vision.refine import Fit
 SECTORS = 24
 """Of azimuth at home: matches in one are taken to err together."""
 
+LARGEST_SIGMA = 100.0
+"""[rad]"""
+
 
 def covariance(fit: Fit, azimuth: np.ndarray) -> np.ndarray:
     """Return the covariance of a motion.
@@ -39,11 +42,13 @@ def covariance(fit: Fit, azimuth: np.ndarray) -> np.ndarray:
     """
     sector = np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     groups = np.unique(sector[fit.inlier])
-    total = np.linalg.inv(fit.information)
+    # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
+    information = fit.information + np.eye(5) / LARGEST_SIGMA**2
+    total = np.linalg.inv(information)
     for group in groups:
         rows = fit.rows[sector == group]
         gradient = rows.T @ fit.residuals[sector == group]
         # Of the fit without this sector, to first order.
-        change = np.linalg.solve(fit.information - rows.T @ rows, gradient)
+        change = np.linalg.solve(information - rows.T @ rows, gradient)
         total = total + np.outer(change, change) * (1 - 1 / groups.size)
     return np.asarray(total)

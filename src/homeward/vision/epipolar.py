@@ -9,11 +9,12 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from homeward.vision.camera import tilt_matrix, unit_vectors
+from homeward.vision.camera import unit_vectors
 
 
 class Motion(NamedTuple):
@@ -49,6 +50,26 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.home)
 
+    @cached_property
+    def home_vectors(self) -> np.ndarray:
+        """Unit vectors at home, (n, 3)."""
+        return unit_vectors(*self.home.T)
+
+    @cached_property
+    def now_vectors(self) -> np.ndarray:
+        """Unit vectors now, (n, 3)."""
+        return unit_vectors(*self.now.T)
+
+    @cached_property
+    def home_tangents(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of `home_vectors` by azimuth and elevation."""
+        return tangents(*self.home.T)
+
+    @cached_property
+    def now_tangents(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of `now_vectors` by azimuth and elevation."""
+        return tangents(*self.now.T)
+
     def __getitem__(self, rows: np.ndarray) -> Pairs:
         return Pairs(
             self.home[rows],
@@ -67,16 +88,25 @@ class Pairs:
         )
 
 
+def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of unit vectors, (n, 3), by azimuth and by elevation."""
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    return (
+        np.stack([-ce * sa, ce * ca, np.zeros_like(ce)], axis=-1),
+        np.stack([-se * ca, -se * sa, ce], axis=-1),
+    )
+
+
 class Residuals(NamedTuple):
-    """How far pairs are from a motion, in standard deviations."""
+    """How far pairs are from each of several motions, in standard deviations."""
 
     value: np.ndarray
-    """(n,)"""
+    """(m, n)"""
     jacobian: np.ndarray
-    """(n, 5), with respect to `Motion`."""
+    """(m, n, 5), with respect to `Motion`."""
     possible: np.ndarray
-    """(n,) bool: the rays meet ahead of both cameras, and as far away as the features' sizes say,
-    as far as errors allow to tell."""
+    """(m, n) bool: the rays meet ahead of both cameras, and as far away as the features' sizes
+    say, as far as errors allow to tell."""
 
 
 IN_FRONT_SIGMAS = 3.0
@@ -84,32 +114,59 @@ GROWTH = 0.5
 """How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
 
 
-def residuals(motion: Motion, pairs: Pairs) -> Residuals:
-    """Return the epipolar residual of each pair over its standard deviation (Sampson's)."""
-    t, t_theta, t_rise = _direction(motion.theta, motion.rise)
-    turn, d_roll, d_pitch = _rotation(motion)
-    x1, x2 = (unit_vectors(*side.T) for side in (pairs.home, pairs.now))
-    y = x2 @ turn.T
-    normal = cross(x1, y)
-    lever = cross(t, x1)
-    y_alpha = np.stack([-y[:, 1], y[:, 0], np.zeros(len(y))], axis=1)
+def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
+    """Return the epipolar residual of each pair over its standard deviation (Sampson's).
+
+    Parameters
+    ----------
+    motions : ndarray, shape (m, 5)
+        Rows in the order of `Motion`.
+    pairs : Pairs
+        n matches.
+    """
+    theta, alpha, roll, pitch, rise = np.atleast_2d(motions).T
+    t, t_theta, t_rise = _direction(theta, rise)
+    x1, x2 = pairs.home_vectors, pairs.now_vectors
+    leaned, by_roll, by_pitch = _leaned(x2, roll, pitch)
+    y, y_roll, y_pitch = (_about_z(alpha, v) for v in (leaned, by_roll, by_pitch))
+    normal, lever = cross(x1, y), cross(t, x1)
     jacobian = np.stack(
         [
-            normal @ t_theta,
-            np.sum(lever * y_alpha, axis=1),
-            np.sum(lever * (x2 @ d_roll.T), axis=1),
-            np.sum(lever * (x2 @ d_pitch.T), axis=1),
-            normal @ t_rise,
+            dot(normal, t_theta),
+            lever[..., 1] * y[..., 0] - lever[..., 0] * y[..., 1],
+            dot(lever, y_roll),
+            dot(lever, y_pitch),
+            dot(normal, t_rise),
         ],
-        axis=1,
+        axis=-1,
     )
-    home_slope = _slope(cross(y, t), pairs.home)
-    now_slope = _slope(lever @ turn, pairs.now)
-    deviation = np.sqrt((pairs.home_sigma * home_slope) ** 2 + (pairs.now_sigma * now_slope) ** 2)
-    deviation = np.maximum(deviation, 1e-9)
-    return Residuals(
-        (normal @ t) / deviation, jacobian / deviation[:, None], _possible(t, x1, y, normal, pairs)
-    )
+    deviation = _deviation(t, alpha, y, pairs)
+    possible = _possible(t, x1, y, normal, pairs)
+    return Residuals(dot(normal, t) / deviation, jacobian / deviation[..., None], possible)
+
+
+def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance, (n,), that noise alone gives the normalised derivatives.
+
+    Those by theta and by rise: where there is no parallax, noise looks like it.
+    """
+    theta, alpha, roll, pitch, rise = np.array([motion]).T
+    t, t_theta, t_rise = _direction(theta, rise)
+    y = _about_z(alpha, _leaned(pairs.now_vectors, roll, pitch)[0])
+    own = _deviation(t, alpha, y, pairs)[0]
+    by_theta, by_rise = (_deviation(way, alpha, y, pairs)[0] for way in (t_theta, t_rise))
+    return (by_theta / own) ** 2, (by_rise / own) ** 2
+
+
+def _deviation(t: np.ndarray, alpha: np.ndarray, y: np.ndarray, pairs: Pairs) -> np.ndarray:
+    """Return the standard deviation, (m, n), of t . (x1 x y) for motions with t (m, 1, 3)."""
+    home_slope = _slope(cross(y, t), pairs.home_tangents)
+    # The gradient by x2, before the turn and the tilt: both leave its length as it is, and what
+    # the tilt does to the directions of azimuth and elevation is of no account.
+    lever = cross(t, pairs.home_vectors)
+    now_slope = _slope(_about_z(-alpha, lever), pairs.now_tangents)
+    deviation = np.hypot(pairs.home_sigma * home_slope, pairs.now_sigma * now_slope)
+    return np.asarray(np.maximum(deviation, 1e-9))
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -119,43 +176,45 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def parallax(motion: Motion, pairs: Pairs) -> np.ndarray:
-    """Return the angle between the two rays of each pair in one frame [rad], shape (n,)."""
-    turn, _, _ = _rotation(motion)
-    x1, y = unit_vectors(*pairs.home.T), unit_vectors(*pairs.now.T) @ turn.T
-    away, along = np.linalg.norm(cross(x1, y), axis=1), np.sum(x1 * y, axis=1)
-    return np.asarray(np.arctan2(away, along))
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the scalar product along the last axis."""
+    return np.asarray((a * b).sum(axis=-1))
 
 
-def _direction(theta: float, rise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return t and its derivatives with respect to theta and rise."""
+def _direction(theta: np.ndarray, rise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return t, (m, 1, 3), and its derivatives with respect to theta and rise."""
     c, s, cr, sr = np.cos(theta), np.sin(theta), np.cos(rise), np.sin(rise)
-    return (
-        np.array([c * cr, s * cr, sr]),
-        np.array([-s * cr, c * cr, 0.0]),
-        np.array([-c * sr, -s * sr, cr]),
-    )
+    none = np.zeros_like(theta)
+    ways = ((c * cr, s * cr, sr), (-s * cr, c * cr, none), (-c * sr, -s * sr, cr))
+    t, t_theta, t_rise = (np.stack(way, axis=-1)[:, None, :] for way in ways)
+    return t, t_theta, t_rise
 
 
-def _rotation(motion: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return R = Rz(alpha) Ry(pitch) Rx(roll) and its derivatives by roll and pitch."""
-    c, s = np.cos(motion.alpha), np.sin(motion.alpha)
-    about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    generator_x = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    generator_y = np.array([[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]])
-    turn = about_z @ tilt_matrix(motion.roll, motion.pitch)
-    about_y = tilt_matrix(0.0, motion.pitch)
-    about_x = tilt_matrix(motion.roll, 0.0)
-    return turn, turn @ generator_x, about_z @ about_y @ generator_y @ about_x
+def _leaned(
+    x: np.ndarray, roll: np.ndarray, pitch: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Ry(pitch) Rx(roll) x, (m, n, 3), and its derivatives by roll and pitch."""
+    cr, sr, cp, sp = (f(a)[:, None] for a in (roll, pitch) for f in (np.cos, np.sin))
+    x, y, z = x[:, 0], x[:, 1], x[:, 2]
+    rolled_y, rolled_z = cr * y - sr * z, sr * y + cr * z
+    leaned = (cp * x + sp * rolled_z, rolled_y, cp * rolled_z - sp * x)
+    by_roll = (sp * rolled_y, -rolled_z, cp * rolled_y)
+    by_pitch = (leaned[2], np.zeros_like(leaned[2]), -leaned[0])
+    a, b, c = (np.stack(np.broadcast_arrays(*v), axis=-1) for v in (leaned, by_roll, by_pitch))
+    return a, b, c
 
 
-def _slope(gradient: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def _about_z(angle: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return vectors, (m, n, 3), turned about z by (m,) angles [rad]."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = x[..., 0], x[..., 1], x[..., 2]
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+
+
+def _slope(gradient: np.ndarray, tangents: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return the length of a gradient by (azimuth, elevation), from that by the unit vector."""
-    (a, e), (gx, gy, gz) = angles.T, gradient.T
-    ca, sa, ce, se = np.cos(a), np.sin(a), np.cos(e), np.sin(e)
-    by_azimuth = ce * (ca * gy - sa * gx)
-    by_elevation = ce * gz - se * (ca * gx + sa * gy)
-    return np.asarray(np.hypot(by_azimuth, by_elevation))
+    by_azimuth, by_elevation = tangents
+    return np.asarray(np.hypot(dot(gradient, by_azimuth), dot(gradient, by_elevation)))
 
 
 def _possible(
@@ -167,11 +226,11 @@ def _possible(
     what tells a wrong match along the epipolar line from a right one.
     """
     slack = IN_FRONT_SIGMAS * np.hypot(pairs.home_sigma, pairs.now_sigma)
-    good, far, doubt = np.ones(len(x1), bool), [], np.zeros(len(x1))
+    good, far, doubt = np.ones(y.shape[:-1], bool), [], np.zeros(y.shape[:-1])
     for ray in (y, x1):
         arm = cross(t, ray)
-        distance = np.sum(arm * normal, axis=1)
-        error = slack * np.sqrt(np.sum(arm * arm, axis=1))
+        distance = dot(arm, normal)
+        error = slack * np.sqrt(dot(arm, arm))
         good &= distance >= -error
         far.append(np.maximum(distance, 1e-12))
         doubt += error / far[-1]

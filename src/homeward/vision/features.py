@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,6 +14,9 @@ from homeward.vision.opencv import opencv
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
+
+FEWEST_COLUMNS = 360
+"""Smaller panoramas are enlarged."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +84,17 @@ def _detect(image: np.ndarray) -> tuple[np.ndarray, ...]:
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 16)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
+    # Patches need some pixels: of real panoramas with 3 deg a pixel few features are found as
+    # they are, and twenty times as many in their enlargement.
+    times = math.ceil(FEWEST_COLUMNS / width)
+    if times > 1:
+        padded = cv2.resize(padded, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
     points, found = _sift().detectAndCompute(padded, None)
     if not points:
         return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
     rows = np.array([(*p.pt, p.size, p.angle) for p in points])
+    rows[:, :2] = (rows[:, :2] + 0.5) / times - 0.5
+    rows[:, 2] /= times
     inside = (rows[:, 0] >= pad - 0.5) & (rows[:, 0] < pad + width - 0.5)
     rows, found = rows[inside], found[inside]
     # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.

@@ -28,6 +28,8 @@ MOST_KEYFRAMES = 200
 """Older ones, but for home, are forgotten."""
 SECTORS = 24
 """Of azimuth, over which the landmarks passed on are spread."""
+PROVEN = 5
+"""A landmark is passed on from its so-manieth frame: those that come and go only confuse."""
 NOBODY = -1
 
 
@@ -72,7 +74,7 @@ class FrontEnd:
 
     home: View
     camera: Panorama
-    most: int = 40
+    most: int = 30
     _keyframes: list[Keyframe] = field(init=False)
     _sightings: dict[int, int] = field(init=False, default_factory=dict)
     _next: int = field(init=False)
@@ -87,7 +89,7 @@ class FrontEnd:
     @property
     def home_bearings(self) -> dict[str, HomeBearing]:
         """What home saw of each landmark that was seen again."""
-        seen = (i for i in sorted(self._sightings) if i < len(self.home))
+        seen = (i for i, n in sorted(self._sightings.items()) if i < len(self.home) and n >= PROVEN)
         azimuth, sigma = self.home.azimuth, self.home.sigma
         return {self._name(i): HomeBearing(float(azimuth[i]), float(sigma[i])) for i in seen}
 
@@ -176,7 +178,8 @@ class FrontEnd:
         rows = rows[first]
         for i in landmark[rows].tolist():
             self._sightings[i] = self._sightings.get(i, 0) + 1
-        age = np.array([self._sightings[i] for i in landmark[rows].tolist()])
+        age = np.array([self._sightings[i] for i in landmark[rows].tolist()], int)
+        rows, age = rows[age >= PROVEN], age[age >= PROVEN]
         at_home = landmark[rows] < len(self.home)
         order = rows[np.lexsort([view.sigma[rows], -age, ~at_home])]
         sector = np.floor((view.azimuth[order] / (2 * math.pi) + 0.5) * SECTORS) % SECTORS

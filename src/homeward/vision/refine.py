@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.epipolar import Motion, Pairs, Residuals, residuals
+from homeward.vision.epipolar import Motion, Pairs, Residuals, derivative_noise, residuals
 
 SCALES = (12.0, 6.0, 3.0, 3.0, 3.0, 3.0)
 """Of the robust loss [standard deviations], step by step: from forgiving to strict."""
@@ -32,30 +32,40 @@ class Fit:
     """(n,): normalised residuals, times the root of their weights."""
 
 
-def refine(start: Motion, pairs: Pairs, tilt_sigma: float) -> Fit:
-    """Fit a motion to matches by iteratively reweighted least squares.
+def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
+    """Fit a motion to matches by iteratively reweighted least squares, from several starts.
 
     Parameters
     ----------
-    start : Motion
-        Where to begin.
+    starts : ndarray, shape (m, 5)
+        Motions to begin from, all at once.
     pairs : Pairs
         All matches, wrong ones among them.
     tilt_sigma : float
         How far each camera may be tilted from what is known [rad].
+
+    Returns
+    -------
+    Fit
+        The one of least cost.
     """
     prior = prior_information(tilt_sigma)
-    x = np.array(start)
+    x = np.array(starts)
     for scale in SCALES:
-        found = residuals(Motion(*x), pairs)
-        weight = _weight(found, scale)
-        weighted = found.jacobian * weight[:, None]
-        normal = weighted.T @ found.jacobian + prior
-        step = np.linalg.solve(normal + 1e-9 * np.eye(5), weighted.T @ found.value + prior @ x)
+        found = residuals(x, pairs)
+        weighted = (found.jacobian * _weight(found, scale)[..., None]).swapaxes(1, 2)
+        normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
+        gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
+        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
         # Where home is near, theta is hardly determined: no wild turns on the way.
         x = x - np.clip(step, -0.3, 0.3)
-    x[:2] = wrap(x[:2])
-    return _judged(Motion(*x.tolist()), pairs, prior)
+    x[:, :2] = wrap(x[:, :2])
+    found = residuals(x, pairs)
+    total = cost(found) + np.sum((x @ prior) * x, axis=1)
+    best = int(np.argmin(total))
+    return _judged(
+        x[best], pairs, Residuals(*(part[best] for part in found)), float(total[best]), prior
+    )
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:
@@ -64,30 +74,42 @@ def prior_information(tilt_sigma: float) -> np.ndarray:
     return np.diag([0.0, 0.0, known, known, known])
 
 
-def cost(found: Residuals) -> float:
-    """Return the MSAC cost of residuals: their squares, at most `INLIER`^2 each."""
-    return float(np.minimum(squares(found), INLIER**2).sum())
+def cost(found: Residuals) -> np.ndarray:
+    """Return the MSAC cost of each motion, (m,): squared residuals, at most `INLIER`^2 each."""
+    return np.asarray(np.minimum(squares(found), INLIER**2).sum(axis=-1))
 
 
 def squares(found: Residuals) -> np.ndarray:
-    """Return the squared residuals, (n,); infinite for impossible matches."""
+    """Return the squared residuals; infinite for impossible matches."""
     return np.where(found.possible, found.value**2, np.inf)
 
 
-def _judged(motion: Motion, pairs: Pairs, prior: np.ndarray) -> Fit:
-    found = residuals(motion, pairs)
+def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray) -> Fit:
     inlier = squares(found) <= INLIER**2
     root = np.sqrt(_weight(found, SCALES[-1]) * inlier)
-    rows = found.jacobian * root[:, None]
-    x = np.array(motion)
+    rows = found.jacobian * root[:, None] * _beyond_noise(x, pairs, found.jacobian, root**2)
     return Fit(
-        motion=motion,
+        motion=Motion(*x.tolist()),
         inlier=inlier,
-        cost=cost(found) + float(x @ prior @ x),
+        cost=total,
         information=rows.T @ rows + prior,
         rows=rows,
         residuals=found.value * root,
     )
+
+
+def _beyond_noise(
+    x: np.ndarray, pairs: Pairs, jacobian: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Return the factor, (5,), for each column of the Jacobian that leaves out what noise made.
+
+    Near home there is no parallax, but noise looks like it, and seems to tell a direction.
+    """
+    factor = np.ones(5)
+    for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True):
+        seen = float(weight @ jacobian[:, column] ** 2)
+        factor[column] = np.sqrt(max(0.0, 1.0 - float(weight @ noise) / max(seen, 1e-12)))
+    return factor
 
 
 def _weight(found: Residuals, scale: float) -> np.ndarray:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.vision.camera import unit_vectors
-from homeward.vision.epipolar import Motion, Pairs, residuals
+from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, cost, refine
 from homeward.vision.two_point import costs, rows_of, solve
 
@@ -40,34 +39,31 @@ def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) 
     """
     if len(pairs) < 3:
         return None
-    both_ways = [
-        Motion(theta + turn, alpha)
-        for theta, alpha in _candidates(pairs, quality, tilt_sigma, seed)
-        for turn in (0.0, np.pi)
-    ]
-    loose = pairs.loosened(tilt_sigma)
-    best = sorted(both_ways, key=lambda motion: cost(residuals(motion, loose)))[:REFINED]
-    fits = [refine(motion, pairs, tilt_sigma) for motion in best]
-    return min(fits, key=lambda fit: fit.cost, default=None)
+    chosen = _candidates(pairs, quality, tilt_sigma, seed)
+    if not len(chosen):
+        return None
+    starts = np.zeros((2 * len(chosen), 5))
+    starts[:, :2] = np.concatenate([chosen, chosen + np.array([np.pi, 0.0])])
+    order = np.argsort(cost(residuals(starts, pairs.loosened(tilt_sigma))), kind="stable")
+    return refine(starts[order[:REFINED]], pairs, tilt_sigma)
 
 
-def _candidates(
-    pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int
-) -> list[tuple[float, float]]:
-    """Return the best solutions (theta, alpha) of many samples that differ from each other."""
-    rows = rows_of(unit_vectors(*pairs.home.T), unit_vectors(*pairs.now.T))
+def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int) -> np.ndarray:
+    """Return the best solutions, (k, 2), of many samples that differ from each other."""
+    rows = rows_of(pairs.home_vectors, pairs.now_vectors)
     first, second = _samples(quality, seed)
     motions = solve(rows[first], rows[second])
-    if not len(motions):
-        return []
     total = costs(motions, pairs, tilt_sigma, INLIER**2)
-    chosen: list[int] = []
-    for i in np.argsort(total, kind="stable").tolist():
-        if all(_apart(motions[i], motions[j]) for j in chosen):
-            chosen.append(i)
-        if len(chosen) == CANDIDATES:
-            break
-    return [(float(a), float(b)) for a, b in motions[chosen]]
+    motions = motions[np.argsort(total, kind="stable")]
+    chosen: list[np.ndarray] = []
+    while len(motions) and len(chosen) < CANDIDATES:
+        best = motions[0]
+        chosen.append(best)
+        theta, alpha = (motions - best).T
+        # Whichever way round they are travelled.
+        apart = (np.abs(np.sin(theta)) > APART) | (np.abs(np.sin(alpha / 2)) > APART / 2)
+        motions = motions[apart]
+    return np.array(chosen).reshape(-1, 2)
 
 
 def _samples(quality: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -78,9 +74,3 @@ def _samples(quality: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     second = rng.integers(0, n, SAMPLES)
     different = first != second
     return first[different], second[different]
-
-
-def _apart(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two motions differ, whichever way round they are travelled."""
-    d_theta, d_alpha = a - b
-    return bool(abs(np.sin(d_theta)) > APART or abs(np.sin(d_alpha / 2)) > APART / 2)

@@ -22,7 +22,7 @@ class ImageSettings(Strict):
     camera: Camera = Equirectangular()
     home: str | None = None
     """File of the home image, in the folder; None: the one whose name is home.something."""
-    landmarks: MostLandmarks = 40
+    landmarks: MostLandmarks = 30
     """How many landmarks at most are passed on from one image."""
 
     @model_validator(mode="before")

@@ -15,7 +15,6 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.camera import unit_vectors
 from homeward.vision.epipolar import Pairs
 
 
@@ -89,28 +88,19 @@ def costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> n
     """
     theta, turn = motions[:, 0], motions[:, 1] - motions[:, 0]
     k = np.stack([np.cos(theta), np.sin(theta), np.cos(turn), np.sin(turn)]).astype(np.float32)
-    (a1, e1), (a2, e2) = pairs.home.T, pairs.now.T
-    x1, x2 = unit_vectors(a1, e1), unit_vectors(a2, e2)
+    x1, x2 = pairs.home_vectors, pairs.now_vectors
+    (x1_azimuth, x1_elevation), (x2_azimuth, x2_elevation) = (
+        pairs.home_tangents,
+        pairs.now_tangents,
+    )
     loose1, loose2 = np.hypot(pairs.home_sigma, tolerance), np.hypot(pairs.now_sigma, tolerance)
     rows = [
         rows_of(x1, x2),
-        rows_of(_by_azimuth(a1, e1), x2) * pairs.home_sigma[:, None],
-        rows_of(_by_elevation(a1, e1), x2) * loose1[:, None],
-        rows_of(x1, _by_azimuth(a2, e2)) * pairs.now_sigma[:, None],
-        rows_of(x1, _by_elevation(a2, e2)) * loose2[:, None],
+        rows_of(x1_azimuth, x2) * pairs.home_sigma[:, None],
+        rows_of(x1_elevation, x2) * loose1[:, None],
+        rows_of(x1, x2_azimuth) * pairs.now_sigma[:, None],
+        rows_of(x1, x2_elevation) * loose2[:, None],
     ]
     value, *slopes = (row.astype(np.float32) @ k for row in rows)
     variance = sum(slope * slope for slope in slopes)
     return np.asarray(np.minimum(value * value / (variance + 1e-16), most).sum(axis=0))
-
-
-def _by_azimuth(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Return the derivative of unit vectors by azimuth."""
-    c = np.cos(elevation)
-    return np.stack([-c * np.sin(azimuth), c * np.cos(azimuth), np.zeros_like(c)], axis=-1)
-
-
-def _by_elevation(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Return the derivative of unit vectors by elevation."""
-    s = np.sin(elevation)
-    return np.stack([-s * np.cos(azimuth), -s * np.sin(azimuth), np.cos(elevation)], axis=-1)

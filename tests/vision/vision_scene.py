@@ -114,8 +114,7 @@ def look(
     """Return the grey panorama (height, width) seen from a pose in the room."""
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    fine = rays(2 * width, 2 * height, tilt) @ turn.T
-    grey, _ = hit(room, np.array([x, y, z]), fine)
-    image = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+    grey, _ = hit(room, np.array([x, y, z]), rays(width, height, tilt) @ turn.T)
+    image = cv2.GaussianBlur(grey, (0, 0), 0.6)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape)
     return np.clip(image, 0, 255).astype(np.uint8)
