@@ -70,7 +70,7 @@ def test_refuses_what_no_reader_knows(tmp_path):
     assert refusal(tmp_path / "absent") == "no such file or folder"
     (tmp_path / "empty").mkdir()
     assert refusal(tmp_path / "empty") == (
-        "neither an MRCLAM folder (Barcodes.dat) "
+        "neither a folder of images (images.csv) nor an MRCLAM folder (Barcodes.dat) "
         "nor a drive folder (odometry.csv, bearings.csv, home.csv)"
     )
     (tmp_path / "file.txt").write_text("hello")

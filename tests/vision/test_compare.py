@@ -42,6 +42,13 @@ def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, 
     assert not seen.knows_direction
 
 
+def test_the_home_image_itself_is_home(home):
+    seen = compare(home, home, CAMERA)
+    assert seen.accepted
+    assert abs(seen.heading) < 1e-3
+    assert not seen.knows_direction
+
+
 @pytest.mark.parametrize("columns", [1, 100, 255, 400])
 def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, columns):
     image = draw(room, 4.0, 3.5, 2.0, seed=2)

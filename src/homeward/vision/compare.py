@@ -16,7 +16,7 @@ from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.search import search
 
-LARGEST_DIRECTION_SIGMA = np.radians(20.0)
+LARGEST_DIRECTION_SIGMA = np.radians(12.0)
 """With a larger one [rad] the direction counts as not known."""
 
 

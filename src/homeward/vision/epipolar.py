@@ -155,7 +155,7 @@ def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarr
     y = _about_z(alpha, _leaned(pairs.now_vectors, roll, pitch)[0])
     own = _deviation(t, alpha, y, pairs)[0]
     by_theta, by_rise = (_deviation(way, alpha, y, pairs)[0] for way in (t_theta, t_rise))
-    return (by_theta / own) ** 2, (by_rise / own) ** 2
+    return (by_theta / own) ** 2 + 1e-12, (by_rise / own) ** 2 + 1e-12
 
 
 def _deviation(t: np.ndarray, alpha: np.ndarray, y: np.ndarray, pairs: Pairs) -> np.ndarray:

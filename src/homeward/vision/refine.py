@@ -14,6 +14,9 @@ SCALES = (12.0, 6.0, 3.0, 3.0, 3.0, 3.0)
 INLIER = 3.0
 """A match fits within this many standard deviations."""
 
+MOST_RATIO = 100.0
+"""A single match with much parallax does not speak for all."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -107,8 +110,10 @@ def _beyond_noise(
     """
     factor = np.ones(5)
     for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True):
-        seen = float(weight @ jacobian[:, column] ** 2)
-        factor[column] = np.sqrt(max(0.0, 1.0 - float(weight @ noise) / max(seen, 1e-12)))
+        ratio = np.minimum(jacobian[:, column] ** 2 / noise, MOST_RATIO)
+        mean = float(weight @ ratio) / max(float(weight.sum()), 1e-12)
+        # About one for mere noise, and somewhat more since theta is where noise fits best.
+        factor[column] = np.sqrt(max(0.0, 1.0 - 2.0 / max(mean, 1e-12)))
     return factor
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, cost, refine
 from homeward.vision.two_point import costs, rows_of, solve
@@ -14,6 +15,8 @@ CANDIDATES = 12
 """That are looked at closely, each travelled both ways."""
 REFINED = 3
 """The best of them."""
+TURNS = 50
+"""Matches from which a mere turn is tried."""
 APART = 0.1
 """Candidates must differ by this much in theta or alpha [rad]."""
 
@@ -52,7 +55,7 @@ def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int)
     """Return the best solutions, (k, 2), of many samples that differ from each other."""
     rows = rows_of(pairs.home_vectors, pairs.now_vectors)
     first, second = _samples(quality, seed)
-    motions = solve(rows[first], rows[second])
+    motions = np.concatenate([solve(rows[first], rows[second]), _turns(pairs, first)])
     total = costs(motions, pairs, tilt_sigma, INLIER**2)
     motions = motions[np.argsort(total, kind="stable")]
     chosen: list[np.ndarray] = []
@@ -64,6 +67,13 @@ def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int)
         apart = (np.abs(np.sin(theta)) > APART) | (np.abs(np.sin(alpha / 2)) > APART / 2)
         motions = motions[apart]
     return np.array(chosen).reshape(-1, 2)
+
+
+def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
+    """Return a mere turn, (k, 2), for each of some matches: at home any direction fits."""
+    some = np.unique(rows)[:TURNS]
+    alpha = wrap(pairs.home[some, 0] - pairs.now[some, 0])
+    return np.column_stack([np.zeros(some.size), alpha])
 
 
 def _samples(quality: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
