@@ -74,7 +74,7 @@ def test_refuses_what_no_reader_knows(tmp_path):
         "nor a drive folder (odometry.csv, bearings.csv, home.csv)"
     )
     (tmp_path / "file.txt").write_text("hello")
-    assert refusal(tmp_path / "file.txt").startswith("neither an MRCLAM folder")
+    assert refusal(tmp_path / "file.txt").startswith("neither a folder of images (images.csv) nor an MRCLAM folder")
 
 
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):

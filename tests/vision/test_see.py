@@ -20,7 +20,7 @@ from homeward.drives.opening import open_drive
 from homeward.vision import Equirectangular, look
 from homeward.vision.front_end import PROVEN, FrontEnd
 
-FRAMES = 12
+FRAMES = 15
 HOME = (3.0, 3.0, 0.4)
 
 
@@ -66,7 +66,7 @@ def run(*arguments):
 def test_most_landmarks_are_where_their_bearings_say(drive):
     """Every landmark's bearings, with the true poses, meet in one point."""
     s, off = drive.sightings, []
-    assert s.t.size > 60
+    assert s.t.size > 40
     for name in set(s.landmark):
         rows = s.landmark == name
         x, y, heading = np.array([way(round(t / 0.5)) for t in s.t[rows]]).T
@@ -162,7 +162,7 @@ def test_no_odometry(folder, tmp_path):
 
 def test_compare_writes_picture_matches_and_words(folder, tmp_path):
     result = run(
-        "compare", folder / "home.png", folder / "pictures" / "11.png", "--out", tmp_path / "c"
+        "compare", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
     )
     assert result.exit_code == 0, result.output
     assert "Heading change" in result.output

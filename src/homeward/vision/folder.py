@@ -26,7 +26,7 @@ from homeward.vision.images import read_view
 from homeward.vision.settings import ImageSettings, read_image_settings
 
 IMAGES, IMAGE_SETTINGS = "images.csv", "images.yaml"
-FEWEST_SIGHTINGS = 4
+FEWEST_SIGHTINGS = 8
 """A landmark seen less often tells nothing."""
 HOME_STEM = "home"
 UNLIKE = "images in which nothing seen before was found"
