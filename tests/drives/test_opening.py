@@ -70,12 +70,14 @@ def test_refuses_what_no_reader_knows(tmp_path):
     assert refusal(tmp_path / "absent") == "no such file or folder"
     (tmp_path / "empty").mkdir()
     assert refusal(tmp_path / "empty") == (
-        "neither an MRCLAM folder (Barcodes.dat) "
+        "neither a folder of images (images.csv) nor an MRCLAM folder (Barcodes.dat) "
         "nor a drive folder (odometry.csv, bearings.csv, home.csv) "
         "nor a log (a ROS bag or an MCAP file)"
     )
     (tmp_path / "file.txt").write_text("hello")
-    assert refusal(tmp_path / "file.txt").startswith("neither an MRCLAM folder")
+    assert refusal(tmp_path / "file.txt").startswith(
+        "neither a folder of images (images.csv) nor an MRCLAM folder"
+    )
 
 
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):

@@ -7,12 +7,14 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from homeward.cli.compare import compare
 from homeward.cli.convert import convert
 from homeward.cli.info import info
 from homeward.cli.observe import observe
 from homeward.cli.plan import plan
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
+from homeward.cli.see import see
 from homeward.cli.simulate import simulate
 from homeward.cli.study import study
 from homeward.cli.view import view
@@ -40,5 +42,5 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, view, simulate, reproduce, study, observe, plan, info, convert):
+for command in (run, view, simulate, reproduce, study, observe, plan, info, convert, compare, see):
     app.command()(command)

@@ -77,11 +77,11 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     remarks: dict[str, int] = {}
     return Drive(
         name=folder.resolve().name,
-        odometry=_read_odometry(folder / ODOMETRY, remarks),
+        odometry=read_odometry(folder / ODOMETRY, remarks),
         sightings=_read_sightings(folder / BEARINGS, remarks),
         home=read_home(folder / HOME, remarks),
-        settings=_read_settings(folder / SETTINGS),
-        truth=_read_truth(folder / TRUTH, remarks),
+        settings=read_drive_settings(folder / SETTINGS),
+        truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
     )
 
@@ -162,7 +162,8 @@ def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
         remarks[REPEATED_SIGHTINGS] = repeats
 
 
-def _read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
+def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
+    """Read odometry.csv (t, v, omega); repeated stamps are counted in `remarks`."""
     table = read_csv(path, {"t": numbers, "v": numbers, "omega": numbers})
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     return Odometry(table["t"], table["v"], table["omega"])
@@ -197,11 +198,13 @@ def _sigma(table: Table) -> np.ndarray:
     return sigma
 
 
-def _read_settings(path: Path) -> DriveSettings:
+def read_drive_settings(path: Path) -> DriveSettings:
+    """Read drive.yaml, which may be absent."""
     return read_settings(path, DriveSettings) if path.exists() else DriveSettings()
 
 
-def _read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
+def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
+    """Read truth.csv (t, x, y, heading), None where it is absent."""
     if not path.exists():
         return None
     table = read_csv(path, {"t": numbers, "x": numbers, "y": numbers, "heading": numbers})

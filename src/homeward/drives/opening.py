@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from homeward.drives.drive import Drive
-from homeward.drives.folder import is_drive_folder, read_folder
+from homeward.drives.folder import BEARINGS, is_drive_folder, read_folder
+from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
 from homeward.drives.ros.bag_folder import is_log
 from homeward.errors import InputError
@@ -108,7 +109,21 @@ def _open_log(path: Path, choices: Choices) -> Drive:
     return read_log(path, choices.topics, choices.tell)
 
 
+def _open_images(path: Path, choices: Choices) -> Drive:
+    choices.refuse("folder of images", path)
+    choices.refuse_topics("folder of images", path)
+    # Imported here alone: what only reads logs needs no images.
+    from homeward.vision.folder import see_folder
+
+    return see_folder(path)
+
+
+def _is_image_folder(path: Path) -> bool:
+    return (path / IMAGES).exists() and not (path / BEARINGS).exists()
+
+
 READERS = (
+    Reader("a folder of images (images.csv)", _is_image_folder, _open_images),
     Reader("an MRCLAM folder (Barcodes.dat)", is_mrclam, _open_mrclam),
     Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
     Reader("a log (a ROS bag or an MCAP file)", is_log, _open_log),

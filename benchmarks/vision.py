@@ -1,0 +1,284 @@
+"""The camera front-end on images: direction home, honest uncertainty, false accepts, speed.
+
+`python -m benchmarks.vision [--part antworld|route|speed|rooms|strangers ...]` prints the figures
+of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in HOMEWARD_DATA, else
+in ../shared/data; rooms are rendered here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import time
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from benchmarks.mrclam import data
+from benchmarks.panoramas.baselines import compass, min_warping
+from homeward.angles import wrap
+from homeward.scoring import normalised_squared
+from homeward.vision import Comparison, Equirectangular, View, compare, look
+from homeward.vision.images import read_grey
+
+CHI_SQUARE_2_95 = 5.991
+ANTWORLD = Equirectangular(horizon=0.8, tilt_sigma=0.005)
+"""Rendered without any tilt; the horizon was read off the pictures."""
+NORTH = math.pi / 2
+"""The middle column of antworld's pictures looks along y."""
+ROUTE = Equirectangular(tilt_sigma=0.05)
+
+
+class Grid:
+    """The antworld grid."""
+
+    def __init__(self) -> None:
+        folder = data() / "antworld_rendered"
+        with (folder / "grid.csv").open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream, skipinitialspace=True))
+        self.files = [folder / "grid" / row["Filename"].strip() for row in rows]
+        place = np.array([[float(row["X [mm]"]), float(row["Y [mm]"])] for row in rows]) / 1e3
+        cell = np.rint((place - place.min(axis=0)) / 0.1).astype(int)
+        self.place = place
+        self.at = {tuple(c): k for k, c in enumerate(cell.tolist())}
+        self.view = cache(self._view)
+
+    def image(self, k: int) -> np.ndarray:
+        return read_grey(self.files[k])
+
+    def _view(self, k: int) -> View:
+        return look(self.image(k), ANTWORLD)
+
+    def homewards(self, home: int, now: int) -> float:
+        """Return the true direction of home from the camera's axis [rad]."""
+        x, y = self.place[home] - self.place[now]
+        return math.atan2(y, x) - NORTH
+
+    def pairs(self, steps: int, count: int, seed: int = 0) -> list[tuple[int, int]]:
+        """Return pairs so many cells apart along a row or column of the grid."""
+        rng, found = np.random.default_rng(seed), []
+        ways = ((steps, 0), (-steps, 0), (0, steps), (0, -steps))
+        while len(found) < count:
+            a = tuple(rng.integers(0, 31, 2).tolist())
+            way = ways[int(rng.integers(4))]
+            b = (a[0] + way[0], a[1] + way[1])
+            if b in self.at:
+                found.append((self.at[a], self.at[b]))
+        return found
+
+
+def degrees_off(angle: float, truth: float) -> float:
+    return abs(math.degrees(wrap(angle - truth)))
+
+
+def antworld(count: int) -> None:
+    """Goal 2: direction home in the antworld, beside the baselines."""
+    grid = Grid()
+    for steps in (1, 2, 3, 5):
+        pairs = grid.pairs(steps, count)
+        off, heading, refused, warped, turned = [], [], 0, [], []
+        for home, now in pairs:
+            seen, truth = (
+                compare(grid.view(home), grid.view(now), ANTWORLD),
+                grid.homewards(home, now),
+            )
+            if seen.knows_direction:
+                off.append(degrees_off(seen.homewards, truth))
+                heading.append(degrees_off(seen.heading, 0.0))
+            else:
+                refused += 1
+        for home, now in pairs[: max(count // 4, 10)]:
+            a, b = grid.image(home), grid.image(now)
+            turned.append(degrees_off(compass(a, b), 0.0))
+            warped.append(degrees_off(min_warping(a, b)[1], grid.homewards(home, now)))
+        print(
+            f"antworld, {steps / 10:.1f} m: accepted {1 - refused / count:.0%} of {count}; "
+            f"direction home {np.mean(off):.1f} deg mean, {np.median(off):.1f} median, "
+            f"{np.max(off):.0f} worst; heading {np.mean(heading):.1f} mean | "
+            f"min-warping {np.mean(warped):.0f} mean, {np.median(warped):.0f} median; "
+            f"image difference compass (heading) {np.mean(turned):.1f} mean, "
+            f"{np.median(turned):.1f} median"
+        )
+    chained(grid)
+
+
+def chained(grid: Grid, routes: int = 12) -> None:
+    """Goal 2, second part: along a path of 1.5 m, home again from keyframe to keyframe."""
+    arrived, steps_taken = 0, []
+    for seed in range(routes):
+        rng = np.random.default_rng(seed)
+        row, start = int(rng.integers(0, 31)), int(rng.integers(0, 16))
+        path = [(start + k, row) if seed % 2 else (row, start + k) for k in range(16)]
+        here, goal, taken = np.array(path[-1]), len(path) - 2, 0
+        while taken < 60 and tuple(here.tolist()) in grid.at:
+            now = grid.view(grid.at[tuple(here.tolist())])
+            # The keyframe nearest home that tells a direction; where it tells none, it is here.
+            window = range(max(goal - 2, 0), min(goal + 3, len(path)))
+            seen = {g: compare(grid.view(grid.at[path[g]]), now, ANTWORLD) for g in window}
+            reached = [g for g in window if seen[g].accepted and not seen[g].knows_direction]
+            if reached and reached[0] == 0:
+                break
+            goal = min([goal, *(g - 1 for g in reached)])
+            known = [g for g in window if seen[g].knows_direction and g <= goal + 1]
+            if not known:
+                break
+            way = seen[known[0]].homewards + NORTH
+            here = here + np.rint([math.cos(way), math.sin(way)]).astype(int)
+            taken += 1
+        end = 0.1 * float(np.hypot(*(here - path[0])))
+        arrived += end <= 0.1
+        steps_taken.append(taken)
+    print(
+        f"antworld, chain: from 1.5 m back along keyframes 0.1 m apart, {arrived} of {routes} "
+        f"ended within 0.1 m of home, {np.median(steps_taken):.0f} steps of 0.1 m or 0.14 m"
+    )
+
+
+def route() -> None:
+    """Goal 3: the real outdoor route, 120 x 25 pixels: which way back to where the robot was.
+
+    The robot drives along its axis, so that where it was lies behind it; there is no other truth
+    to compare with. The route is 6.8 m long.
+    """
+    folder = data() / "alife_outdoor_panoramas" / "robot_data"
+    count = len(list(folder.glob("snapshot_*.png")))
+    step = 6.8 / count
+    views = [look(read_grey(folder / f"snapshot_{k}.png"), ROUTE) for k in range(0, count, 2)]
+    for gap in (5, 10, 20):
+        told = [
+            abs(seen.homewards) > math.pi / 2
+            for k in range(gap, len(views))
+            if (seen := compare(views[k - gap], views[k], ROUTE)).knows_direction
+        ]
+        total = len(views) - gap
+        print(
+            f"outdoor route, some {2 * gap * step:.2f} m back: a direction in {len(told)} of "
+            f"{total} frames ({len(told) / total:.0%}), the right sense in {np.mean(told):.0%}"
+        )
+
+
+def speed(repeats: int = 9) -> None:
+    """Goal 4: processor time of one frame, detection to accepted bearings."""
+    for width, goal in ((512, 35), (768, 60)):
+        home, now, _ = rendered("office", 1, width)
+        first, camera = look(home, Equirectangular()), Equirectangular()
+        cost = []
+        for _ in range(repeats):
+            began = time.process_time()
+            seen = compare(first, look(now, camera), camera)
+            cost.append(1e3 * (time.process_time() - began))
+        print(
+            f"{width}x{width // 4}: {np.median(cost):.0f} ms a frame, best {min(cost):.0f} "
+            f"(goal {goal}); accepted {seen.accepted}"
+        )
+
+
+def rooms(seeds: int) -> None:
+    """Goals 1 and 5: rendered sparse rooms, three boxes moved since home."""
+    from homeward.simulation.render.rooms import PLANS
+
+    for width in (1024, 512):
+        errors, sigmas, refused, total = [], [], 0, 0
+        for name in PLANS:
+            for seed in range(seeds):
+                home, now, truth = rendered(name, seed, width)
+                total += 1
+                seen = _compared(home, now)
+                if not seen.knows_direction:
+                    refused += 1
+                    continue
+                errors.append(wrap(np.array([seen.direction, seen.heading]) - truth))
+                sigmas.append(seen.covariance)
+        _print_rooms(f"rooms, {width}x{width // 4}", np.array(errors), np.array(sigmas), refused)
+
+
+def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused: int) -> None:
+    nees = normalised_squared(errors, covariance)
+    off = np.degrees(np.abs(errors))
+    # Sum of n values with two degrees of freedom each: normal enough for so many.
+    band = 2 + np.array([-1.96, 1.96]) * 2 / math.sqrt(len(nees))
+    low, high = np.median(off, axis=0), np.quantile(off, 0.95, axis=0)
+    print(
+        f"{words}: {len(off)} of {len(off) + refused} pairs up to 3 m accepted; "
+        f"heading {low[1]:.2f} median, {high[1]:.2f} deg at 95 % (goal 0.1); "
+        f"direction {low[0]:.2f} median, {high[0]:.2f} deg at 95 % (goal 0.3); "
+        f"NEES mean {nees.mean():.2f} (2, interval {band[0]:.2f} to {band[1]:.2f}), "
+        f"median {np.median(nees):.2f} (1.39), inside 95 %: {(nees < CHI_SQUARE_2_95).mean():.0%}"
+    )
+
+
+def strangers(seeds: int) -> None:
+    """Goal 5: false accepts between rooms that have nothing in common but kinds of texture."""
+    from homeward.simulation.render.rooms import PLANS
+
+    views = [
+        (name, seed, look(rendered(name, seed, 512)[0], Equirectangular()))
+        for name in PLANS
+        for seed in range(seeds)
+    ]
+    false = total = 0
+    for k, (name, seed, a) in enumerate(views):
+        for other, other_seed, b in views[:k]:
+            if (name, seed) == (other, other_seed):
+                continue
+            total += 1
+            if compare(a, b, Equirectangular()).accepted:
+                false += 1
+                print(f"  false accept: {name} {seed}, {other} {other_seed}")
+    print(f"unrelated rooms: {false} false accepts of {total} ({false / total:.2%}, goal 0.5 %)")
+
+
+def _compared(home: np.ndarray, now: np.ndarray) -> Comparison:
+    camera = Equirectangular(tilt_sigma=0.005)
+    return compare(look(home, camera), look(now, camera), camera)
+
+
+@cache
+def rendered(name: str, seed: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a room's home image, one from up to 3 m away, and true direction and heading."""
+    from homeward.simulation.render.eye import Eye
+    from homeward.simulation.render.rooms import room
+
+    from homeward.frames import Polar, from_polar
+
+    scenario = room(name, seed, distance=(0.3, 3.0))
+    camera = scenario.camera.model_copy(
+        update={"width": width, "height": width // 4, "tilt_sigma": 0.005}
+    )
+    eye = Eye(scenario.model_copy(update={"camera": camera}))
+    start = eye.scenario.start
+    pose = from_polar(Polar(start.R, start.theta, start.alpha))
+    images = eye.home_picture(), eye.look(0.0, pose, 1)
+    home, now = eye.home_view, eye.view(pose, 1)
+    way = home.rotation.T @ (now.position - home.position)
+    turn = home.rotation.T @ now.rotation
+    truth = np.array([math.atan2(way[1], way[0]), math.atan2(turn[1, 0], turn[0, 0])])
+    return _grey(images[0]), _grey(images[1]), truth
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.rint(image @ [0.114, 0.587, 0.299]).astype(np.uint8)
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=200, help="antworld pairs at each distance")
+    parser.add_argument("--seeds", type=int, default=6, help="of each room")
+    parts: dict[str, Callable[[argparse.Namespace], None]] = {
+        "antworld": lambda o: antworld(o.count),
+        "route": lambda _: route(),
+        "speed": lambda _: speed(),
+        "rooms": lambda o: rooms(o.seeds),
+        "strangers": lambda o: strangers(o.seeds),
+    }
+    parser.add_argument("--part", nargs="*", default=list(parts), choices=list(parts))
+    options = parser.parse_args()
+    for part in options.part:
+        parts[part](options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""`homeward compare`: two panoramas in, heading change and direction home out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def compare(
+    home: Annotated[Path, typer.Argument(help="The panorama taken at home.")],
+    now: Annotated[Path, typer.Argument(help="The panorama taken elsewhere, by the same camera.")],
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/compare"),
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="An images.yaml that names the camera; default: equirectangular."),
+    ] = None,
+) -> None:
+    """Tell how the camera has turned since home, and where home lies.
+
+    The folder gets comparison.png with both panoramas and what was matched, matches.csv and
+    comparison.json. Where the panoramas have not enough in common, the exit status is 1.
+    """
+    from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
+    from homeward.report.output import check_output
+    from homeward.vision.compare import compare as compare_views
+    from homeward.vision.images import read_view
+    from homeward.vision.settings import read_image_settings
+
+    settings = read_image_settings(camera)
+    check_output(out, RESULT)
+    home_image, home_view = read_view(home, settings.camera)
+    now_image, now_view = read_view(now, settings.camera, like=home_view)
+    seen = compare_views(home_view, now_view, settings.camera)
+    write_comparison(out, seen, (home_image, now_image), (home_view, now_view))
+    typer.echo(describe(seen))
+    typer.echo(f"Picture: {out / PICTURE}")
+    if not seen.accepted:
+        raise typer.Exit(1)

@@ -1,0 +1,37 @@
+"""`homeward see`: panoramas of a drive in, an ordinary drive folder out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import progress
+
+
+def see(
+    folder: Annotated[
+        Path, typer.Argument(help="With images.csv (t,file), a home image and odometry.csv.")
+    ],
+    out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+) -> None:
+    """Find landmarks in panoramas, and write their bearings as a drive folder.
+
+    Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
+    camera and the home image; drive.yaml and truth.csv are handed on.
+    """
+    from homeward.drives.folder import ODOMETRY, write_folder
+    from homeward.errors import InputError
+    from homeward.report.output import check_output
+    from homeward.report.sightings import describe_sightings
+    from homeward.vision.folder import see_folder
+
+    if out.resolve() == folder.resolve():
+        raise InputError("choose another output folder than that of the images", out)
+    check_output(out, ODOMETRY)
+    with progress(f"looking at {folder}") as tell:
+        drive = see_folder(folder, tell)
+        write_folder(drive, out)
+    typer.echo(describe_sightings(drive))
+    typer.echo(f"Drive: {out}")

@@ -1,0 +1,99 @@
+"""Whether matches that agree on a motion could agree by chance.
+
+The number of false alarms (Moisan and Stival, "A probabilistic criterion to detect rigid point
+matches between two images", IJCV 2004): how often one would expect matches drawn at random to
+agree as well. What a random match does is learnt from the pair of images itself, by pairing each
+home direction with the now directions of other matches.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.vision.epipolar import Pairs, residuals
+from homeward.vision.refine import INLIER, Fit, squares
+
+LARGEST_LOG_FALSE_ALARMS = -4.0
+"""Accept below this (base 10)."""
+SECTORS = 24
+"""Of azimuth."""
+MOST_PER_SECTOR = 4
+"""More matches in one sector count as this many: repeated parts of one thing are one witness."""
+FEWEST_SECTORS = 4
+"""In so many must there be matches that agree."""
+CEILING = math.radians(25.0)
+"""Matches higher than this may be those of another room's like ceiling."""
+FEWEST_LOW_SECTORS = 3
+"""In so many must there be matches that agree below `CEILING`."""
+SHUFFLES = 8
+"""How many random matches are made of each."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether to believe a motion."""
+
+    accepted: bool
+    reason: str
+    """In words."""
+    log_false_alarms: float
+    """Logarithm to base 10."""
+
+
+def judge(fit: Fit | None, pairs: Pairs) -> Verdict:
+    """Say whether a fit stands on more than chance."""
+    if fit is None or fit.inlier.sum() < 3:
+        return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
+    good = fit.inlier
+    sectors = [_sectors(side[good, 0]) for side in (pairs.home, pairs.now)]
+    occupied = min(np.unique(s).size for s in sectors)
+    low = np.abs(pairs.home[good, 1]) < CEILING
+    low_sectors = min(np.unique(s[low]).size for s in sectors)
+    alarms = _log_false_alarms(fit, pairs)
+    words = f"{int(good.sum())} of {len(pairs)} matches agree, in {occupied} directions"
+    if alarms > LARGEST_LOG_FALSE_ALARMS:
+        return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
+    if occupied < FEWEST_SECTORS:
+        return Verdict(False, f"not enough in common: {words} only", alarms)
+    if low_sectors < FEWEST_LOW_SECTORS:
+        return Verdict(False, f"not enough in common: {words}, most of them overhead", alarms)
+    return Verdict(True, words, alarms)
+
+
+def _log_false_alarms(fit: Fit, pairs: Pairs) -> float:
+    """Return the logarithm (base 10) of the number of false alarms."""
+    sectors = [_sectors(side[:, 0]) for side in (pairs.home, pairs.now)]
+    n = min(_capped(s) for s in sectors)
+    k = min(_capped(s[fit.inlier]) for s in sectors)
+    if k <= 2:
+        return 0.0
+    chance = _chance(fit, pairs)
+    choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+    models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
+    return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
+
+
+def _chance(fit: Fit, pairs: Pairs) -> float:
+    """Return how probably a wrong match fits the motion."""
+    n = len(pairs)
+    shifts = np.unique(np.linspace(1, n - 1, SHUFFLES).astype(int))
+    order = np.argsort(pairs.now[:, 0], kind="stable")
+    other = np.empty((shifts.size, n), int)
+    for row, shift in zip(other, shifts, strict=True):
+        row[order] = np.roll(order, shift)
+    home, now = pairs[np.tile(np.arange(n), shifts.size)], pairs[other.ravel()]
+    shuffled = replace(home, now=now.now, now_sigma=now.now_sigma, growth=now.growth)
+    found = residuals(np.array([fit.motion]), shuffled)
+    fits = int((squares(found) <= INLIER**2).sum())
+    return (fits + 1) / (len(shuffled) + 2)
+
+
+def _sectors(azimuth: np.ndarray) -> np.ndarray:
+    return np.floor((azimuth + math.pi) / (2 * math.pi) * SECTORS).astype(int) % SECTORS
+
+
+def _capped(sectors: np.ndarray) -> int:
+    return int(np.minimum(np.bincount(sectors, minlength=SECTORS), MOST_PER_SECTOR).sum())

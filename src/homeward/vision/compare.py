@@ -1,0 +1,145 @@
+"""Two panoramas in, heading change and direction home out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.acceptance import Verdict, judge
+from homeward.vision.camera import Panorama
+from homeward.vision.covariance import covariance
+from homeward.vision.epipolar import Motion, Pairs
+from homeward.vision.features import View
+from homeward.vision.matching import match
+from homeward.vision.moved import moved_groups
+from homeward.vision.search import search
+
+LARGEST_DIRECTION_SIGMA = np.radians(12.0)
+"""With a larger one [rad] the direction counts as not known."""
+
+
+LARGEST_TURN = 0.6
+"""A feature may be turned in the image by this much [rad]."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What two panoramas say of where the second camera stands, seen from the first (home).
+
+    Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
+    """
+
+    verdict: Verdict
+    pairs: Pairs
+    """All matches."""
+    home_row: np.ndarray
+    """(n,): the feature of the home view of each match."""
+    now_row: np.ndarray
+    """(n,): and that of the view now."""
+    agrees: np.ndarray
+    """(n,) bool: matches that fit the motion."""
+    moved: np.ndarray
+    """(n,) bool: matches that do not, but agree with each other: on things that were moved."""
+    motion: Motion | None
+    """None when not even a guess could be made; not to be used unless `accepted`."""
+    covariance: np.ndarray
+    """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the motion stands on more than chance."""
+        return self.verdict.accepted
+
+    @property
+    def heading(self) -> float:
+        """Heading now in the home frame, alpha [rad]; NaN when not accepted."""
+        return self.motion.alpha if self.accepted and self.motion else np.nan
+
+    @property
+    def heading_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[1, 1]))
+
+    @property
+    def direction(self) -> float:
+        """Direction now seen from home, theta [rad]; NaN when not accepted."""
+        return self.motion.theta if self.accepted and self.motion else np.nan
+
+    @property
+    def direction_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def knows_direction(self) -> bool:
+        """Whether the direction is known, not only the heading: too near to home, it is not."""
+        return self.accepted and self.direction_sigma < LARGEST_DIRECTION_SIGMA
+
+    @property
+    def homewards(self) -> float:
+        """Direction of home from the camera's axis now [rad]; NaN when not accepted."""
+        return float(wrap(self.direction + np.pi - self.heading))
+
+    @property
+    def homewards_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        away = np.array([1.0, -1.0])
+        return float(np.sqrt(away @ self.covariance @ away))
+
+
+def compare(home: View, now: View, camera: Panorama) -> Comparison:
+    """Compare two views.
+
+    Parameters
+    ----------
+    home, now : View
+        From `homeward.vision.features.look`.
+    camera : Panorama
+        That took both; only its `tilt_sigma` is looked at.
+    """
+    rows, pairs, quality = paired(home, now)
+    i, j = rows.T
+    fit = search(pairs, quality, camera.tilt_sigma)
+    verdict = judge(fit, pairs)
+    agrees = np.zeros(len(pairs), bool) if fit is None else fit.inlier
+    moved = np.zeros(len(pairs), bool)
+    if verdict.accepted:
+        moved = moved_groups(home, now, rows, ~agrees)
+    return Comparison(
+        verdict=verdict,
+        pairs=pairs,
+        home_row=i,
+        now_row=j,
+        agrees=agrees,
+        moved=moved,
+        motion=None if fit is None else fit.motion,
+        covariance=np.full((2, 2), np.inf)
+        if fit is None or not verdict.accepted
+        else covariance(fit, pairs.home[:, 0])[:2, :2],
+    )
+
+
+def paired(home: View, now: View) -> tuple[np.ndarray, Pairs, np.ndarray]:
+    """Return the features that look alike, (n, 2) rows, their directions and qualities.
+
+    Features that turned in the image are left out, since cameras are nearly upright; so are
+    further ones at the same two places.
+    """
+    rows, quality = match(home.descriptor, now.descriptor)
+    i, j = rows.T
+    upright = np.abs(wrap(now.angle[j] - home.angle[i])) < LARGEST_TURN
+    places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
+    order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
+    _, first = np.unique(places[order].round(), axis=0, return_index=True)
+    kept = np.sort(order[first])
+    i, j = rows[kept].T
+    pairs = Pairs(
+        np.column_stack([home.azimuth[i], home.elevation[i]]),
+        np.column_stack([now.azimuth[j], now.elevation[j]]),
+        home.sigma[i],
+        now.sigma[j],
+        np.log(now.size[j] / home.size[i]),
+    )
+    return rows[kept], pairs, quality[kept]

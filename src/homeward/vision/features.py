@@ -1,0 +1,109 @@
+"""Features of a panorama: where they are, which direction they lie in, and what they look like."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from homeward.vision.camera import Panorama
+from homeward.vision.opencv import opencv
+
+CONTRAST = 0.02
+"""SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
+
+FEWEST_COLUMNS = 360
+"""Smaller panoramas are enlarged."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What is kept of one panorama. All arrays have n rows."""
+
+    shape: tuple[int, int]
+    """Height and width of the panorama [px]."""
+    axis: float
+    """Where azimuth 0 stands, as a share of the width from the left edge."""
+    column: np.ndarray
+    row: np.ndarray
+    size: np.ndarray
+    """Diameter of the patch that a feature describes [px]."""
+    angle: np.ndarray
+    """How that patch is turned, clockwise from the right [rad]."""
+    azimuth: np.ndarray
+    """In the level camera's frame [rad]."""
+    elevation: np.ndarray
+    """[rad]"""
+    sigma: np.ndarray
+    """Standard deviation of either angle [rad]."""
+    descriptor: np.ndarray
+    """(n, 128) float32, unit length (RootSIFT)."""
+
+    def __len__(self) -> int:
+        return self.column.size
+
+
+def look(image: np.ndarray, camera: Panorama) -> View:
+    """Find the features of a panorama.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (height, width)
+        Grey, columns all round.
+    camera : Panorama
+        What its pixels look at.
+    """
+    height, width = image.shape
+    column, row, size, angle, descriptor = _detect(image)
+    azimuth, elevation = camera.directions(column, row, (height, width))
+    sigma = pixel_sigma(size) * camera.column_angle(width)
+    return View(
+        (height, width),
+        camera.axis,
+        column,
+        row,
+        size,
+        angle,
+        azimuth,
+        elevation,
+        sigma,
+        descriptor,
+    )
+
+
+def pixel_sigma(size: np.ndarray) -> np.ndarray:
+    """Return how far off a feature of diameter `size` [px] is, each way [px]."""
+    return 0.14 + 0.04 * size
+
+
+def _detect(image: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return columns, rows, sizes [px], angles and RootSIFT descriptors, the seam not felt."""
+    cv2, width = opencv(), image.shape[1]
+    pad = max(16, width // 16)
+    padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
+    # Patches need some pixels: of real panoramas with 3 deg a pixel few features are found as
+    # they are, and twenty times as many in their enlargement.
+    times = math.ceil(FEWEST_COLUMNS / width)
+    if times > 1:
+        padded = cv2.resize(padded, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
+    points, found = _sift().detectAndCompute(padded, None)
+    if not points:
+        return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
+    rows = np.array([(*p.pt, p.size, p.angle) for p in points])
+    rows[:, :2] = (rows[:, :2] + 0.5) / times - 0.5
+    rows[:, 2] /= times
+    inside = (rows[:, 0] >= pad - 0.5) & (rows[:, 0] < pad + width - 0.5)
+    rows, found = rows[inside], found[inside]
+    # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
+    found /= np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
+    column, row, size, degrees = rows.T
+    return column - pad, row, size, np.radians(degrees), np.sqrt(found)
+
+
+@cache
+def _sift() -> Any:
+    # Without the precise upscale every keypoint is a quarter of a pixel off.
+    return opencv().SIFT_create(contrastThreshold=CONTRAST, enable_precise_upscale=True)

@@ -1,0 +1,155 @@
+"""Image folders: panoramas along a drive, home's, and odometry; made into an ordinary drive."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.drive import Drive, Sightings
+from homeward.drives.folder import (
+    ODOMETRY,
+    SETTINGS,
+    TRUTH,
+    read_drive_settings,
+    read_odometry,
+    read_truth,
+)
+from homeward.drives.images import IMAGES
+from homeward.drives.table import identifiers, numbers, read_csv, require_folder
+from homeward.errors import InputError
+from homeward.vision.front_end import FrontEnd, Glance
+from homeward.vision.images import read_view
+from homeward.vision.settings import ImageSettings, read_image_settings
+
+IMAGE_SETTINGS = "images.yaml"
+FEWEST_SIGHTINGS = 8
+"""A landmark seen less often tells nothing."""
+HOME_STEM = "home"
+UNLIKE = "images in which nothing seen before was found"
+RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
+
+
+@dataclass(frozen=True)
+class Images:
+    """The panoramas of a drive."""
+
+    t: np.ndarray
+    """(n,): never decreasing [s]."""
+    file: list[Path]
+    row: np.ndarray
+    """(n,): line of images.csv."""
+
+
+def see_folder(
+    path: str | os.PathLike[str], progress: Callable[[float], None] | None = None
+) -> Drive:
+    """Turn an image folder into a drive.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder with images.csv (t [s], file), the images, a home image, odometry.csv, and perhaps
+        images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Returns
+    -------
+    Drive
+        Landmarks seen at home are called h and a number, others k and a number. Its remarks count
+        images that were like nothing seen before, and what was left out.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used; names file, row and what is wrong.
+    """
+    folder = Path(path)
+    require_folder(folder)
+    told = folder / IMAGE_SETTINGS
+    settings = read_image_settings(told if told.exists() else None)
+    images = read_images(folder)
+    remarks: dict[str, int] = {}
+    odometry = read_odometry(folder / ODOMETRY, remarks)
+    sensor = read_drive_settings(folder / SETTINGS)
+    truth = read_truth(folder / TRUTH, remarks)
+    _, home = read_view(home_image(folder, settings), settings.camera)
+    front_end = FrontEnd(home, settings.camera, settings.landmarks)
+    glances = _look_at_all(front_end, images, settings, progress)
+    if unlike := sum(not glance.bearings for glance in glances):
+        remarks[UNLIKE] = unlike
+    return Drive(
+        name=folder.resolve().name,
+        odometry=odometry,
+        sightings=_sightings(images.t, glances, remarks),
+        home=front_end.home_bearings,
+        settings=sensor,
+        truth=truth,
+        remarks=remarks,
+    )
+
+
+def read_images(folder: Path) -> Images:
+    """Read images.csv, and see that every file is there and inside the folder."""
+    table = read_csv(folder / IMAGES, {"t": numbers, "file": identifiers})
+    table.require_rows()
+    table.require_order()
+    files = [folder / name for name in table["file"].tolist()]
+    inside = [file.resolve().is_relative_to(folder.resolve()) for file in files]
+    table.require("file", np.array(inside, bool), "which is not in the folder")
+    table.require("file", np.array([file.is_file() for file in files], bool), "no such file")
+    return Images(table["t"], files, table.row)
+
+
+def home_image(folder: Path, settings: ImageSettings) -> Path:
+    """Return the file of the home image.
+
+    Raises
+    ------
+    InputError
+        When there is none, or more than one could be it.
+    """
+    if settings.home is not None:
+        return folder / settings.home
+    found = sorted(f for f in folder.glob(f"{HOME_STEM}.*") if f.suffix not in (".csv", ".yaml"))
+    if len(found) != 1:
+        what = "no home image" if not found else f"{len(found)} files named home"
+        raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
+    return found[0]
+
+
+def _look_at_all(
+    front_end: FrontEnd,
+    images: Images,
+    settings: ImageSettings,
+    progress: Callable[[float], None] | None,
+) -> list[Glance]:
+    glances = []
+    for k, file in enumerate(images.file):
+        _, view = read_view(file, settings.camera, like=front_end.home)
+        glances.append(front_end.take(view))
+        if progress is not None:
+            progress((k + 1) / len(images.file))
+    return glances
+
+
+def _sightings(t: np.ndarray, glances: list[Glance], remarks: dict[str, int]) -> Sightings:
+    """Put the sightings of all frames together, without landmarks that were seen too rarely."""
+    times = Counter(name for glance in glances for name in glance.bearings)
+    rows = [
+        (stamp, name, bearing, glance.sigmas[name])
+        for stamp, glance in zip(t.tolist(), glances, strict=True)
+        for name, bearing in glance.bearings.items()
+    ]
+    kept = [row for row in rows if times[row[1]] >= FEWEST_SIGHTINGS]
+    if rare := len(rows) - len(kept):
+        remarks[RARE] = rare
+    names = np.empty(len(kept), object)
+    names[:] = [row[1] for row in kept]
+    numbers_of = np.array([(row[0], row[2], row[3]) for row in kept], float).reshape(-1, 3)
+    return Sightings(numbers_of[:, 0], names, numbers_of[:, 1], numbers_of[:, 2])

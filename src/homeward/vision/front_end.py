@@ -1,0 +1,201 @@
+"""The camera front-end, frame by frame: a panorama in, bearings of landmarks out.
+
+Each frame is compared with home and with the last keyframe; features that agree keep the landmark
+of the one they match. When too little of a keyframe is left in sight, the frame becomes the next
+one: identities are handed on along the chain, so that what was seen from home keeps its name where
+home itself is out of sight.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from homeward.drives.drive import HomeBearing
+from homeward.vision.camera import Panorama
+from homeward.vision.compare import Comparison, compare
+from homeward.vision.features import View, look
+
+KEEP_SHARE = 0.5
+"""A keyframe serves while this share of what its first successor shared with it agrees."""
+FEWEST_SHARED = 25
+"""And at least so many features."""
+LOST_FRAMES = 3
+"""After so many frames that fit nothing, the chain begins anew."""
+MOST_KEYFRAMES = 200
+"""Older ones, but for home, are forgotten."""
+SECTORS = 24
+"""Of azimuth, over which the landmarks passed on are spread."""
+PROVEN = 5
+"""A landmark is passed on from its so-manieth frame: those that come and go only confuse."""
+NOBODY = -1
+
+
+@dataclass
+class Keyframe:
+    """A view whose features have landmarks."""
+
+    view: View
+    landmark: np.ndarray
+    """(n,) int: number of each feature's landmark; `NOBODY` where it has none yet."""
+    shared: int = 0
+    """The most features that a later frame shared with it."""
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What one frame showed."""
+
+    bearings: dict[str, float]
+    """Landmark to bearing from the camera's axis [rad]."""
+    sigmas: dict[str, float]
+    """[rad]"""
+    home: Comparison | None
+    """With home; None when it was not tried."""
+    reason: str
+    """What the frame was found to be like, in words."""
+
+
+@dataclass
+class FrontEnd:
+    """Panoramas of one drive to bearings of landmarks.
+
+    Parameters
+    ----------
+    home : View
+        What the camera saw at home.
+    camera : Panorama
+        That takes the panoramas.
+    most : int
+        How many landmarks at most are passed on from one frame.
+    """
+
+    home: View
+    camera: Panorama
+    most: int = 30
+    _keyframes: list[Keyframe] = field(init=False)
+    _sightings: dict[int, int] = field(init=False, default_factory=dict)
+    _next: int = field(init=False)
+    _lost: int = field(init=False, default=0)
+    _turn: int = field(init=False, default=0)
+    _home_seen: bool = field(init=False, default=True)
+
+    def __post_init__(self) -> None:
+        self._keyframes = [Keyframe(self.home, np.arange(len(self.home)))]
+        self._next = len(self.home)
+
+    @property
+    def home_bearings(self) -> dict[str, HomeBearing]:
+        """What home saw of each landmark that was seen again."""
+        seen = (i for i, n in sorted(self._sightings.items()) if i < len(self.home) and n >= PROVEN)
+        azimuth, sigma = self.home.azimuth, self.home.sigma
+        return {self._name(i): HomeBearing(float(azimuth[i]), float(sigma[i])) for i in seen}
+
+    def all_home_bearings(self) -> dict[str, HomeBearing]:
+        """Return what home saw, seen again or not: for an estimator that runs online."""
+        pairs = zip(self.home.azimuth.tolist(), self.home.sigma.tolist(), strict=True)
+        return {self._name(i): HomeBearing(*pair) for i, pair in enumerate(pairs)}
+
+    def see(self, panorama: np.ndarray) -> Glance:
+        """Take a panorama, uint8 (height, width), as `Panorama.panorama` gives it."""
+        return self.take(look(panorama, self.camera))
+
+    def take(self, view: View) -> Glance:
+        """Take the next frame of the drive."""
+        landmark = np.full(len(view), NOBODY)
+        compared = {k: self._compare(k, view, landmark) for k in self._references()}
+        fits = [k for k, seen in compared.items() if seen.accepted]
+        self._home_seen = 0 in fits
+        self._keep_chain(view, landmark, bool(fits), compared)
+        chosen = self._choose(view, landmark)
+        home = compared.get(0)
+        return Glance(
+            bearings={self._name(landmark[i]): float(view.azimuth[i]) for i in chosen},
+            sigmas={self._name(landmark[i]): float(view.sigma[i]) for i in chosen},
+            home=home,
+            reason=self._words(compared, fits),
+        )
+
+    def _references(self) -> list[int]:
+        """Choose the keyframes to compare with: home, the last one, and when lost one more."""
+        last = len(self._keyframes) - 1
+        self._turn += 1
+        chosen = {last}
+        if self._home_seen or self._turn % 4 == 0:
+            chosen.add(0)
+        if self._lost:
+            chosen |= {0, self._turn % (last + 1)}
+        return sorted(chosen)
+
+    def _compare(self, k: int, view: View, landmark: np.ndarray) -> Comparison:
+        """Compare with a keyframe, and take over its landmarks where they agree."""
+        keyframe = self._keyframes[k]
+        seen = compare(keyframe.view, view, self.camera)
+        if not seen.accepted:
+            return seen
+        # What moved since home was stored is still a landmark, and its home bearing is wrong.
+        ours = seen.agrees | seen.moved if k == 0 else seen.agrees
+        theirs, mine = seen.home_row[ours], seen.now_row[ours]
+        known = landmark[mine] != NOBODY
+        # A landmark that home names keeps that name in the chain from now on.
+        keyframe.landmark[theirs[known]] = landmark[mine[known]]
+        fresh = theirs[~known][keyframe.landmark[theirs[~known]] == NOBODY]
+        keyframe.landmark[fresh] = np.arange(self._next, self._next + fresh.size)
+        self._next += fresh.size
+        taken = np.isin(keyframe.landmark[theirs], landmark[mine[known]])
+        free = ~known & ~taken
+        landmark[mine[free]] = keyframe.landmark[theirs[free]]
+        keyframe.shared = max(keyframe.shared, int(seen.agrees.sum()))
+        return seen
+
+    def _keep_chain(
+        self, view: View, landmark: np.ndarray, fits: bool, compared: dict[int, Comparison]
+    ) -> None:
+        """Make the frame a keyframe when the last one goes out of sight."""
+        if not fits:
+            self._lost += 1
+            if self._lost < LOST_FRAMES:
+                return
+        last = self._keyframes[-1]
+        seen = compared[len(self._keyframes) - 1]
+        shared = int(seen.agrees.sum()) if seen.accepted else 0
+        if fits and shared >= max(KEEP_SHARE * last.shared, FEWEST_SHARED):
+            self._lost = 0
+            return
+        if not len(view) or (fits and seen.accepted and shared == last.shared):
+            return
+        self._lost = 0
+        self._keyframes.append(Keyframe(view, landmark.copy()))
+        if len(self._keyframes) > MOST_KEYFRAMES:
+            del self._keyframes[1]
+
+    def _choose(self, view: View, landmark: np.ndarray) -> np.ndarray:
+        """Choose the features to pass on: long known ones first, spread over all directions."""
+        rows = np.flatnonzero(landmark != NOBODY)
+        _, first = np.unique(landmark[rows], return_index=True)
+        rows = rows[first]
+        for i in landmark[rows].tolist():
+            self._sightings[i] = self._sightings.get(i, 0) + 1
+        age = np.array([self._sightings[i] for i in landmark[rows].tolist()], int)
+        rows, age = rows[age >= PROVEN], age[age >= PROVEN]
+        at_home = landmark[rows] < len(self.home)
+        order = rows[np.lexsort([view.sigma[rows], -age, ~at_home])]
+        sector = np.floor((view.azimuth[order] / (2 * math.pi) + 0.5) * SECTORS) % SECTORS
+        # The first of every sector, then the second of every sector, and so on.
+        rank = np.zeros(order.size, int)
+        for s in np.unique(sector):
+            here = sector == s
+            rank[here] = np.arange(here.sum())
+        return order[np.argsort(rank, kind="stable")][: self.most]
+
+    def _name(self, landmark: int) -> str:
+        return f"h{landmark}" if landmark < len(self.home) else f"k{landmark - len(self.home)}"
+
+    def _words(self, compared: dict[int, Comparison], fits: list[int]) -> str:
+        if 0 in fits:
+            return f"like home: {compared[0].verdict.reason}"
+        if fits:
+            return f"like keyframe {fits[-1]}: {compared[fits[-1]].verdict.reason}"
+        return f"like nothing seen before: {next(iter(compared.values())).verdict.reason}"

@@ -1,0 +1,123 @@
+"""Panoramas from files, whatever the files hold.
+
+Pillow decodes them, since it refuses what is truncated, which OpenCV fills with grey.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from homeward.drives.table import naming
+from homeward.errors import InputError
+from homeward.vision.camera import Panorama
+from homeward.vision.features import View, look
+
+NARROWEST, LOWEST = 64, 16
+"""Fewer columns or rows tell nothing [px]."""
+MOST_PIXELS = 64_000_000
+"""More are refused before they are decoded."""
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Read an image as grey.
+
+    Parameters
+    ----------
+    path : Path
+        PNG, JPEG, BMP, TIFF, PPM, WebP or GIF, of one frame; 16-bit images are scaled by the
+        power of two that holds their brightest pixel.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width)
+
+    Raises
+    ------
+    InputError
+        When it is no whole image of one frame, or of a size that is no panorama's.
+    """
+    with naming(path, "cannot be read"):
+        if path.exists() and not path.is_file():
+            raise InputError("not a regular file", path)
+        if not path.stat().st_size:
+            raise InputError("empty file", path)
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of large images and odd tags; sizes are checked below.
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=FORMATS) as image:
+                _check(image, path)
+                return _grey(image, path)
+    except UnidentifiedImageError:
+        raise InputError("not an image that can be read", path) from None
+    except Image.DecompressionBombError:
+        raise InputError(f"more than {MOST_PIXELS // 10**6} million pixels", path) from None
+    except (OSError, SyntaxError, ValueError, EOFError, MemoryError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"not a whole image: {reason}", path) from None
+
+
+def read_view(path: Path, camera: Panorama, like: View | None = None) -> tuple[np.ndarray, View]:
+    """Read an image, and find its features.
+
+    Parameters
+    ----------
+    path : Path
+        As in `read_grey`.
+    camera : Panorama
+        That took it.
+    like : View, optional
+        Of home: the panorama must have the same size.
+
+    Returns
+    -------
+    panorama : ndarray of uint8, shape (height, width)
+    view : View
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or its size does not suit the camera or home.
+    """
+    grey = read_grey(path)
+    try:
+        panorama = camera.panorama(grey)
+    except InputError as error:
+        raise InputError(error.what, path) from None
+    if like is not None and panorama.shape != like.shape:
+        (height, width), (home_height, home_width) = panorama.shape, like.shape
+        raise InputError(f"{width}x{height} pixels where home has {home_width}x{home_height}", path)
+    return panorama, look(panorama, camera)
+
+
+def _check(image: Image.Image, path: Path) -> None:
+    """Refuse what is no single panorama, before it is decoded."""
+    width, height = image.size
+    if width * height > MOST_PIXELS:
+        raise InputError(f"{width}x{height}: more than {MOST_PIXELS // 10**6} million pixels", path)
+    if width < NARROWEST or height < LOWEST:
+        raise InputError(
+            f"{width}x{height} pixels; a panorama has at least {NARROWEST}x{LOWEST}", path
+        )
+    if (frames := getattr(image, "n_frames", 1)) > 1:
+        raise InputError(f"holds {frames} frames; give one image a file", path)
+
+
+def _grey(image: Image.Image, path: Path) -> np.ndarray:
+    """Decode to 8 bits of grey."""
+    if image.mode.startswith("I"):
+        deep = np.asarray(image).astype(np.int64)
+        bits = max(8, int(deep.max(initial=0)).bit_length())
+        if deep.min() < 0 or bits > 16:
+            raise InputError("grey values beyond 16 bits", path)
+        return (deep >> (bits - 8)).astype(np.uint8)
+    if image.mode == "F":
+        raise InputError("floating-point pixels; save it with 8 or 16 bits", path)
+    if image.mode in ("P", "PA"):
+        image = image.convert("RGB")
+    return np.asarray(image.convert("L"))

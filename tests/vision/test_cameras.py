@@ -1,0 +1,124 @@
+"""Which direction a pixel looks in, for every camera, and rings unwrapped."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from homeward.errors import InputError
+from homeward.vision.camera import Cylindrical, Equirectangular
+from homeward.vision.ring import Ring, find_ring
+
+cv2 = pytest.importorskip("cv2")
+SHAPE = (100, 360)
+
+
+def looks(camera, column, row, shape=SHAPE):
+    azimuth, elevation = camera.directions(np.array([column]), np.array([row]), shape)
+    return np.degrees([azimuth[0], elevation[0]])
+
+
+def test_the_middle_of_the_image_looks_along_the_axis():
+    assert looks(Equirectangular(), 179.5, 49.5) == pytest.approx([0, 0])
+
+
+def test_left_of_the_axis_is_positive_and_above_the_horizon_too():
+    assert looks(Equirectangular(), 179.5 - 90, 49.5 - 20) == pytest.approx([90, 20])
+
+
+def test_columns_wrap_round():
+    before, after = looks(Equirectangular(), -0.5, 49.5), looks(Equirectangular(), 359.5, 49.5)
+    assert before == pytest.approx([180, 0])
+    assert after == pytest.approx([180, 0])
+
+
+def test_axis_and_horizon_may_stand_elsewhere():
+    assert looks(Equirectangular(axis=0, horizon=0.8), -0.5, 79.5) == pytest.approx([0, 0])
+
+
+def test_a_cylinder_has_the_tangent_of_the_elevation():
+    camera = Cylindrical()
+    above = np.tan(np.radians(20)) * 360 / (2 * np.pi)
+    assert looks(camera, 179.5, 49.5 - above) == pytest.approx([0, 20])
+
+
+def test_known_tilt_is_taken_out():
+    """A camera that looks down by 10 deg sees the horizon 10 deg above its middle."""
+    camera = Equirectangular(pitch=np.radians(10))
+    assert looks(camera, 179.5, 49.5 - 10) == pytest.approx([0, 0], abs=1e-9)
+    leaning = Equirectangular(roll=np.radians(10))
+    # Its left side is raised: what it sees straight left is 10 deg up.
+    assert looks(leaning, 179.5 - 90, 49.5) == pytest.approx([90, 10], abs=1e-9)
+
+
+def test_a_rotated_or_square_image_is_no_panorama():
+    with pytest.raises(InputError, match="rotated"):
+        Equirectangular().panorama(np.zeros((300, 100), np.uint8))
+    with pytest.raises(InputError, match="name its camera"):
+        Equirectangular().panorama(np.zeros((300, 300), np.uint8))
+
+
+def ring_picture(mark_direction_deg, mark_radius, centre=(250.0, 240.0), inner=50, outer=220):
+    image = np.zeros((500, 500), np.uint8)
+    spot = (round(centre[0]), round(centre[1]))
+    cv2.circle(image, spot, outer, 150, -1)
+    cv2.circle(image, spot, inner, 0, -1)
+    a = np.radians(mark_direction_deg)
+    x, y = centre[0] + mark_radius * np.cos(a), centre[1] - mark_radius * np.sin(a)
+    cv2.circle(image, (round(x), round(y)), 5, 255, -1)
+    return image
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+@pytest.mark.parametrize(
+    "model",
+    [
+        {"elevations": (-0.9, 0.3)},
+        {"polynomial": (-150.0, 0.0, 0.004)},
+        {"mirror": (1.3, 400.0)},
+    ],
+)
+def test_a_mark_on_the_ring_comes_out_where_it_is(mirrored, model):
+    ring = Ring(
+        centre=(250, 240), inner=50, outer=220, axis_direction=np.pi / 2, mirrored=mirrored, **model
+    )
+    panorama = ring.panorama(ring_picture(90 + 40, 150))
+    assert panorama.shape[1] % 16 == 0
+    row, column = np.argwhere(panorama > 200).mean(axis=0)
+    azimuth, elevation = looks(ring, column, row, panorama.shape)
+    assert azimuth == pytest.approx(-40 if mirrored else 40, abs=0.5)
+    radii, table = ring._table()
+    assert np.radians(elevation) == pytest.approx(np.interp(150, radii, table), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"elevations": (-0.9, 0.3), "outer": 55},
+        {"elevations": (-0.9, 0.3), "mirror": (1.3, 400)},
+        {},
+        {"mirror": (0.9, 400)},
+        {"elevations": (0.2, 0.2)},
+        {"elevations": (-0.9, 0.3), "horizon": 0.3},
+    ],
+)
+def test_a_ring_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(ValidationError):
+        Ring(**{"centre": (250, 240), "inner": 50, "outer": 220, **wrong})
+
+
+def test_a_ring_must_lie_in_the_image():
+    ring = Ring(centre=(250, 240), inner=50, outer=220, elevations=(-0.9, 0.3))
+    with pytest.raises(InputError, match="do not hold a ring"):
+        ring.panorama(np.zeros((300, 400), np.uint8))
+
+
+def test_centre_and_radii_are_found():
+    found = find_ring(ring_picture(0, 100, centre=(260, 235)))
+    assert found.centre == pytest.approx((260, 235), abs=1)
+    assert found.inner == pytest.approx(50, abs=2)
+    assert found.outer == pytest.approx(220, abs=2)
+
+
+def test_no_ring_is_said():
+    with pytest.raises(InputError, match="no bright ring"):
+        find_ring(np.full((200, 200), 128, np.uint8))

@@ -1,0 +1,102 @@
+"""Two panoramas of a ray-cast room: heading, direction, what moved, and what is unknown."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from vision_scene import look as draw
+from vision_scene import make_room
+
+from homeward.angles import wrap
+from homeward.vision import Equirectangular, compare, look
+
+CAMERA = Equirectangular()
+
+
+@pytest.fixture(scope="module")
+def room():
+    return make_room(1)
+
+
+@pytest.fixture(scope="module")
+def home(room):
+    return look(draw(room, 3.0, 3.0, 0.4, seed=1), CAMERA)
+
+
+def test_heading_and_direction_home(room, home):
+    seen = compare(home, look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA)
+    assert seen.accepted
+    theta = np.arctan2(0.5, 1.2) - 0.4
+    assert abs(wrap(seen.heading - 1.6)) < max(4 * seen.heading_sigma, 0.01)
+    assert abs(wrap(seen.direction - theta)) < max(4 * seen.direction_sigma, 0.01)
+    assert abs(wrap(seen.homewards - (theta + np.pi - 1.6))) < 0.03
+    assert seen.heading_sigma < 0.02
+    assert seen.direction_sigma < 0.05
+
+
+def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, home):
+    seen = compare(home, look(draw(room, 3.0, 3.0, 1.4, seed=3), CAMERA), CAMERA)
+    assert seen.accepted
+    assert abs(wrap(seen.heading - 1.0)) < 0.005
+    assert not seen.knows_direction
+
+
+def test_the_home_image_itself_is_home(home):
+    seen = compare(home, home, CAMERA)
+    assert seen.accepted
+    assert abs(seen.heading) < 1e-3
+    assert not seen.knows_direction
+
+
+@pytest.mark.parametrize("columns", [1, 100, 255, 400])
+def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, columns):
+    image = draw(room, 4.0, 3.5, 2.0, seed=2)
+    still = compare(home, look(image, CAMERA), CAMERA)
+    rolled = compare(home, look(np.roll(image, columns, axis=1), CAMERA), CAMERA)
+    turn = columns * 2 * np.pi / image.shape[1]
+    # The scene goes to the right: the camera has turned to the left.
+    assert abs(wrap(rolled.heading - still.heading - turn)) < 0.01
+    assert abs(wrap(rolled.direction - still.direction)) < 0.03
+
+
+def test_light_does_not_matter(room, home):
+    image = draw(room, 4.2, 3.5, 2.0, seed=2)
+    darker = (0.6 * image.astype(float) + 40).astype(np.uint8)
+    seen = compare(home, look(darker, CAMERA), CAMERA)
+    assert seen.accepted
+    assert abs(wrap(seen.heading - 1.6)) < 0.02
+
+
+def test_another_room_has_not_enough_in_common(home):
+    seen = compare(home, look(draw(make_room(7), 3.0, 3.0, 0.4), CAMERA), CAMERA)
+    assert not seen.accepted
+    assert "not enough in common" in seen.verdict.reason
+
+
+def test_upside_down_is_not_accepted(room, home):
+    image = draw(room, 3.5, 3.0, 0.4)[::-1, ::-1].copy()
+    assert not compare(home, look(image, CAMERA), CAMERA).accepted
+
+
+def test_a_known_tilt_taken_out_and_an_unknown_one_taken_up(room, home):
+    tilt = (0.03, -0.03)
+    image = draw(room, 4.2, 3.5, 2.0, seed=2, tilt=tilt)
+    known = Equirectangular(roll=tilt[0], pitch=tilt[1], tilt_sigma=0.005)
+    for camera in (known, CAMERA):
+        seen = compare(home, look(image, camera), camera)
+        assert seen.accepted
+        assert abs(wrap(seen.direction - (np.arctan2(0.5, 1.2) - 0.4))) < 0.03
+
+
+def test_a_box_that_moved_is_told(room, home):
+    low, high, print_ = room.boxes[1]
+    away = np.array([0.0, 0.9 if low[1] < 3 else -0.9, 0.0])
+    changed = make_room(1)
+    changed.boxes[1] = (low + away, high + away, print_)
+    seen = compare(home, look(draw(changed, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
+    assert seen.accepted
+    assert abs(wrap(seen.heading - 0.5)) < 0.02
+    still = compare(home, look(draw(room, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
+    assert seen.moved.sum() >= still.moved.sum()
+    assert still.moved.sum() <= 4

@@ -1,0 +1,118 @@
+"""Image files that are empty, grey, truncated, 16-bit, animated, or not images."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from homeward.errors import InputError
+from homeward.vision.camera import Equirectangular
+from homeward.vision.compare import compare
+from homeward.vision.features import look
+from homeward.vision.images import read_grey, read_view
+
+
+def picture(width=256, height=64, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.kron(rng.integers(0, 255, (height // 8, width // 8)), np.ones((8, 8))).astype(
+        np.uint8
+    )
+
+
+def test_a_grey_and_a_coloured_image_are_read(tmp_path):
+    grey = picture()
+    Image.fromarray(grey).save(tmp_path / "a.png")
+    Image.fromarray(np.stack([grey] * 3, -1)).save(tmp_path / "b.png")
+    assert (read_grey(tmp_path / "a.png") == grey).all()
+    assert (read_grey(tmp_path / "b.png") == grey).all()
+
+
+def test_sixteen_bits_are_scaled_by_the_bits_in_use(tmp_path):
+    Image.fromarray(picture().astype(np.uint16) * 16).save(tmp_path / "a.png")
+    assert (read_grey(tmp_path / "a.png") == picture()).all()
+
+
+def test_an_empty_file(tmp_path):
+    (tmp_path / "a.png").touch()
+    with pytest.raises(InputError, match=r"a\.png: empty file"):
+        read_grey(tmp_path / "a.png")
+
+
+def test_a_missing_file_and_a_folder(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_grey(tmp_path / "a.png")
+    with pytest.raises(InputError, match="not a regular file"):
+        read_grey(tmp_path)
+
+
+def test_not_an_image(tmp_path):
+    (tmp_path / "a.png").write_text("t,v,omega\n")
+    with pytest.raises(InputError, match="not an image"):
+        read_grey(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "tiff", "webp", "bmp"])
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.9])
+def test_a_truncated_file(tmp_path, kind, share):
+    file = tmp_path / f"a.{kind}"
+    Image.fromarray(picture()).save(file)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(len(whole) * share)])
+    with pytest.raises(InputError, match=r"not a whole image|not an image"):
+        read_grey(file)
+
+
+def test_bytes_at_random_after_a_true_header(tmp_path):
+    file = tmp_path / "a.png"
+    Image.fromarray(picture()).save(file)
+    data = bytearray(file.read_bytes())
+    data[60:200] = np.random.default_rng(0).bytes(140)
+    file.write_bytes(bytes(data))
+    with pytest.raises(InputError):
+        read_grey(file)
+
+
+def test_an_animated_image(tmp_path):
+    frames = [Image.fromarray(picture(seed=k)) for k in range(3)]
+    frames[0].save(tmp_path / "a.gif", save_all=True, append_images=frames[1:])
+    with pytest.raises(InputError, match="3 frames"):
+        read_grey(tmp_path / "a.gif")
+
+
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
+    file = tmp_path / "a.png"
+    Image.new("1", (20000, 20000)).save(file)
+    with pytest.raises(InputError, match="64 million pixels"):
+        read_grey(file)
+
+
+def test_a_stamp_is_no_panorama(tmp_path):
+    Image.fromarray(picture(32, 16)).save(tmp_path / "a.png")
+    with pytest.raises(InputError, match="32x16"):
+        read_grey(tmp_path / "a.png")
+
+
+def test_another_size_than_home(tmp_path):
+    pytest.importorskip("cv2")
+    Image.fromarray(picture()).save(tmp_path / "home.png")
+    Image.fromarray(picture(512, 128)).save(tmp_path / "a.png")
+    _, home = read_view(tmp_path / "home.png", Equirectangular())
+    with pytest.raises(InputError, match="512x128 pixels where home has 256x64"):
+        read_view(tmp_path / "a.png", Equirectangular(), like=home)
+
+
+def test_a_rotated_image(tmp_path):
+    Image.fromarray(picture().T.copy()).save(tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"a\.png: 64x256 pixels: taller than wide"):
+        read_view(tmp_path / "a.png", Equirectangular())
+
+
+def test_nothing_but_grey_has_nothing_in_common():
+    pytest.importorskip("cv2")
+    camera = Equirectangular()
+    grey, other = look(np.full((64, 256), 99, np.uint8), camera), look(picture(), camera)
+    for a, b in ((grey, grey), (grey, other), (other, grey)):
+        seen = compare(a, b, camera)
+        assert not seen.accepted
+        assert "not enough in common" in seen.verdict.reason
+        assert np.isnan(seen.heading)
+        assert np.isnan(seen.homewards)

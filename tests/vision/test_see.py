@@ -1,0 +1,182 @@
+"""An image folder becomes a drive; identities last; what is wrong with a folder is said."""
+
+# ruff: noqa: E402 (nothing is imported where OpenCV is missing)
+import shutil
+from functools import cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+cv2 = pytest.importorskip("cv2")
+
+from vision_scene import look as draw
+from vision_scene import make_room
+
+from homeward.angles import wrap
+from homeward.cli.main import app
+from homeward.drives.folder import read_folder
+from homeward.drives.opening import open_drive
+from homeward.vision import Equirectangular, look
+from homeward.vision.front_end import PROVEN, FrontEnd
+
+FRAMES = 15
+HOME = (3.0, 3.0, 0.4)
+
+
+@cache
+def frame(seed, k):
+    """Return frame k of the drive through a room."""
+    return draw(make_room(seed), *way(k), seed=k)
+
+
+def way(k):
+    """Return x [m], y [m] and heading [rad] of frame k in the room."""
+    return 3.2 + 0.1 * k, 3.1 + 0.03 * k, 0.3
+
+
+@pytest.fixture(scope="module")
+def room():
+    return make_room(1)
+
+
+@pytest.fixture(scope="module")
+def folder(room, tmp_path_factory):
+    path = tmp_path_factory.mktemp("images")
+    (path / "pictures").mkdir()
+    cv2.imwrite(str(path / "home.png"), draw(room, *HOME, seed=99))
+    rows = ["t,file"]
+    for k in range(FRAMES):
+        cv2.imwrite(str(path / "pictures" / f"{k}.png"), frame(1, k))
+        rows.append(f"{0.5 * k},pictures/{k}.png")
+    (path / "images.csv").write_text("\n".join(rows) + "\n")
+    (path / "odometry.csv").write_text("t,v,omega\n0,0.2088,0\n7,0,0\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def drive(folder):
+    return open_drive(folder)
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_most_landmarks_are_where_their_bearings_say(drive):
+    """Every landmark's bearings, with the true poses, meet in one point."""
+    s, off = drive.sightings, []
+    assert s.t.size > 40
+    for name in set(s.landmark):
+        rows = s.landmark == name
+        x, y, heading = np.array([way(round(t / 0.5)) for t in s.t[rows]]).T
+        a = heading + s.bearing[rows]
+        normal = np.column_stack([-np.sin(a), np.cos(a)])
+        point = np.linalg.lstsq(normal, np.sum(normal * np.column_stack([x, y]), axis=1))[0]
+        off.extend(np.abs(wrap(np.arctan2(point[1] - y, point[0] - x) - a)))
+    assert np.median(off) < np.radians(0.3)
+    assert np.mean(np.array(off) > np.radians(2)) < 0.1
+
+
+def test_home_bearings_come_from_the_home_image(drive, folder):
+    home = look(cv2.imread(str(folder / "home.png"), 0), Equirectangular())
+    assert len(drive.home) > 10
+    for name, seen in drive.home.items():
+        assert seen.bearing == pytest.approx(home.azimuth[int(name[1:])])
+        assert seen.sigma > 0
+
+
+def test_the_written_drive_is_the_one_that_was_read(folder, drive, tmp_path):
+    result = run("see", folder, "--out", tmp_path / "drive")
+    assert result.exit_code == 0, result.output
+    assert "of them were seen from home" in result.output
+    again = read_folder(tmp_path / "drive")
+    assert (again.sightings.bearing == drive.sightings.bearing).all()
+    assert again.home == drive.home
+
+
+def test_run_takes_an_image_folder(folder, tmp_path):
+    result = run("run", folder, "--out", tmp_path / "run")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "run" / "estimate.csv").exists()
+
+
+def test_landmarks_keep_their_names_where_home_is_out_of_sight(room):
+    """Home is of another room: only the chain of keyframes is left, and it holds."""
+    camera = Equirectangular()
+    front_end = FrontEnd(look(draw(make_room(7), *HOME), camera), camera)
+    glances = [front_end.see(frame(1, k)) for k in range(FRAMES)]
+    assert not front_end.home_bearings
+    last, before = set(glances[-1].bearings), set(glances[-3].bearings)
+    assert len(last & before) > 5
+
+
+def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
+    camera = Equirectangular()
+    front_end = FrontEnd(look(draw(room, *HOME), camera), camera)
+    for k in range(PROVEN + 1):
+        seen = front_end.see(frame(1, k))
+    blind = front_end.see(np.full((128, 512), 50, np.uint8))
+    assert seen.bearings
+    assert not blind.bearings
+    assert "like nothing" in blind.reason
+    assert front_end.see(frame(1, PROVEN + 1)).bearings
+
+
+def broken(folder, tmp_path, change):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    change(copy)
+    result = run("see", copy, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.output.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    return result.output
+
+
+def test_a_missing_image_is_named_by_row(folder, tmp_path):
+    words = broken(folder, tmp_path, lambda f: (f / "pictures" / "3.png").unlink())
+    assert "images.csv, row 5: file is 'pictures/3.png', no such file" in words
+
+
+def test_a_file_outside_the_folder_is_refused(folder, tmp_path):
+    rows = "t,file\n0,../elsewhere.png\n"
+    assert "not in the folder" in broken(
+        folder, tmp_path, lambda f: (f / "images.csv").write_text(rows)
+    )
+
+
+def test_no_home_image(folder, tmp_path):
+    assert "no home image" in broken(folder, tmp_path, lambda f: (f / "home.png").unlink())
+
+
+def test_an_image_of_another_size(folder, tmp_path):
+    small = np.zeros((64, 256), np.uint8)
+    words = broken(folder, tmp_path, lambda f: cv2.imwrite(str(f / "pictures" / "2.png"), small))
+    assert "256x64 pixels where home has 512x128" in words
+
+
+def test_no_odometry(folder, tmp_path):
+    assert "odometry.csv" in broken(folder, tmp_path, lambda f: (f / "odometry.csv").unlink())
+
+
+def test_compare_writes_picture_matches_and_words(folder, tmp_path):
+    result = run(
+        "compare", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
+    )
+    assert result.exit_code == 0, result.output
+    assert "Heading change" in result.output
+    assert "Home lies" in result.output
+    assert {f.name for f in (tmp_path / "c").iterdir()} == {
+        "comparison.json",
+        "comparison.png",
+        "matches.csv",
+    }
+
+
+def test_compare_says_when_there_is_not_enough_in_common(folder, tmp_path):
+    cv2.imwrite(str(tmp_path / "other.png"), draw(make_room(7), 3, 3, 0))
+    result = run("compare", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
+    assert result.exit_code == 1
+    assert "not enough in common" in result.output
+    assert (tmp_path / "c" / "comparison.png").exists()
