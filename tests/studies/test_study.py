@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from homeward.cli.main import app
 from homeward.errors import InputError
 from homeward.registry import make_estimator
-from homeward.report.canvas import png
+from homeward.report.canvas import new_figure, png, style, svg
 from homeward.report.study_maps import draw_maps, grids
 from homeward.report.study_page import headline, write_study
 from homeward.scoring import score
@@ -341,3 +341,10 @@ def test_a_tuning_study_draws_its_map(tmp_path):
 def test_both_kinds_of_workers_at_once_are_refused():
     with pytest.raises(InputError, match="one of them"):
         Where(scheduler="tcp://localhost:1", workers=2)
+
+
+def test_a_figure_in_a_page_keeps_the_digits_of_its_numbers():
+    with style():
+        figure = new_figure(1.0)
+        figure.text(0.123456789, 0.5, "0.00123456 m")
+    assert "0.00123456 m" in svg(figure, "digits")

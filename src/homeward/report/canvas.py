@@ -97,7 +97,8 @@ def svg(figure: Figure, label: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, count=1, flags=re.DOTALL)
     text = re.sub(r'<g id="[A-Za-z]+[\dA-Za-z.]*_\d+">', "<g>", text)
-    text = re.sub(r"(?<=\d\.\d\d)\d+", "", text)
+    # In tags alone: what the figure says keeps its digits.
+    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
     head, body = text.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None

@@ -21,6 +21,8 @@ from homeward.studies.study.summary import Line, lines, over_time
 COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
 MOST_ROWS = 80
 """Of the overview."""
+MOST_CONTENDERS = 24
+"""Of the overview; more have a map, and the table."""
 MOST_PANELS = 8
 """Scenarios over time."""
 CONSISTENT = 3.0
@@ -31,7 +33,9 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
     """Yield (file name, caption, figure) of everything worth drawing."""
     for grid in grids(results):
         yield f"map_{grid.name}", grid.caption, draw_maps(results, grid)
-    yield "overview", "Errors, homecoming and consistency, over all runs", draw_overview(results)
+    if len(results.plan.contenders) <= MOST_CONTENDERS:
+        words = "Errors, homecoming and consistency, over all runs"
+        yield "overview", words, draw_overview(results)
     if len(results.plan.contenders) <= len(COLOURS):
         yield (
             "rmse_over_time",

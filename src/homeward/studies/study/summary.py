@@ -142,7 +142,7 @@ def table(results: Results) -> list[list[str]]:
                 shown,
                 line.estimator,
                 number(line.rmse),
-                f"{number(line.quantiles[0])} to {number(line.quantiles[4])}",
+                _span(line.quantiles[0], line.quantiles[4]),
                 number(line.ratio),
                 number(float(np.degrees(line.heading_rmse))),
                 number(float(line.nees[2])),
@@ -155,6 +155,10 @@ def table(results: Results) -> list[list[str]]:
         )
     known = [k for k in range(len(head)) if k < 2 or any(row[k] for row in rows[1:])]
     return [[row[k] for k in known] for row in rows]
+
+
+def _span(low: float, high: float) -> str:
+    return "" if np.isnan(low) else f"{number(low)} to {number(high)}"
 
 
 def number(value: float) -> str:
