@@ -136,12 +136,12 @@ def broken(folder, tmp_path, change):
 
 def test_a_missing_image_is_named_by_row(folder, tmp_path):
     words = broken(folder, tmp_path, lambda f: (f / "pictures" / "3.png").unlink())
-    assert "images.csv, row 5: file is 'pictures/3.png', no such file" in words
+    assert "images.csv: image 'pictures/3.png' is not there" in words
 
 
 def test_a_file_outside_the_folder_is_refused(folder, tmp_path):
     rows = "t,file\n0,../elsewhere.png\n"
-    assert "not in the folder" in broken(
+    assert "outside the folder" in broken(
         folder, tmp_path, lambda f: (f / "images.csv").write_text(rows)
     )
 
@@ -154,6 +154,11 @@ def test_an_image_of_another_size(folder, tmp_path):
     small = np.zeros((64, 256), np.uint8)
     words = broken(folder, tmp_path, lambda f: cv2.imwrite(str(f / "pictures" / "2.png"), small))
     assert "256x64 pixels where home has 512x128" in words
+
+
+def test_no_list_of_images(folder, tmp_path):
+    words = broken(folder, tmp_path, lambda f: (f / "images.csv").unlink())
+    assert "not a folder of images: no images.csv in it" in words
 
 
 def test_no_odometry(folder, tmp_path):

@@ -63,13 +63,13 @@ def open_drive(
     Parameters
     ----------
     path : path-like
-        A drive folder, an MRCLAM folder, a ROS bag or an MCAP file.
+        A drive folder, a folder of images, an MRCLAM folder, a ROS bag or an MCAP file.
     robot, home, home_noise, seed
         As in `read_mrclam`; robot and home are needed there, and refused elsewhere.
     topics : path-like, optional
         As in `read_log`; refused elsewhere.
     tell : callable, optional
-        Told the fraction done of a log, in [0, 1].
+        Told the fraction done of a log or of images, in [0, 1].
 
     Raises
     ------
@@ -115,10 +115,11 @@ def _open_images(path: Path, choices: Choices) -> Drive:
     # Imported here alone: what only reads logs needs no images.
     from homeward.vision.folder import see_folder
 
-    return see_folder(path)
+    return see_folder(path, choices.tell)
 
 
 def _is_image_folder(path: Path) -> bool:
+    # A drive folder may have images, too: its bearings are known already.
     return (path / IMAGES).exists() and not (path / BEARINGS).exists()
 
 

@@ -34,10 +34,7 @@ def describe(seen: Comparison) -> str:
     if seen.knows_direction:
         home = f"Home lies {_towards(seen.homewards)} +- {_deg(seen.homewards_sigma)}."
     else:
-        home = (
-            "Direction home: not to be told (too near to home, or too little to go by; "
-            f"uncertain by {_deg(seen.homewards_sigma)})."
-        )
+        home = "Direction home: not to be told (too near to home, or too little to go by)."
     text = f"{heading} {home} {seen.verdict.reason[0].upper()}{seen.verdict.reason[1:]}."
     if moved := int(seen.moved.sum()):
         text += f" {moved} more are on things that seem to have been moved."

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ from homeward.drives.folder import (
     read_odometry,
     read_truth,
 )
-from homeward.drives.images import IMAGES
-from homeward.drives.table import identifiers, numbers, read_csv, require_folder
+from homeward.drives.images import IMAGES, Images, read_images
+from homeward.drives.table import require_folder
 from homeward.errors import InputError
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_view
@@ -34,17 +33,6 @@ UNLIKE = "images in which nothing seen before was found"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
 
-@dataclass(frozen=True)
-class Images:
-    """The panoramas of a drive."""
-
-    t: np.ndarray
-    """(n,): never decreasing [s]."""
-    file: list[Path]
-    row: np.ndarray
-    """(n,): line of images.csv."""
-
-
 def see_folder(
     path: str | os.PathLike[str], progress: Callable[[float], None] | None = None
 ) -> Drive:
@@ -53,8 +41,8 @@ def see_folder(
     Parameters
     ----------
     path : path-like
-        Folder with images.csv (t [s], file), the images, a home image, odometry.csv, and perhaps
-        images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
+        Folder with images.csv (t [s], file), the images (JPEG or PNG), a home image, odometry.csv,
+        and perhaps images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
     progress : callable, optional
         Told the fraction done, in [0, 1].
 
@@ -71,9 +59,13 @@ def see_folder(
     """
     folder = Path(path)
     require_folder(folder)
+    if not (folder / IMAGES).exists():
+        raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
     told = folder / IMAGE_SETTINGS
     settings = read_image_settings(told if told.exists() else None)
     images = read_images(folder)
+    if not images.files:
+        raise InputError("no rows", folder / IMAGES)
     remarks: dict[str, int] = {}
     odometry = read_odometry(folder / ODOMETRY, remarks)
     sensor = read_drive_settings(folder / SETTINGS)
@@ -92,18 +84,6 @@ def see_folder(
         truth=truth,
         remarks=remarks,
     )
-
-
-def read_images(folder: Path) -> Images:
-    """Read images.csv, and see that every file is there and inside the folder."""
-    table = read_csv(folder / IMAGES, {"t": numbers, "file": identifiers})
-    table.require_rows()
-    table.require_order()
-    files = [folder / name for name in table["file"].tolist()]
-    inside = [file.resolve().is_relative_to(folder.resolve()) for file in files]
-    table.require("file", np.array(inside, bool), "which is not in the folder")
-    table.require("file", np.array([file.is_file() for file in files], bool), "no such file")
-    return Images(table["t"], files, table.row)
 
 
 def home_image(folder: Path, settings: ImageSettings) -> Path:
@@ -130,11 +110,11 @@ def _look_at_all(
     progress: Callable[[float], None] | None,
 ) -> list[Glance]:
     glances = []
-    for k, file in enumerate(images.file):
+    for k, file in enumerate(images.files):
         _, view = read_view(file, settings.camera, like=front_end.home)
         glances.append(front_end.take(view))
         if progress is not None:
-            progress((k + 1) / len(images.file))
+            progress((k + 1) / len(images.files))
     return glances
 
 
