@@ -108,7 +108,7 @@ def test_hostile_changes_are_refused_in_one_line_that_names_the_key(changes, wor
 def test_hostile_files_are_refused_in_one_line(tmp_path):
     path = tmp_path / "s.yaml"
     for text, words in [
-        ("", "landmarks"),
+        ("", "start"),
         ("[1, 2]", "not a mapping"),
         ("a: [", "not YAML"),
         ("landmarks: {layout: ring}\nstart: {R: 1, theta: 0, alpha: 0}\n", "trajectory"),

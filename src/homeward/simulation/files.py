@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -13,10 +13,11 @@ from homeward.drives.folder import write_folder
 from homeward.drives.settings import read_settings, validated
 from homeward.errors import InputError
 from homeward.simulation.presets import PRESETS
-from homeward.simulation.scenario import Scenario
+from homeward.simulation.scenario import Course, Scenario
 from homeward.simulation.simulate import Simulation
 from homeward.simulation.world import World, quantise
 
+Driven = TypeVar("Driven", bound=Course)
 SCENARIO, WORLD = "scenario.yaml", "world.csv"
 
 
@@ -40,17 +41,17 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
     return changed_scenario(scenario, changes)
 
 
-def changed_scenario(scenario: Scenario, changes: Mapping[str, Any] | None) -> Scenario:
+def changed_scenario(scenario: Driven, changes: Mapping[str, Any] | None) -> Driven:
     """Return a scenario with some keys changed; parameters and errors as `load_scenario`."""
     if not changes:
         return scenario
     tree = scenario.model_dump(exclude_none=True)
     for key, value in changes.items():
         _change(tree, key, value)
-    return validated(Scenario, tree)
+    return validated(type(scenario), tree)
 
 
-def scenario_yaml(scenario: Scenario) -> str:
+def scenario_yaml(scenario: Course) -> str:
     """Return the whole scenario as YAML text, defaults and all."""
     tree = scenario.model_dump(mode="json", exclude_none=True)
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)

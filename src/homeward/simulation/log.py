@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from homeward.control import Twist
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose
-from homeward.simulation.scenario import Scenario
+from homeward.simulation.scenario import Course
 from homeward.simulation.world import Stream, generator, quantise
 
 
@@ -32,7 +32,7 @@ class Stamps:
 class Clock:
     """The stamps of everything that is sampled in a drive."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Course) -> None:
         rates, duration = scenario.rates, scenario.trajectory.duration
         rng = generator(scenario, Stream.TIMES)
         self._odometry = _stamps(rates.odometry, duration, rates.jitter, rng)
@@ -58,7 +58,7 @@ class Log:
     def __init__(self, estimator: Estimator | None) -> None:
         self._estimator = estimator
         self._odometry: list[tuple[float, float, float]] = []
-        self._sightings: list[tuple[float, str, float]] = []
+        self._sightings: list[tuple[float, str, float, float]] = []
         self._truth: list[tuple[float, float, float, float]] = []
         self.estimates: list[Estimate] = []
 
@@ -75,11 +75,14 @@ class Log:
         if self._estimator is not None:
             self._estimator.odometry(t, twist.v, twist.omega)
 
-    def bearings(self, t: float, seen: dict[str, float]) -> None:
-        """Log id to bearing [rad]; a stamp at which nothing was seen leaves no trace."""
-        self._sightings.extend((t, landmark, value) for landmark, value in seen.items())
+    def bearings(
+        self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> None:
+        """Log id to bearing and perhaps sigma [rad]; where nothing was seen, nothing is left."""
+        given = sigmas or {}
+        self._sightings.extend((t, i, value, given.get(i, np.nan)) for i, value in seen.items())
         if self._estimator is not None and seen:
-            self.estimates.append(self._estimator.bearings(t, seen))
+            self.estimates.append(self._estimator.bearings(t, seen, sigmas))
 
     def truth(self, t: float, pose: Pose) -> None:
         """Log the true pose in the home frame."""
@@ -89,12 +92,11 @@ class Log:
     def fill(self, drive: Drive) -> Drive:
         """Return the drive with everything that was logged."""
         landmarks = np.empty(len(self._sightings), object)
-        landmarks[:] = [landmark for _, landmark, _ in self._sightings]
-        stamps = np.array([t for t, _, _ in self._sightings], float)
-        values = np.array([value for _, _, value in self._sightings], float)
+        landmarks[:] = [landmark for _, landmark, _, _ in self._sightings]
+        numbers = np.array([(t, b, s) for t, _, b, s in self._sightings], float).reshape(-1, 3)
         return replace(
             drive,
             odometry=Odometry(*np.array(self._odometry, float).T),
-            sightings=Sightings(stamps, landmarks, values, np.full(stamps.size, np.nan)),
+            sightings=Sightings(numbers[:, 0], landmarks, numbers[:, 1], numbers[:, 2]),
             truth=Truth(*np.array(self._truth, float).T),
         )

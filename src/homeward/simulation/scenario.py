@@ -255,17 +255,12 @@ class Waypoints(Trajectory):
     """The drive ends within this distance of the last point [m]."""
 
 
-class Scenario(Strict):
-    """Everything that makes a simulated drive; the same scenario always makes the same drive."""
+class Course(Strict):
+    """What is driven, whatever the robot sees on the way: every simulated drive has one."""
 
     name: str = "simulated"
     seed: Annotated[int, Field(ge=0)] = 0
-    room: Room | None = None
     home: RoomPose = RoomPose()
-    landmarks: Annotated[Ring | OnSurfaces | Listed, Field(discriminator="layout")]
-    moved: Moved = Moved()
-    visibility: Visibility = Visibility()
-    noise: Noise = Noise()
     rates: Rates = Rates()
     odometry: OdometryErrors = OdometryErrors()
     sensor: Mount = Mount()
@@ -280,6 +275,16 @@ class Scenario(Strict):
     def home_mount(self) -> Mount:
         """The camera's place on the robot when home was stored."""
         return self.sensor if self.home_sensor is None else self.home_sensor
+
+
+class Scenario(Course):
+    """Everything that makes a simulated drive; the same scenario always makes the same drive."""
+
+    room: Room | None = None
+    landmarks: Annotated[Ring | OnSurfaces | Listed, Field(discriminator="layout")]
+    moved: Moved = Moved()
+    visibility: Visibility = Visibility()
+    noise: Noise = Noise()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

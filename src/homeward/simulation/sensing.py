@@ -10,14 +10,14 @@ from homeward.angles import wrap
 from homeward.control import Twist
 from homeward.frames import Pose, bearing, compose
 from homeward.simulation.geometry import in_view
-from homeward.simulation.scenario import OdometryErrors, Scenario
+from homeward.simulation.scenario import Course, OdometryErrors, Scenario
 from homeward.simulation.world import Stream, World, generator, quantise
 
 
 class Wheels:
     """Odometry: the commanded twist, which the robot follows exactly, with its errors."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Course) -> None:
         errors, root = scenario.odometry, math.sqrt(scenario.rates.odometry)
         constants = generator(scenario, Stream.ODOMETRY_CONSTANTS)
         self._speed_scale, self._turn_scale, self._turn_bias = _constant_errors(errors, constants)

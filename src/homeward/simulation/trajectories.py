@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.control import Twist, arrived, homing
 from homeward.frames import Pose, bearing, between, to_polar
-from homeward.simulation.scenario import Circle, Homing, Scenario, Waypoints
+from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m], for the parallax."""
@@ -40,7 +40,7 @@ class Control(Protocol):
         """
 
 
-def make_control(scenario: Scenario, start: Pose) -> Control:
+def make_control(scenario: Course, start: Pose) -> Control:
     """Return what steers the drive of a scenario that begins at `start` in the home frame."""
     match scenario.trajectory:
         case Homing() as trajectory:

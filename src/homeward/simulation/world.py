@@ -13,7 +13,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, between, compose
 from homeward.simulation.geometry import first_surface, in_view
-from homeward.simulation.scenario import Listed, OnSurfaces, Ring, Room, Scenario
+from homeward.simulation.scenario import Course, Listed, OnSurfaces, Ring, Room, Scenario
 
 TRIES = 1000
 """A landmark that finds no free place in so many draws has none."""
@@ -34,9 +34,12 @@ class Stream(enum.IntEnum):
     VISIBILITY = 7
     BEARINGS = 8
     WRONG_IDS = 9
+    FURNITURE = 10
+    IMAGES = 11
+    TILT = 12
 
 
-def generator(scenario: Scenario, stream: Stream) -> np.random.Generator:
+def generator(scenario: Course, stream: Stream) -> np.random.Generator:
     """Return the generator of one source of chance."""
     return np.random.default_rng([scenario.seed, int(stream)])
 

@@ -1,0 +1,130 @@
+"""The loop of every simulated drive: a control law, wheels, and eyes that look now and then."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.drives.drive import DriveSettings, OdometryNoise, Sensor, Start
+from homeward.frames import Polar, Pose, from_polar, to_polar
+from homeward.simulation.log import Clock, Log
+from homeward.simulation.scenario import Course
+from homeward.simulation.sensing import Wheels
+from homeward.simulation.trajectories import advance, make_control
+from homeward.simulation.world import Stream, generator, quantise
+
+STEPS_PER_TELLING = 200
+"""Progress is told once in so many steps."""
+
+
+class Ending(enum.Enum):
+    """Why a drive ended."""
+
+    DONE = "done"
+    """The control law was done, as far as the robot knew."""
+    TIME_UP = "time up"
+    """The longest duration was reached."""
+
+
+def drive_course(
+    course: Course,
+    log: Log,
+    look: Callable[[float, Pose], None],
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Ending, Pose]:
+    """Drive, and log odometry and truth.
+
+    Parameters
+    ----------
+    course : Course
+        What is driven.
+    log : Log
+        What is written to, and who is asked for the pose that steers.
+    look : callable
+        Called at each stamp of the camera with the time [s] and the true pose of the robot's
+        centre in the home frame; it logs what it sees.
+    progress : callable, optional
+        Told now and then the share of the longest duration that is done, in [0, 1].
+
+    Returns
+    -------
+    ending : Ending
+        Why the drive ended.
+    pose : Pose
+        True pose in the home frame where it ended.
+    """
+    pose = course.start.in_home_frame(course.home.pose)
+    control, wheels, clock = make_control(course, pose), Wheels(course), Clock(course)
+    for step, (t, until) in enumerate(clock.steps()):
+        if progress is not None and step % STEPS_PER_TELLING == 0:
+            progress(t / course.trajectory.duration)
+        twist = control.twist(t, *log.believed(t, pose))
+        if twist is None or until is None:
+            break
+        log.odometry(t, wheels.measure(twist))
+        for stamp in clock.bearings.before(until):
+            look(stamp, advance(pose, twist, stamp - t))
+        for stamp in clock.truth.before(until):
+            log.truth(stamp, advance(pose, twist, stamp - t))
+        pose = advance(pose, twist, until - t)
+    # Every drive ends standing still, with a last word of odometry and truth.
+    log.odometry(t, wheels.measure(Twist(0.0, 0.0)))
+    log.truth(t, pose)
+    return Ending.DONE if twist is None else Ending.TIME_UP, pose
+
+
+def course_settings(
+    scenario: Course, bearing_sigma: float | None, field_of_view: float
+) -> DriveSettings:
+    """Return what drive.yaml may tell of a course: never an error drawn, only its sigma.
+
+    Parameters
+    ----------
+    scenario : Course
+        What is driven.
+    bearing_sigma : float or None
+        Of the camera [rad], where known.
+    field_of_view : float
+        Of the camera [rad].
+    """
+    errors, mount = scenario.odometry, scenario.sensor
+    return DriveSettings(
+        sensor=Sensor(
+            x=mount.x,
+            y=mount.y,
+            yaw=mount.yaw,
+            bearing_sigma=bearing_sigma,
+            field_of_view=field_of_view,
+        ),
+        home_sensor=scenario.home_sensor,
+        odometry=OdometryNoise(
+            speed_sigma=errors.speed_sigma,
+            turn_sigma=errors.turn_sigma,
+            speed_scale_sigma=errors.speed_scale_sigma,
+            turn_scale_sigma=errors.turn_scale_sigma,
+            turn_bias_sigma=errors.turn_bias_sigma,
+        ),
+        start=_draw_prior(scenario) if scenario.start.prior else None,
+    )
+
+
+def _draw_prior(scenario: Course) -> Start:
+    """Return a start prior whose mean is off the truth as its sigmas say."""
+    start = scenario.start
+    true = to_polar(start.in_home_frame(scenario.home.pose))
+    sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
+    drawn = Polar(*(np.array(true) + sigmas * generator(scenario, Stream.PRIOR).standard_normal(3)))
+    if drawn.R < 0:  # the same place, said with a positive distance
+        drawn = to_polar(from_polar(drawn))
+    return Start(
+        R=quantise(drawn.R, 4),
+        theta=quantise(wrap(drawn.theta), 4),
+        alpha=quantise(wrap(drawn.alpha), 4),
+        sigma_R=start.sigma_R,
+        sigma_theta=start.sigma_theta,
+        sigma_alpha=start.sigma_alpha,
+    )
