@@ -12,6 +12,7 @@ from homeward.cli.convert import convert
 from homeward.cli.info import info
 from homeward.cli.observe import observe
 from homeward.cli.plan import plan
+from homeward.cli.render import render
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.see import see
@@ -42,5 +43,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (run, view, simulate, reproduce, study, observe, plan, info, convert, compare, see):
+COMMANDS = (
+    run,
+    view,
+    simulate,
+    render,
+    reproduce,
+    study,
+    observe,
+    plan,
+    info,
+    convert,
+    compare,
+    see,
+)
+for command in COMMANDS:
     app.command()(command)

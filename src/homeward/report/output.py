@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -61,7 +62,10 @@ def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
             with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=directory) as scratch:
                 yield Path(scratch)
                 for file in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
-                    os.replace(file, directory / file.name)
+                    place = directory / file.name
+                    if place.is_dir() and not place.is_symlink():
+                        shutil.rmtree(place)
+                    os.replace(file, place)
         except BaseException:
             if new:
                 with suppress(OSError):

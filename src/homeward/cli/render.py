@@ -1,0 +1,75 @@
+"""`homeward render`: make an image data set in a room, or drive home by its images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from homeward.cli.options import key_values, progress
+
+if TYPE_CHECKING:
+    from homeward.drives.drive import Drive
+    from homeward.estimator import Estimator
+    from homeward.simulation.render.settings import RenderScenario
+
+
+def render(
+    room: Annotated[
+        str,
+        typer.Argument(
+            help="A room (study, bedroom, living-room, kitchen, office, corridor, classroom, "
+            "attic, gallery, hall) or a YAML file."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The folder to write.")],
+    seed: Annotated[int | None, typer.Option(help="Of furniture, poses and noise [0].")] = None,
+    estimator: Annotated[
+        str | None,
+        typer.Option(help="Whose pose steers, fed by the images: robust; default: the truth."),
+    ] = None,
+    points: Annotated[
+        bool, typer.Option("--points", help="Write the exact point that each pixel shows, too.")
+    ] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="KEY=VALUE, as in camera.width=1024; repeatable."),
+    ] = None,
+) -> None:
+    """Render what a panoramic camera sees on a drive through a room.
+
+    The folder gets home.png, images.csv and the images, images.yaml, odometry.csv, truth.csv,
+    drive.yaml, things.csv with what was moved since the home image, and scenario.yaml, which
+    repeats it all. With an estimator the loop is closed: image in, homing out; what the front-end
+    saw is the drive folder drive/ in it.
+    """
+    from homeward.report.output import check_output, whole_folder
+    from homeward.simulation.files import SCENARIO
+    from homeward.simulation.render.dataset import write_rendered
+    from homeward.simulation.render.eye import Eye
+    from homeward.simulation.render.rooms import load_room
+
+    given = key_values(changes or []) | ({"estimator": estimator} if estimator else {})
+    scenario = load_room(room, seed, given)
+    check_output(out, SCENARIO)
+    with progress(f"rendering {scenario.name}") as tell, whole_folder(out, SCENARIO) as scratch:
+        made = write_rendered(Eye(scenario), scratch, points, _maker(scenario), tell)
+    camera = made.eye.scenario.camera
+    moved = sum(box.stood is not None for box in made.eye.scenario.boxes.values())
+    typer.echo(
+        f"{scenario.name}: {made.drive.span[1]:.1f} s, {made.images} images of "
+        f"{camera.width}x{camera.height}, {moved} boxes moved since home; ended "
+        f"({made.ending.value}) {made.final_distance:.3f} m from home; written to {out}"
+    )
+
+
+def _maker(scenario: RenderScenario) -> Callable[[Drive], Estimator] | None:
+    """Return what makes the estimator that steers, or None when the truth does."""
+    if scenario.estimator == "truth":
+        return None
+    from homeward.registry import make_estimator
+
+    return partial(make_estimator, scenario.estimator)

@@ -1,0 +1,1 @@
+"""Rooms that are rendered: panoramas by ray casting, their exact truth, and drives through them."""

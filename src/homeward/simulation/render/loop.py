@@ -1,0 +1,139 @@
+"""The loop closed by images: a picture in, bearings found in it, an estimate, a command out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.drives.drive import Drive, Odometry, Sightings
+from homeward.estimator import Estimate, Estimator
+from homeward.frames import Pose
+from homeward.simulation.course import Ending, course_settings, drive_course
+from homeward.simulation.log import Log
+from homeward.simulation.render.eye import Eye
+from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
+from homeward.vision.features import View, look
+from homeward.vision.front_end import FrontEnd
+from homeward.vision.opencv import opencv
+
+LEAST_TILT = 0.002
+"""A camera that is said not to tilt is still not trusted more than this [rad]."""
+
+
+Keep = Callable[[float, Pose, np.ndarray], None]
+"""Told of each picture: its time [s], the robot's true pose in the home frame, the picture."""
+
+
+@dataclass(frozen=True)
+class ImageDrive:
+    """A drive through a rendered room."""
+
+    eye: Eye
+    drive: Drive
+    """With what was made of the images, and truth in the home frame."""
+    images: int
+    """How many were taken on the way."""
+    ending: Ending
+    final_pose: Pose
+    """True pose in the home frame where the drive ended."""
+    estimates: list[Estimate]
+    """What the estimator answered to each image in which something was found."""
+
+    @property
+    def final_distance(self) -> float:
+        """True distance from home at the end [m]."""
+        return math.hypot(self.final_pose.x, self.final_pose.y)
+
+
+class ImageLoop:
+    """A robot at the start, with a camera, and with a front-end if its images are to steer it.
+
+    Parameters
+    ----------
+    eye : Eye
+        Its camera, in its room.
+    blind : bool
+        Whether images are only taken, and nothing made of them.
+    """
+
+    def __init__(self, eye: Eye, blind: bool = False) -> None:
+        self.eye, self._taken = eye, 0
+        self.front_end: FrontEnd | None = None
+        if not blind:
+            camera = panorama_of(eye)
+            self.front_end = FrontEnd(look(grey(eye.home_picture()), camera), camera)
+
+    @property
+    def drive(self) -> Drive:
+        """The drive before it begins: home and settings, for making an estimator."""
+        none = np.empty(0)
+        return Drive(
+            name=self.eye.scenario.name,
+            odometry=Odometry(none, none, none),
+            sightings=Sightings(none, np.empty(0, object), none, none),
+            home={} if self.front_end is None else self.front_end.all_home_bearings(),
+            settings=course_settings(self.eye.scenario, None, 2 * math.pi),
+        )
+
+    def run(
+        self,
+        estimator: Estimator | None = None,
+        keep: Keep | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> ImageDrive:
+        """Drive to the end; the loop and the estimator are used up.
+
+        Parameters
+        ----------
+        estimator : Estimator, optional
+            Made for `drive`, whose pose steers; None: the truth steers.
+        keep : callable, optional
+            Given each picture.
+        progress : callable, optional
+            Told now and then the share of the longest duration that is done.
+
+        Raises
+        ------
+        InputError
+            When the robot runs into something.
+        """
+        log = Log(estimator)
+
+        def see(t: float, robot: Pose) -> None:
+            self._taken += 1
+            picture = self.eye.look(t, robot, self._taken)
+            if keep is not None:
+                keep(t, robot, picture)
+            if self.front_end is not None:
+                seen = self.front_end.see(grey(picture))
+                log.bearings(t, seen.bearings, seen.sigmas)
+
+        ending, pose = drive_course(self.eye.scenario, log, see, progress)
+        drive = log.fill(self.drive)
+        return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates)
+
+
+def panorama_of(eye: Eye) -> Panorama:
+    """Return the camera of a scenario as the front-end knows it: its tilt, but not each shake."""
+    camera = eye.scenario.camera
+    kind = Equirectangular if camera.projection == "equirectangular" else Cylindrical
+    tilt = max(LEAST_TILT, camera.tilt_sigma)
+    return kind(roll=camera.roll, pitch=camera.pitch, tilt_sigma=tilt)
+
+
+def grey(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (height, width, 3) in grey, uint8."""
+    cv2 = opencv()
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+
+
+def things_seen(eye: Eye, home: View) -> list[str]:
+    """Return the name of the thing on which each feature of the home view lies."""
+    truth = eye.home_truth()
+    height, width = truth.thing.shape
+    rows = np.clip(np.rint(home.row).astype(int), 0, height - 1)
+    columns = np.rint(home.column).astype(int) % width
+    return [eye.then.things[i] for i in truth.thing[rows, columns].tolist()]

@@ -1,0 +1,227 @@
+"""Pictures: what the rays of a panorama meet, textured, lit and taken by a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.simulation.render.lighting import GRID
+from homeward.simulation.render.raycast import Viewpoint, cast, directions, points
+from homeward.simulation.render.scene import Scene
+from homeward.simulation.render.settings import PanoramaCamera
+from homeward.simulation.render.surfaces import Surfaces
+from homeward.simulation.render.textures import LEVELS, SIZE, Atlas
+
+SHEET = 1024
+"""Samples are looked up in rows of so many."""
+_SIZES = (SIZE / 2.0 ** np.arange(LEVELS)).astype(np.float32)
+MEAN_GREY = 115.0
+"""The exposure aims at this mean [grey levels of 255]."""
+
+
+@dataclass(frozen=True)
+class PixelTruth:
+    """What each pixel's middle shows; arrays of shape (height, width)."""
+
+    point: np.ndarray
+    """(height, width, 3), in room coordinates [m]."""
+    distance: np.ndarray
+    """From the camera [m]."""
+    thing: np.ndarray
+    """Index into the scene's `things`."""
+
+
+def column_azimuths(width: int) -> np.ndarray:
+    """Return the azimuth of each column's middle [rad].
+
+    The axis is in the middle of the image, left of it is positive, and the seam is behind.
+    """
+    return math.pi - 2 * math.pi * (np.arange(width) + 0.5) / width
+
+
+def row_elevations(camera: PanoramaCamera, oversampling: int = 1) -> np.ndarray:
+    """Return the elevation of each row's middle [rad], the horizon in the middle of the image."""
+    n = camera.height * oversampling
+    above = (n / 2 - np.arange(n) - 0.5) * 2 * math.pi / (camera.width * oversampling)
+    return above if camera.projection == "equirectangular" else np.arctan(above)
+
+
+def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: PanoramaCamera) -> PixelTruth:
+    """Return the exact truth of every pixel's middle, in double precision."""
+    azimuth, elevation = column_azimuths(camera.width), row_elevations(camera)
+    surfaces, _ = scene.at(t, view)
+    hits = cast(surfaces, view, azimuth, elevation)
+    return PixelTruth(
+        points(hits, view, directions(azimuth, elevation)),
+        hits.distance / np.cos(elevation)[:, None],
+        surfaces.thing[hits.surface],
+    )
+
+
+def picture(
+    scene: Scene,
+    view: Viewpoint,
+    t: float,
+    camera: PanoramaCamera,
+    rng: np.random.Generator | None = None,
+) -> np.ndarray:
+    """Take a picture.
+
+    Parameters
+    ----------
+    scene : Scene
+        The room.
+    view : Viewpoint
+        Where the camera is.
+    t : float
+        When [s].
+    camera : PanoramaCamera
+        Its projection, size, noise and exposure.
+    rng : Generator, optional
+        Of noise and exposure; None: without either.
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3), uint8
+        Blue, green, red.
+    """
+    surfaces, light = scene.at(t, view)
+    rays = _samples(surfaces, view, camera)
+    colour = _textured(rays, surfaces, view, scene.atlas, 2 * math.pi / camera.width)
+    colour *= _lit(rays, surfaces, light)[:, None]
+    return _exposed(_gathered(rays, colour, camera), camera, rng)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """What is to be shaded: the middle of each pixel, then parts of those that lie on an edge.
+
+    A pixel whose four rays meet one surface needs but one sample, since the texture's level fits
+    its size. Arrays over n samples.
+    """
+
+    across: np.ndarray
+    along: np.ndarray
+    distance: np.ndarray
+    """From the camera [m]."""
+    surface: np.ndarray
+    edge: np.ndarray
+    """(m,), flat indices of the pixels on edges; the last 4 m samples are theirs."""
+
+
+def _samples(surfaces: Surfaces, view: Viewpoint, camera: PanoramaCamera) -> _Samples:
+    """Cast four rays a pixel, and join those that meet one surface."""
+    import cv2
+
+    azimuth = column_azimuths(2 * camera.width)
+    elevation = row_elevations(camera, 2)
+    hits = cast(surfaces, view, azimuth, elevation, np.float32)
+    distance = hits.distance / np.cos(elevation).astype(np.float32)[:, None]
+    four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
+    met = [hits.surface[i::2, j::2] for i, j in four]
+    one = (met[0] == met[1]) & (met[0] == met[2]) & (met[0] == met[3])
+    edge = np.flatnonzero(~one)
+    size = (camera.width, camera.height)
+
+    def gathered(values: np.ndarray) -> np.ndarray:
+        middle = cv2.resize(values, size, interpolation=cv2.INTER_AREA).ravel()
+        return np.concatenate([middle, *(values[i::2, j::2].ravel()[edge] for i, j in four)])
+
+    surface = np.concatenate([met[0].ravel(), *(part.ravel()[edge] for part in met)])
+    return _Samples(
+        gathered(hits.across),
+        gathered(hits.along),
+        gathered(distance),
+        surface.astype(np.intp),
+        edge,
+    )
+
+
+def _gathered(rays: _Samples, colour: np.ndarray, camera: PanoramaCamera) -> np.ndarray:
+    """Return the image of shaded samples (n, 3), float32."""
+    image = colour[: camera.width * camera.height]
+    parts = colour[camera.width * camera.height :]
+    image[rays.edge] = parts.reshape(4, -1, 3).mean(axis=0)
+    return image.reshape(camera.height, camera.width, 3)
+
+
+def _textured(
+    rays: _Samples, surfaces: Surfaces, view: Viewpoint, atlas: Atlas, step: float
+) -> np.ndarray:
+    """Return the colour of each sample, blended from the two mip levels next to its size."""
+    level = _level(rays, surfaces, view, step)
+    fine = np.clip(level, 0.0, LEVELS - 1.001).astype(np.intp)
+    texture = (surfaces.texture * LEVELS)[rays.surface] + fine
+    across = rays.across - np.floor(rays.across)
+    down = np.ceil(rays.along) - rays.along
+    size = _SIZES[fine]
+    samples = []
+    for step in (0, 1):
+        x = atlas.left.ravel()[texture + step] + across * size - np.float32(0.5)
+        y = atlas.top.ravel()[texture + step] + down * size - np.float32(0.5)
+        samples.append(_looked_up(atlas.image, x, y).astype(np.float32))
+        size *= np.float32(0.5)
+    samples[1] -= samples[0]
+    samples[1] *= np.clip(level - fine, 0.0, 1.0)[:, None].astype(np.float32)
+    return np.asarray(samples[0] + samples[1])
+
+
+def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> np.ndarray:
+    """Return the mip level at which a texel is as large as a sample's footprint, float32.
+
+    The footprint at distance rho on a plane at distance h is ``step rho`` across and
+    ``step rho^2 / h`` along; it is taken as the square of the same area.
+    """
+    plane = np.abs(np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - view.position))
+    side = np.linalg.norm(surfaces.right, axis=1) / surfaces.tiles[:, 0]
+    constant = np.log2(step * SIZE / side) - 0.5 * np.log2(np.maximum(plane, 1e-3))
+    level = np.float32(1.5) * np.log2(rays.distance)
+    return np.asarray(level + constant.astype(np.float32)[rays.surface])
+
+
+def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
+    """Return the light that falls on each sample, float32."""
+    scale = ((GRID - 1) / surfaces.tiles).astype(np.float32)
+    first = -surfaces.offset * (GRID - 1) / surfaces.tiles
+    first[:, 1] += GRID * np.arange(len(first))
+    first = first.astype(np.float32)
+    x = rays.across * scale[:, 0][rays.surface] + first[:, 0][rays.surface]
+    y = rays.along * scale[:, 1][rays.surface] + first[:, 1][rays.surface]
+    return _looked_up(light.reshape(-1, GRID), x, y)
+
+
+def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Interpolate an image at places x, y (n,), in its pixels; one row each, or a number."""
+    import cv2
+
+    # OpenCV wants a sheet, and no side of it longer than 2^15.
+    n = x.size
+    x, y = (np.resize(v, (-(-n // SHEET), SHEET)) for v in (x, y))
+    found = np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(found.reshape(-1, *image.shape[2:])[:n])
+
+
+def _exposed(
+    image: np.ndarray, camera: PanoramaCamera, rng: np.random.Generator | None
+) -> np.ndarray:
+    """Return what the sensor makes of light: exposure, noise, rounding."""
+    import cv2
+
+    gain = MEAN_GREY / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
+    if rng is None:
+        return np.asarray(cv2.convertScaleAbs(image, alpha=gain))
+    gain *= math.exp(camera.exposure_sigma * rng.standard_normal())
+    image *= np.float32(gain)
+    if camera.noise > 0:
+        grain = np.float32(camera.noise) * rng.standard_normal(image.shape[:2], np.float32)
+        image += grain[..., None]
+    return np.asarray(np.clip(np.rint(image, out=image), 0, 255).astype(np.uint8))
+
+
+def png(image: np.ndarray) -> bytes:
+    """Return an image as a PNG file, level 1: noise does not get smaller by trying harder."""
+    import cv2
+
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])

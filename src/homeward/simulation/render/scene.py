@@ -1,0 +1,226 @@
+"""A scenario's room as surfaces, ready to be looked at: at home's time, or during the drive."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.simulation.render.lighting import bake, shine
+from homeward.simulation.render.outline import inside
+from homeward.simulation.render.raycast import Viewpoint
+from homeward.simulation.render.settings import Light, Mover, RenderScenario
+from homeward.simulation.render.surfaces import (
+    Skin,
+    Surfaces,
+    block,
+    footprint,
+    rectangle,
+    upright,
+)
+from homeward.simulation.render.textures import Atlas, Texture, build_atlas
+
+POSTER_GAP = 0.002
+"""A poster hangs so far before its wall [m]."""
+STEP_ASIDE = 0.7
+"""Movers keep so far from the camera [m]."""
+TILES = {"plaster": 4.0, "carpet": 4.0, "wood": 4.0, "tiles": 4.0}
+"""One tile of a texture is so wide [m]; others: 1 m."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The room as it stands, without its movers."""
+
+    scenario: RenderScenario
+    """Already furnished."""
+    at_home: bool
+    """Whether boxes stand where they stood when home was stored."""
+    things: tuple[str, ...]
+    """Names of everything that surfaces belong to, movers last."""
+    still: Surfaces
+    light: np.ndarray
+    """(surfaces, GRID, GRID), brightness at a grid of places on each, rows along `up`."""
+    textures: tuple[Texture, ...]
+    atlas: Atlas
+    lights: tuple[Light, ...]
+
+    def at(self, t: float, view: Viewpoint) -> tuple[Surfaces, np.ndarray]:
+        """Return all surfaces and their light, movers where they are at time `t` [s].
+
+        Those whom the camera is in the way of step aside.
+        """
+        people = self._people(t, view)
+        if people is None:
+            return self.still, self.light
+        shone = shine(people, self.lights)
+        return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
+
+    def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
+        """Return what a robot at (x, y) [m] would stand in or outside of; None: it stands free."""
+        if not inside(np.array(self.scenario.room.outline), x, y):
+            return "a wall"
+        for name, box in self.scenario.boxes.items():
+            stand = box.where(self.at_home)
+            size = (box.size[0] + 2 * margin, box.size[1] + 2 * margin)
+            if box.base < self.scenario.camera.above_floor + margin and inside(
+                footprint(stand.at, stand.yaw, size), x, y
+            ):
+                return name
+        return None
+
+    def _people(self, t: float, view: Viewpoint) -> Surfaces | None:
+        parts: list[Surfaces] = []
+        scenario = self.scenario
+        for name, mover in self.scenario.movers.items():
+            x, y, yaw = _aside(place_on_path(mover, t), view)
+            width, height = mover.size
+            skin = Skin(self.textures.index(_texture(scenario, mover.texture, name)), 1.0)
+            thing, body = self.things.index(name), 0.86 * height
+            size = (0.6 * width, width, body)
+            parts += block((x, y), yaw, size, 0.0, skin, thing, _seed(scenario, name))
+            head = (0.45 * width, 0.4 * width, height - body)
+            parts += block((x, y), yaw, head, body, skin, thing, _seed(scenario, name) + 1)
+        return Surfaces.joined(parts) if parts else None
+
+
+def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
+    """Return the scene of a furnished scenario.
+
+    Parameters
+    ----------
+    scenario : RenderScenario
+        See `furnished`.
+    at_home : bool
+        Whether boxes stand where they stood when home was stored.
+    """
+    room = scenario.room
+    names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(room.outline)))]
+    names += [*scenario.boxes, *scenario.posters, *scenario.movers]
+    textures = _textures(scenario)
+    parts = [*_walls(scenario, textures), *_posters(scenario, textures, names)]
+    for name, box in scenario.boxes.items():
+        stand = box.where(at_home)
+        skin = Skin(
+            textures.index(_texture(scenario, box.texture, name)), TILES.get(box.texture, 1.0)
+        )
+        parts += block(
+            stand.at, stand.yaw, box.size, box.base, skin, names.index(name), _seed(scenario, name)
+        )
+    still = Surfaces.joined(parts)
+    lights = scenario.lights or (_lamp(scenario),)
+    return Scene(
+        scenario,
+        at_home,
+        tuple(names),
+        still,
+        bake(still, lights),
+        tuple(textures),
+        build_atlas(tuple(textures)),
+        lights,
+    )
+
+
+def place_on_path(mover: Mover, t: float) -> tuple[float, float, float]:
+    """Return x, y [m] and heading [rad] of a mover at time `t` [s]."""
+    path = np.array(mover.path, float)
+    lengths = np.hypot(*np.diff(path, axis=0).T)
+    total = float(lengths.sum())
+    if total == 0.0 or mover.speed == 0.0:
+        return float(path[0, 0]), float(path[0, 1]), 0.0
+    way = (mover.speed * t) % (2 * total)
+    forth = way <= total
+    at = way if forth else 2 * total - way
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    leg = min(int(np.searchsorted(knots, at, "right")) - 1, len(lengths) - 1)
+    x, y = (float(np.interp(at, knots, path[:, i])) for i in (0, 1))
+    dx, dy = path[leg + 1] - path[leg]
+    return x, y, math.atan2(dy, dx) + (0.0 if forth else math.pi)
+
+
+def _aside(place: tuple[float, float, float], view: Viewpoint) -> tuple[float, float, float]:
+    """Return a mover's place, kept at a distance from the camera."""
+    x, y, yaw = place
+    dx, dy = x - view.position[0], y - view.position[1]
+    distance = math.hypot(dx, dy)
+    if distance >= STEP_ASIDE:
+        return place
+    if distance < 1e-9:
+        dx, dy, distance = -math.sin(yaw), math.cos(yaw), 1.0
+    away = STEP_ASIDE / distance
+    return float(view.position[0] + away * dx), float(view.position[1] + away * dy), yaw
+
+
+def _seed(scenario: RenderScenario, name: str) -> int:
+    """Return a seed that things of one name share in no two rooms."""
+    return zlib.crc32(f"{scenario.seed} {scenario.name} {name}".encode())
+
+
+def _texture(scenario: RenderScenario, kind: str, name: str) -> Texture:
+    return Texture(kind, _seed(scenario, name))
+
+
+def _textures(scenario: RenderScenario) -> list[Texture]:
+    """Return every texture of the room once."""
+    room, seed = scenario.room, scenario.seed
+    found = [Texture(kind, seed) for kind in (room.walls, room.floor, room.ceiling)]
+    for things in (scenario.boxes, scenario.posters, scenario.movers):
+        found += [_texture(scenario, thing.texture, name) for name, thing in things.items()]
+    return list(dict.fromkeys(found))
+
+
+def _walls(scenario: RenderScenario, textures: list[Texture]) -> list[Surfaces]:
+    """Return floor, ceiling and walls, as things 0, 1, 2 and so on."""
+    room = scenario.room
+    corners = np.array(room.outline, float)
+    floor, ceiling, wall = (
+        Skin(textures.index(Texture(kind, scenario.seed)), TILES.get(kind, 1.0))
+        for kind in (room.floor, room.ceiling, room.walls)
+    )
+    low, (wide, deep) = corners.min(axis=0), np.ptp(corners, axis=0)
+    x, y = np.array([wide, 0.0, 0.0]), np.array([0.0, deep, 0.0])
+    parts = [
+        rectangle(np.array([*low, 0.0]), x, y, floor, 0),
+        rectangle(np.array([*low, room.height]), y, x, ceiling, 1),
+    ]
+    # Each wall shows another part of its texture, all along one line round the room.
+    along = 0.0
+    for i, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        skin = Skin(wall.texture, wall.tile, (along, 0.0))
+        parts.append(upright(b, a, 0.0, room.height, skin, 2 + i))
+        along += math.hypot(*(b - a)) / (wall.tile or 1.0) + 0.37
+    return parts
+
+
+def _posters(scenario: RenderScenario, textures: list[Texture], names: list[str]) -> list[Surfaces]:
+    corners = np.array(scenario.room.outline, float)
+    parts = []
+    for name, poster in scenario.posters.items():
+        a, b = corners[poster.wall], corners[(poster.wall + 1) % len(corners)]
+        along = (b - a) / math.hypot(*(b - a))
+        middle = a + poster.along * along + POSTER_GAP * np.array([-along[1], along[0]])
+        half = 0.5 * poster.size[0] * along
+        bottom = poster.height - poster.size[1] / 2
+        skin = Skin(textures.index(_texture(scenario, poster.texture, name)), None)
+        parts.append(
+            upright(
+                middle + half,
+                middle - half,
+                bottom,
+                bottom + poster.size[1],
+                skin,
+                names.index(name),
+            )
+        )
+    return parts
+
+
+def _lamp(scenario: RenderScenario) -> Light:
+    """Return a lamp under the ceiling, over home if the room's middle is outside of it."""
+    corners = np.array(scenario.room.outline, float)
+    x, y = corners.mean(axis=0).tolist()
+    if not inside(corners, x, y):
+        x, y = scenario.home.x, scenario.home.y
+    return Light(at=(x, y, 0.92 * scenario.room.height))

@@ -1,0 +1,209 @@
+"""A rendered room and the drive through it, as one validated model in SI units."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from homeward.drives.drive import Finite, NonNegative, Positive, Strict
+from homeward.simulation.render.outline import crosses_itself, inside, is_clockwise
+from homeward.simulation.scenario import (
+    Course,
+    Interval,
+    Point,
+    Rates,
+)
+
+TextureName = Literal[
+    "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
+]
+Length = Annotated[float, Field(ge=0.01, le=1000.0)]
+"""[m]"""
+Where = Annotated[float, Field(ge=-1e4, le=1e4)]
+Place = tuple[Where, Where]
+"""x, y in room coordinates [m]."""
+
+
+def _simple(outline: tuple[Point, ...]) -> tuple[Point, ...]:
+    corners = np.array(outline, float)
+    if np.any(np.hypot(*(corners - np.roll(corners, -1, axis=0)).T) < 0.01):
+        raise ValueError("two corners in a row are the same")
+    if crosses_itself(corners):
+        raise ValueError("the walls cross each other")
+    return tuple(reversed(outline)) if is_clockwise(corners) else outline
+
+
+Outline = Annotated[tuple[Place, ...], Field(min_length=3, max_length=200), AfterValidator(_simple)]
+"""Corners in turn, either way round; kept anti-clockwise."""
+
+
+class Walls(Strict):
+    """The room itself."""
+
+    outline: Outline
+    """Its corners as seen from above [m]."""
+    height: Length = 2.5
+    """[m]"""
+    walls: TextureName = "plaster"
+    floor: TextureName = "carpet"
+    ceiling: TextureName = "plaster"
+
+
+class Stand(Strict):
+    """Where a box stands."""
+
+    at: Place
+    """Its middle [m]."""
+    yaw: Finite = 0.0
+    """Of its length [rad]."""
+
+
+class Box(Stand):
+    """A box: furniture, a crate, a shelf that hangs."""
+
+    size: tuple[Length, Length, Length]
+    """Length, width, height [m]."""
+    base: NonNegative = 0.0
+    """Height of its underside [m]."""
+    texture: TextureName = "cardboard"
+    stood: Stand | None = None
+    """Where it stood when home was stored, if it has been moved since."""
+
+    def where(self, at_home: bool) -> Stand:
+        """Return where it stands during the drive, or stood when home was stored."""
+        return self.stood if at_home and self.stood is not None else self
+
+
+class Poster(Strict):
+    """A picture on a wall."""
+
+    wall: Annotated[int, Field(ge=0)]
+    """From corner number `wall` of the outline (taken anti-clockwise) to the next."""
+    along: NonNegative
+    """From that corner to the poster's middle [m]."""
+    height: Positive = 1.4
+    """Of its middle [m]."""
+    size: tuple[Length, Length] = (0.6, 0.8)
+    """Width, height [m]."""
+    texture: TextureName = "print"
+
+
+class Mover(Strict):
+    """Someone who walks to and fro along a line, for ever."""
+
+    path: Annotated[tuple[Place, ...], Field(min_length=1, max_length=200)]
+    """Way points [m]; a single one: stands still."""
+    speed: NonNegative = 0.8
+    """[m/s]"""
+    size: tuple[Length, Length] = (0.45, 1.75)
+    """Width, height [m]."""
+    texture: TextureName = "cloth"
+
+
+class Light(Strict):
+    """A lamp without a shape."""
+
+    at: tuple[Where, Where, Where]
+    """x, y, height [m]."""
+    power: Positive = 1.0
+
+
+class Furnish(Strict):
+    """What is put into the room by chance, beside what is listed."""
+
+    boxes: Annotated[int, Field(ge=0, le=100)] = 0
+    """Along the walls."""
+    posters: Annotated[int, Field(ge=0, le=100)] = 0
+    movers: Annotated[int, Field(ge=0, le=20)] = 0
+    """Each walks from one place at the walls to another."""
+    moved: Annotated[int, Field(ge=0, le=100)] = 0
+    """So many of the boxes stood elsewhere when home was stored."""
+    shift: Interval = (0.4, 1.2)
+    """How far from there, uniform [m]."""
+
+
+class PanoramaCamera(Strict):
+    """A camera that sees all round."""
+
+    projection: Literal["equirectangular", "cylindrical"] = "equirectangular"
+    width: Annotated[int, Field(ge=64, le=4096)] = 512
+    """Columns; they share the full turn."""
+    height: Annotated[int, Field(ge=16, le=2048)] = 128
+    """Rows; the horizon lies in the middle, and there a pixel is as high as it is wide."""
+    above_floor: Positive = 0.5
+    """[m]"""
+    roll: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """About the robot's axis [rad]."""
+    pitch: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    """Nose down [rad]."""
+    tilt_sigma: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Each image is rolled and pitched by chance beside that [rad]."""
+    noise: Annotated[float, Field(ge=0, le=100)] = 2.0
+    """Standard deviation of each pixel [grey levels of 255]."""
+    exposure_sigma: Annotated[float, Field(ge=0, le=1)] = 0.05
+    """Each image is brighter or darker by such a share."""
+
+    @model_validator(mode="after")
+    def _below_the_poles(self) -> Self:
+        if self.projection == "equirectangular" and 2 * self.height > self.width:
+            raise ValueError("height: at most half the width, which is from pole to pole")
+        if self.height > 8 * self.width:
+            raise ValueError("height: too high for the width")
+        return self
+
+
+class RenderScenario(Course):
+    """Everything that makes an image drive; the same one always makes the same images."""
+
+    room: Walls
+    furnish: Furnish = Furnish()
+    boxes: dict[str, Box] = Field(default_factory=dict)
+    posters: dict[str, Poster] = Field(default_factory=dict)
+    movers: dict[str, Mover] = Field(default_factory=dict)
+    lights: tuple[Light, ...] = ()
+    """None: one under the middle of the ceiling."""
+    camera: PanoramaCamera = PanoramaCamera()
+    home_time: Finite = -100.0
+    """When the home image was taken [s]; movers were elsewhere then."""
+    rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
+    """`bearings` counts images."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        outline = np.array(self.room.outline, float)
+        if not inside(outline, self.home.x, self.home.y):
+            raise ValueError("home: outside the room")
+        if self.camera.above_floor >= self.room.height:
+            raise ValueError("camera.above_floor: through the ceiling")
+        points = self.trajectory.points if self.trajectory.kind == "waypoints" else ()
+        for i, (x, y) in enumerate(points):
+            if not inside(outline, x, y):
+                raise ValueError(f"trajectory.points.{i}: outside the room")
+        names = [*self.boxes, *self.posters, *self.movers, "floor", "ceiling"]
+        names += [f"wall {i}" for i in range(len(outline))]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"{twice[0]!r} is a name given twice")
+        sides = np.hypot(*(np.roll(outline, -1, axis=0) - outline).T)
+        for name, poster in self.posters.items():
+            half_width, half_height = poster.size[0] / 2, poster.size[1] / 2
+            if poster.wall >= len(outline):
+                raise ValueError(f"posters.{name}.wall: the room has {len(outline)} walls")
+            if not half_width <= poster.along <= sides[poster.wall] - half_width:
+                raise ValueError(f"posters.{name}: beyond the wall")
+            if not half_height <= poster.height <= self.room.height - half_height:
+                raise ValueError(f"posters.{name}: higher than the wall, or through the floor")
+        for name, mover in self.movers.items():
+            if not all(inside(outline, x, y) for x, y in mover.path):
+                raise ValueError(f"movers.{name}: outside the room")
+        for i, light in enumerate(self.lights):
+            if not inside(outline, *light.at[:2]) or not 0 < light.at[2] < self.room.height:
+                raise ValueError(f"lights.{i}: outside the room")
+        return self
+
+
+def horizon_step(camera: PanoramaCamera) -> float:
+    """Return the angle of one pixel at the horizon [rad]."""
+    return 2 * math.pi / camera.width

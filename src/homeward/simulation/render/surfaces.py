@@ -1,0 +1,167 @@
+"""Surfaces of a room: rectangles in space, each with a texture, all in arrays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Rectangles seen from one side, that to which ``right x up`` points. Arrays over n of them.
+
+    A point of rectangle k is ``corner[k] + a right[k] + b up[k]``, a and b in [0, 1]; its place on
+    the texture is ``offset[k] + (a, b) tiles[k]``, in tiles.
+    """
+
+    corner: np.ndarray
+    """(n, 3), in room coordinates [m]."""
+    right: np.ndarray
+    """(n, 3) [m]"""
+    up: np.ndarray
+    """(n, 3), at right angles to `right` [m]."""
+    texture: np.ndarray
+    """(n,), index into the room's textures."""
+    offset: np.ndarray
+    """(n, 2), in tiles."""
+    tiles: np.ndarray
+    """(n, 2), how many tiles lie along each side."""
+    thing: np.ndarray
+    """(n,), index of what the surface belongs to."""
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Return several as one."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(n, 3), unit vectors to the side from which each is seen."""
+        out = np.cross(self.right, self.up)
+        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+    def at(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return points (n, m, 3) at places a, b (m,) of each rectangle."""
+        return np.asarray(
+            self.corner[:, None] + a[:, None] * self.right[:, None] + b[:, None] * self.up[:, None]
+        )
+
+
+@dataclass(frozen=True)
+class Skin:
+    """How a surface is covered."""
+
+    texture: int
+    """Index into the room's textures."""
+    tile: float | None
+    """One tile is this wide and high [m]; None: stretched over the whole surface."""
+    offset: tuple[float, float] = (0.0, 0.0)
+    """In tiles."""
+
+
+def rectangle(
+    corner: np.ndarray, right: np.ndarray, up: np.ndarray, skin: Skin, thing: int
+) -> Surfaces:
+    """Return one rectangle."""
+    sides = np.array([np.linalg.norm(right), np.linalg.norm(up)])
+    tiles = np.ones(2) if skin.tile is None else sides / skin.tile
+    return Surfaces(
+        np.array([corner], float),
+        np.array([right], float),
+        np.array([up], float),
+        np.array([skin.texture]),
+        np.array([skin.offset], float),
+        tiles[None, :],
+        np.array([thing]),
+    )
+
+
+def upright(
+    a: np.ndarray, b: np.ndarray, bottom: float, top: float, skin: Skin, thing: int
+) -> Surfaces:
+    """Return the vertical rectangle over the ground line from `a` to `b`, seen from its right.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (2,)
+        From above, one looks at it from the right-hand side of the way from `a` to `b` [m].
+    bottom, top : float
+        Heights [m].
+    skin : Skin
+        Its cover.
+    thing : int
+        What it belongs to.
+    """
+    along = np.array([b[0] - a[0], b[1] - a[1], 0.0])
+    up = np.array([0.0, 0.0, top - bottom])
+    return rectangle(np.array([a[0], a[1], bottom]), along, up, skin, thing)
+
+
+def prism(
+    base: np.ndarray, bottom: float, top: float, skin: Skin, thing: int, seed: int
+) -> list[Surfaces]:
+    """Return the sides of a prism over a polygon; each shows another part of the texture.
+
+    Parameters
+    ----------
+    base : ndarray, shape (m, 2)
+        Corners, anti-clockwise [m].
+    bottom, top : float
+        Heights [m].
+    skin : Skin
+        Its cover; the offset of each side is drawn.
+    thing : int
+        What it belongs to.
+    seed : int
+        Of the offsets.
+    """
+    rng, sides = np.random.default_rng(seed), []
+    for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
+        cover = Skin(skin.texture, skin.tile, tuple(rng.random(2).tolist()))
+        sides.append(upright(a, b, bottom, top, cover, thing))
+    return sides
+
+
+def block(
+    centre: tuple[float, float],
+    yaw: float,
+    size: tuple[float, float, float],
+    bottom: float,
+    skin: Skin,
+    thing: int,
+    seed: int,
+) -> list[Surfaces]:
+    """Return the six faces of a box that stands on its base.
+
+    Parameters
+    ----------
+    centre : tuple
+        x, y of its middle [m].
+    yaw : float
+        Of its first side [rad].
+    size : tuple
+        Length, width, height [m].
+    bottom : float
+        Height of its base [m].
+    skin, thing, seed
+        As for `prism`.
+    """
+    base = footprint(centre, yaw, size[:2])
+    top = bottom + size[2]
+    faces = prism(base, bottom, top, skin, thing, seed)
+    along, across = base[1] - base[0], base[3] - base[0]
+    first = np.append(base[0], top)
+    faces.append(rectangle(first, np.append(along, 0.0), np.append(across, 0.0), skin, thing))
+    under = np.append(base[0], bottom)
+    faces.append(rectangle(under, np.append(across, 0.0), np.append(along, 0.0), skin, thing))
+    return faces
+
+
+def footprint(centre: tuple[float, float], yaw: float, size: tuple[float, float]) -> np.ndarray:
+    """Return the corners (4, 2) of a rectangle on the ground, anti-clockwise [m]."""
+    half = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.asarray(size)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.asarray(centre + half @ np.array([[c, s], [-s, c]]))

@@ -1,0 +1,100 @@
+"""`homeward render` as a user would call it."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+from homeward.simulation.render.rooms import room
+
+cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
+SMALL = ("camera.width=128", "camera.height=32", "trajectory.duration=2", "rates.bearings=2")
+
+
+def render(*words, changes=SMALL):
+    options = [part for change in changes for part in ("--set", change)]
+    return CliRunner().invoke(app, ["render", *map(str, words), *options])
+
+
+def rows(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_data_set_is_written_whole_and_repeats(tmp_path):
+    answer = render("kitchen", "--out", tmp_path / "a", "--seed", "3")
+    assert answer.exit_code == 0, answer.output
+    assert "4 images of 128x32, 3 boxes moved" in answer.output
+    a, b = tmp_path / "a", tmp_path / "b"
+    assert render(a / "scenario.yaml", "--out", b, changes=()).exit_code == 0
+    files = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(b) for p in b.rglob("*") if p.is_file())
+    for file in files:
+        assert (a / file).read_bytes() == (b / file).read_bytes(), file
+    listed = rows(a / "images.csv")
+    assert [float(row["t"]) for row in listed] == [0.0, 0.5, 1.0, 1.5]
+    for row in listed:
+        assert cv2.imread(str(a / row["file"])).shape == (32, 128, 3)
+    assert sum(row["moved"] == "1" for row in rows(a / "things.csv")) == 3
+
+
+def test_truth_starts_where_the_scenario_says(tmp_path):
+    render("office", "--out", tmp_path / "a")
+    first, start = rows(tmp_path / "a" / "truth.csv")[0], room("office").start
+    assert math.hypot(float(first["x"]), float(first["y"])) == pytest.approx(start.R, abs=1e-3)
+    assert float(first["heading"]) == pytest.approx(start.alpha, abs=1e-3)
+
+
+def test_a_shorter_drive_replaces_a_longer_one_with_all_its_images(tmp_path):
+    out = tmp_path / "a"
+    render("kitchen", "--out", out)
+    render("kitchen", "--out", out, changes=(*SMALL, "trajectory.duration=1"))
+    assert sorted(p.name for p in (out / "images").iterdir()) == [f"{i:06d}.png" for i in (1, 2)]
+
+
+def test_points_are_those_of_the_pixels(tmp_path):
+    out = tmp_path / "a"
+    assert render("kitchen", "--out", out, "--points").exit_code == 0
+    names = {int(row["index"]): row["thing"] for row in rows(out / "things.csv")}
+    with np.load(out / "points" / "home.npz") as file:
+        point, thing = file["point"], file["thing"]
+    assert point.shape == (32, 128, 3)
+    seen = {names[int(i)] for i in np.unique(thing)}
+    assert {"floor", "wall 0", "wall 1", "wall 2", "wall 3"} <= seen
+    floor = thing == next(i for i, name in names.items() if name == "floor")
+    assert np.abs(point[floor][:, 2]).max() < 1e-6
+    # Home's own columns: azimuth by azimuth, whatever is seen there.
+    azimuth = np.arctan2(point[..., 1], point[..., 0])
+    expected = math.pi - 2 * math.pi * (np.arange(128) + 0.5) / 128
+    np.testing.assert_allclose(azimuth, np.broadcast_to(expected, azimuth.shape), atol=1e-5)
+    assert len(list((out / "points").iterdir())) == 5
+
+
+def test_the_camera_is_told_in_images_yaml(tmp_path):
+    changes = (*SMALL, "camera.projection=cylindrical", "camera.roll=0.1")
+    assert render("study", "--out", tmp_path / "a", changes=changes).exit_code == 0
+    told = yaml.safe_load((tmp_path / "a" / "images.yaml").read_text())
+    assert told["camera"]["model"] == "cylindrical"
+    assert told["camera"]["roll"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("source", "changes", "word"),
+    [
+        ("cellar", (), "rooms"),
+        ("office", ("camera.width=7",), "camera.width"),
+        ("office", ("camera.depth=7",), "camera.depth"),
+        ("office", ("trajectory=5",), "trajectory"),
+        ("office", ("start.R=40",), "runs into a wall"),
+    ],
+)
+def test_wrong_options_are_one_line_and_leave_nothing(tmp_path, source, changes, word):
+    answer = render(source, "--out", tmp_path / "x", changes=changes)
+    assert answer.exit_code == 2
+    assert word in answer.stderr
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "x").exists()
