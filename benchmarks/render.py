@@ -1,0 +1,211 @@
+"""Rendered sparse rooms: bearings, heading and direction from pairs; homing by images; speed.
+
+Every room of `homeward.simulation.render.rooms` in turn, furnished by the seed. Pairs: home against
+a place up to 3 m off, nothing moved. Homings: from up to 4 m with unknown heading, three boxes
+moved since home, and someone walking through. All goals are those of the issue.
+
+    python -m benchmarks.render --pairs 60 --homings 50 --width 1024
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.settings import validated
+from homeward.errors import InputError
+from homeward.frames import to_polar
+from homeward.registry import make_estimator
+from homeward.simulation.render.eye import Eye
+from homeward.simulation.render.loop import ImageLoop, grey, panorama_of, things_seen
+from homeward.simulation.render.raycast import points, trace
+from homeward.simulation.render.rooms import PLANS, room
+from homeward.simulation.render.settings import RenderScenario
+from homeward.vision.camera import unit_vectors
+from homeward.vision.compare import compare
+from homeward.vision.features import look
+from homeward.vision.opencv import opencv
+
+NEAR_HOME = 0.02
+"""A homing is good when it ends this near [m]."""
+FEWEST = 2
+"""A moved box is one to be named when so many of its features were judged."""
+
+
+def scenario(number: int, width: int, distance: tuple[float, float], moved: int) -> RenderScenario:
+    """Return room number `number`, its camera `width` pixels wide."""
+    names = list(PLANS)
+    made = room(names[number % len(names)], number // len(names), distance, moved)
+    tree = made.model_dump(exclude_none=True)
+    tree["camera"] |= {"width": width, "height": width // 4}
+    tree["estimator"] = "robust"
+    if not moved:
+        tree["furnish"]["movers"] = 0
+    return validated(RenderScenario, tree)
+
+
+@dataclass
+class Pair:
+    """What a pair of panoramas came to; angles in degrees."""
+
+    name: str
+    accepted: bool
+    bearings: np.ndarray
+    heading: float
+    direction: float
+    nees: float
+
+
+def pair(number: int, width: int) -> Pair:
+    """Compare home with a place up to 3 m off, against the exact truth."""
+    eye = Eye(scenario(number, width, (0.3, 3.0), moved=0))
+    camera = panorama_of(eye)
+    robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
+    home, now = (look(grey(p), camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
+    seen = compare(home, now, camera)
+    # The point that home's feature shows, and the bearing that it has from the other place.
+    view, surfaces = eye.home_view, eye.then.at(eye.scenario.home_time, eye.home_view)[0]
+    rays = unit_vectors(home.azimuth, home.elevation)[seen.home_row[seen.agrees]]
+    place = points(trace(surfaces, view, rays), view, rays)
+    there = eye.view(robot, 1)
+    x, y, _ = ((place - there.position) @ there.rotation).T
+    off = wrap(now.azimuth[seen.now_row[seen.agrees]] - np.arctan2(y, x))
+    true = to_polar(robot)
+    error = wrap(np.array([seen.direction - true.theta, seen.heading - true.alpha]))
+    nees = error @ np.linalg.solve(seen.covariance, error) if seen.accepted else math.nan
+    direction, heading = np.degrees(np.abs(error)).tolist()
+    off = np.degrees(np.abs(off)) if seen.accepted else np.empty(0)
+    return Pair(eye.scenario.name, seen.accepted, off, heading, direction, nees)
+
+
+@dataclass
+class Homing:
+    """How one homing by images ended."""
+
+    name: str
+    distance: float
+    """From home at the end [m]; infinite when it did not get there."""
+    words: str
+    moved_named: int = 0
+    moved_judged: int = 0
+    still_named: int = 0
+    still_judged: int = 0
+    boxes_named: int = 0
+    boxes_judged: int = 0
+
+
+def homing(number: int, width: int) -> Homing:
+    """Drive home by images alone."""
+    made = scenario(number, width, (1.0, 4.0), moved=3)
+    words = f"{made.name}-{made.seed} from {made.start.R:.2f} m"
+    try:
+        loop = ImageLoop(Eye(made))
+        estimator = make_estimator("robust", loop.drive)
+        drive = loop.run(estimator)
+    except InputError as error:
+        return Homing(made.name, math.inf, f"{words}: {error}")
+    result = Homing(made.name, drive.final_distance, f"{words}: {drive.ending.value}")
+    things = things_seen(loop.eye, loop.front_end.home)
+    boxes = {name for name, box in loop.eye.scenario.boxes.items() if box.stood is not None}
+    named: dict[str, list[bool]] = {}
+    for landmark in estimator.landmarks():
+        if not landmark.landmark.startswith("h") or landmark.moved is None:
+            continue
+        thing = things[int(landmark.landmark[1:])]
+        if thing in boxes:
+            named.setdefault(thing, []).append(landmark.moved)
+        elif not thing.startswith("mover"):
+            result.still_judged += 1
+            result.still_named += landmark.moved
+    for verdicts in named.values():
+        result.moved_judged += len(verdicts)
+        result.moved_named += sum(verdicts)
+        if len(verdicts) >= FEWEST:
+            result.boxes_judged += 1
+            result.boxes_named += sum(verdicts) > len(verdicts) / 2
+    return result
+
+
+def print_pairs(number: int, width: int) -> None:
+    """Print what pairs come to."""
+    made = [pair(i, width) for i in range(number)]
+    good = [p for p in made if p.accepted]
+    print(f"{number} pairs up to 3 m apart, {width}x{width // 4}: {len(good)} accepted")
+    bearings = np.concatenate([p.bearings for p in good])
+    heading, direction = (np.array([getattr(p, k) for p in good]) for k in ("heading", "direction"))
+    print(
+        f"  matched landmarks a pair: {np.median([p.bearings.size for p in good]):.0f} (median)\n"
+        f"  bearings:  median {np.median(bearings):.3f} deg (goal 0.1), "
+        f"95 % {np.quantile(bearings, 0.95):.2f}\n"
+        f"  heading:   median {np.median(heading):.3f} deg, "
+        f"95 % {np.quantile(heading, 0.95):.3f} (goal 0.1)\n"
+        f"  direction: median {np.median(direction):.3f} deg, "
+        f"95 % {np.quantile(direction, 0.95):.3f} (goal 0.3)\n"
+        f"  NEES of (heading, direction): mean {np.mean([p.nees for p in good]):.2f}, median "
+        f"{np.median([p.nees for p in good]):.2f} (honest: 2 and 1.39)"
+    )
+
+
+def print_homings(number: int, width: int) -> None:
+    """Print how homings end."""
+    made = []
+    for i in range(number):
+        made.append(homing(i, width))
+        print(f"  {made[-1].words}, {100 * made[-1].distance:.1f} cm from home", flush=True)
+    distance = np.array([h.distance for h in made])
+    total = {k: sum(getattr(h, k) for h in made) for k in vars(made[0]) if k.endswith("ed")}
+    print(
+        f"{number} homings from up to 4 m, {width}x{width // 4}: "
+        f"{np.sum(distance < NEAR_HOME)} within {100 * NEAR_HOME:.0f} cm (goal 49 of 50), "
+        f"{np.sum(distance < 0.05)} within 5 cm; median {100 * np.median(distance):.1f} cm\n"
+        f"  landmarks on moved boxes: {total['moved_named']} of {total['moved_judged']} named; "
+        f"on what stayed: {total['still_named']} of {total['still_judged']} named wrongly\n"
+        f"  moved boxes with at least {FEWEST} landmarks judged: {total['boxes_named']} of "
+        f"{total['boxes_judged']} named"
+    )
+
+
+def print_speed(width: int, repeats: int = 30) -> None:
+    """Print how long a picture takes on one core."""
+    opencv().setNumThreads(1)
+    each = []
+    for number in range(len(PLANS)):
+        eye = Eye(scenario(number, width, (1.0, 4.0), moved=3))
+        robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
+        times = []
+        for k in range(repeats):
+            began = time.process_time()
+            eye.look(0.0, robot, k + 1)
+            times.append(time.process_time() - began)
+        each.append((1000 * min(times), 1000 * float(np.median(times))))
+    best, median = np.median(each, axis=0)
+    print(
+        f"a picture of {width}x{width // 4}: best {best:.1f} ms, median {median:.1f} ms of one core"
+        f"{' (goal 20)' if width == 512 else ''}"
+    )
+
+
+def main() -> None:
+    """Print every figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pairs", type=int, default=60)
+    parser.add_argument("--homings", type=int, default=50)
+    parser.add_argument("--width", type=int, nargs="*", default=[1024])
+    parser.add_argument("--speed", type=int, nargs="*", default=[512, 1024, 2048])
+    options = parser.parse_args()
+    for width in options.speed:
+        print_speed(width)
+    for width in options.width:
+        if options.pairs:
+            print_pairs(options.pairs, width)
+        if options.homings:
+            print_homings(options.homings, width)
+
+
+if __name__ == "__main__":
+    main()
