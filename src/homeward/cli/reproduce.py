@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,13 +18,27 @@ from homeward.cli.options import (
 )
 from homeward.errors import InputError
 
+IMAGE_RUNS = 3
+"""Layouts per case when every sample must be rendered."""
+
+
+class Measurements(StrEnum):
+    """Where bearings come from."""
+
+    MODEL = "model"
+    IMAGES = "images"
+
 
 def reproduce(
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/paper, or out/paper-study].")
     ] = None,
+    measurements: Annotated[
+        Measurements,
+        typer.Option(help="Bearings from the model's equations, or from rendered panoramas."),
+    ] = Measurements.MODEL,
     runs: Annotated[
-        int | None, typer.Option(help="Random layouts per case [100, or 10000].")
+        int | None, typer.Option(help="Random layouts per case [100; images: 3; study: 10000].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of the first of them [0].")] = None,
     study: Annotated[
@@ -56,11 +71,17 @@ def reproduce(
     from homeward.drives.settings import nested
 
     values = nested(key_values(changes or []))
+    imaged = measurements is Measurements.IMAGES
     if study:
+        if imaged:
+            raise InputError("--study has no images: leave out --measurements images")
         _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values)
         return
     if scheduler is not None or workers is not None:
         raise InputError("--scheduler and --workers need --study")
+    if imaged:
+        values = {"runs": IMAGE_RUNS} | values
+    values["measurements"] = measurements.value
     values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
     _cases(out or Path("out/paper"), values)
 

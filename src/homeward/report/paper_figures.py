@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 
 from homeward.angles import wrap
-from homeward.report.canvas import new_figure, style
-from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, VERMILLION
+from homeward.report.canvas import WIDTH_IN, bare, new_figure, style
+from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
 from homeward.studies.paper.cases import FILTERS, Reproduction
 from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS
 from homeward.studies.paper.world import CaseName, World
@@ -184,6 +184,40 @@ def draw_distribution(result: Reproduction, case: CaseName) -> Figure:
             axes.set(xscale="log", xlabel=f"RMSE of {QUANTITIES[k]}")
             axes.set_yticks(range(len(FILTERS)), tuple(reversed(FILTERS)) if k == 0 else [""] * 4)
     return figure
+
+
+def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
+    """Draw the home image of a case with its features, and the landmarks among them."""
+    world = result.worlds[case]
+    assert world.sight is not None
+    image, home = world.sight.home_image, world.sight.home
+    height, width = image.shape
+    with style():
+        figure = new_figure(0.4 + WIDTH_IN * height / width)
+        axes = figure.add_subplot()
+        axes.imshow(image, cmap="gray", vmin=0, vmax=255, aspect="auto")
+        axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")
+        for moved, colour, words in ((False, GREEN, "landmarks"), (True, VERMILLION, "moved")):
+            rows = world.sight.landmarks[world.moved == moved]
+            (marks,) = axes.plot(home.column[rows], home.row[rows], "o", color=colour, label=words)
+            marks.set(markersize=9, markerfacecolor="none", markeredgewidth=1.6)
+        bare(axes)
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+        axes.set_xticks(
+            (np.array([4, 3, 2, 1, 0]) * width / 4 - 0.5).clip(0),
+            ["-180°", "-90°", "0°", "90°", "180°"],
+        )
+        axes.set_xlabel("bearing from the camera's axis at home")
+        figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[Reproduction], Figure]]]:
+    """Return all figures of a reproduction: with images, the panorama too."""
+    if result.settings.measurements == "model":
+        return FIGURES
+    words = "Case 2: the panorama stored at home, with extracted features"
+    return FIGURES | {"panorama_case_2": (words, lambda r: draw_panorama(r, "2"))}
 
 
 FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {

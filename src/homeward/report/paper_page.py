@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from homeward.report.canvas import png, svg
 from homeward.report.output import whole_folder
-from homeward.report.paper_figures import FIGURES, QUANTITIES
+from homeward.report.paper_figures import QUANTITIES, figures_of
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.studies.paper.cases import Reproduction
@@ -37,7 +37,7 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
     settings = result.settings.model_dump(mode="json")
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         figures = []
-        for name, (caption, draw) in FIGURES.items():
+        for name, (caption, draw) in figures_of(result).items():
             figure = draw(result)
             (scratch / f"{name}.png").write_bytes(png(figure))
             # matplotlib has escaped every text in it.
@@ -63,6 +63,7 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
         quantities=QUANTITIES,
         printed=result.settings.printed,
         assumed=result.settings.assumed,
+        images=None if result.settings.measurements == "model" else result.settings.images,
         runs=result.settings.runs,
         seed=result.settings.seed,
         settings=yaml.safe_dump(result.settings.model_dump(mode="json"), sort_keys=False),

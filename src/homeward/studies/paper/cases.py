@@ -22,7 +22,7 @@ from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
 from homeward.simulation.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
-from homeward.studies.paper.world import CASES, CaseName, World, draw_world
+from homeward.studies.paper.world import CASES, CaseName, World, bearing_error, draw_world
 
 FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF")
 """A-EKF with the first wrong home bearing as its one parameter (beta*_1 if none is wrong), and
@@ -110,7 +110,7 @@ def reproduce(
         distance[case] = {name: np.zeros(settings.runs) for name in FILTERS}
         shown[case] = {}
         for k in range(settings.runs):
-            world = draw_world(case, settings, k)
+            world = _draw(case, settings, k)
             for name in FILTERS:
                 run = run_filter(name, case, world, settings)
                 rmse[case][name][k] = run.rmse
@@ -138,6 +138,8 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
             break
         given["mask"][:] = world.visible[k]
         given["noise"][:], given["disturbance"][:] = world.noise[k], world.disturbance[k]
+        if world.sight is not None:
+            _take_image(loop, world, k, settings.printed.sample_time)
         loop()
         for field in ("pose", *BELIEF):
             given[field][...] = loop.outputs[field]
@@ -146,11 +148,30 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
     return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
 
 
+def _draw(case: CaseName, settings: PaperSettings, run: int) -> World:
+    if settings.measurements == "model":
+        return draw_world(case, settings, run)
+    # Images need OpenCV, which the model does not.
+    from homeward.studies.paper.images import draw_image_world
+
+    return draw_image_world(case, settings, run)
+
+
+def _take_image(loop: Interpreter, world: World, sample: int, dt: float) -> None:
+    """Put into the loop's inputs what an image shows from where the coming sample ends."""
+    assert world.sight is not None
+    given = loop.inputs
+    loop()
+    pose = loop.outputs["pose"].ravel().copy()
+    measured, seen = world.sight.measure(sample, pose, dt)
+    given["mask"][:], given["noise"][:] = seen, seen * bearing_error(world, pose, measured)
+
+
 def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:
     """Return one of `FILTERS` for a world, whose faults tell which parameter is the one."""
     q, assumed = settings.printed.landmarks, settings.assumed
     if name.startswith("A-EKF"):
-        wrong = np.flatnonzero(world.faults)
+        wrong = np.flatnonzero(world.moved)
         one = (int(wrong[0]) if wrong.size else 0,)
         estimated = one if name == "A-EKF (one)" else None
         return augmented_ekf(q, estimated, assumed.integration, assumed.guard)

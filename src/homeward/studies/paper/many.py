@@ -75,6 +75,7 @@ def _rolled(world: World) -> World:
         world,
         landmarks=np.roll(world.landmarks, -first, axis=0),
         faults=np.roll(world.faults, -first),
+        moved=np.roll(world.moved, -first),
         visible=np.roll(world.visible, -first, axis=1),
         noise=np.roll(world.noise, -first, axis=1),
     )

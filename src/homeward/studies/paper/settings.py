@@ -83,11 +83,23 @@ class Assumed(Strict):
     integration: Integration = "rk4"
 
 
+class Imaged(Strict):
+    """How panoramic images are taken, where measurements come from them."""
+
+    width: Annotated[int, Field(ge=128, le=2048)] = 768
+    """Columns; a quarter as many rows."""
+    rate: Annotated[float, Field(gt=0, le=1000)] = 5.0
+    """Images are taken so often [Hz], at whole samples; between them samples only predict."""
+
+
 class PaperSettings(Strict):
     """Everything that `homeward reproduce` does depends on."""
 
     printed: Printed = Printed()
     assumed: Assumed = Assumed()
+    measurements: Literal["model", "images"] = "model"
+    """Whether bearings come from the model's equations or from rendered panoramas."""
+    images: Imaged = Imaged()
     runs: Annotated[int, Field(ge=1, le=100_000)] = 100
     """Random layouts, faults and noises per case."""
     seed: Annotated[int, Field(ge=0)] = 0

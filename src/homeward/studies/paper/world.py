@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.frames import Polar, Pose, from_polar
+from homeward.frames import Polar, Pose, bearing, from_polar
 from homeward.studies.paper.settings import PaperSettings
+
+if TYPE_CHECKING:
+    from homeward.studies.paper.images import Sight
 
 CaseName = Literal["1", "2", "3 (one fault)", "3 (several)", "4"]
 CASES: tuple[CaseName, ...] = ("1", "2", "3 (one fault)", "3 (several)", "4")
@@ -33,6 +36,10 @@ class World:
     """(k, q), of the bearings [rad]."""
     disturbance: np.ndarray
     """(k, 2), of the twist [m/s, rad/s]."""
+    moved: np.ndarray
+    """(q,) bool, which landmarks stand elsewhere than when home was stored."""
+    sight: Sight | None = None
+    """Where bearings come from instead of `visible` and `noise`: images."""
 
     @property
     def stored(self) -> np.ndarray:
@@ -43,6 +50,17 @@ class World:
     def true_home_bearings(self) -> np.ndarray:
         """Where the landmarks stand, (q,) [rad]."""
         return np.asarray(np.arctan2(self.landmarks[:, 1], self.landmarks[:, 0]))
+
+
+def fault_count(case: CaseName, settings: PaperSettings) -> int:
+    """Return how many landmarks of a case have been moved."""
+    assumed, q = settings.assumed, settings.printed.landmarks
+    counts: dict[str, int] = {
+        "2": assumed.faults,
+        "3 (one fault)": int(assumed.single_fault != 0),
+        "3 (several)": sum(fault != 0 for fault in assumed.several_faults),
+    }
+    return min(counts.get(case, 0), q)
 
 
 def duration(case: CaseName, settings: PaperSettings) -> float:
@@ -72,15 +90,23 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     R, theta, alpha = printed.start_cm
     start = Polar(R / 100, theta, alpha)
     guess = np.array(start) + prior.normal(size=3) * assumed.initial_error
+    faults = _faults(case, settings, wrong)
     return World(
         landmarks=np.column_stack([distances * np.cos(angles), distances * np.sin(angles)]),
-        faults=_faults(case, settings, wrong),
+        faults=faults,
+        moved=faults != 0,
         start=from_polar(start),
         guess=Polar(*guess.tolist()),
         visible=_visible(case, settings, sight, steps),
         noise=noise.normal(size=(steps, q)) * assumed.bearing_sigma,
         disturbance=noise.normal(size=(steps, 2)) * assumed.disturbance,
     )
+
+
+def bearing_error(world: World, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return measured minus true bearings (q,) [rad] of a world's landmarks from a pose (3,)."""
+    true = bearing(Pose(*pose.tolist()), world.landmarks[:, 0], world.landmarks[:, 1])
+    return np.asarray(wrap(measured - true))
 
 
 def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -> np.ndarray:
