@@ -238,10 +238,9 @@ def _compared(home: np.ndarray, now: np.ndarray) -> Comparison:
 @cache
 def rendered(name: str, seed: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a room's home image, one from up to 3 m away, and true direction and heading."""
+    from homeward.frames import Polar, from_polar
     from homeward.simulation.render.eye import Eye
     from homeward.simulation.render.rooms import room
-
-    from homeward.frames import Polar, from_polar
 
     scenario = room(name, seed, distance=(0.3, 3.0))
     camera = scenario.camera.model_copy(

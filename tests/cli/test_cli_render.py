@@ -9,6 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
+from homeward.drives.folder import read_folder
 from homeward.simulation.render.rooms import room
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
@@ -96,5 +97,27 @@ def test_wrong_options_are_one_line_and_leave_nothing(tmp_path, source, changes,
     answer = render(source, "--out", tmp_path / "x", changes=changes)
     assert answer.exit_code == 2
     assert word in answer.stderr
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "x").exists()
+
+
+def test_the_loop_is_closed_by_images(tmp_path):
+    """What the front-end saw on the way is an ordinary drive, beside the images it saw it in."""
+    out = tmp_path / "a"
+    changes = ("camera.width=256", "camera.height=64", "trajectory.duration=2")
+    answer = render("bedroom", "--out", out, "--estimator", "robust", changes=changes)
+    assert answer.exit_code == 0, answer.output
+    drive = read_folder(out / "drive")
+    assert drive.home
+    assert set(drive.sightings.t) <= {float(row["t"]) for row in rows(out / "images.csv")}
+    assert (out / "odometry.csv").read_bytes() == (out / "drive" / "odometry.csv").read_bytes()
+    # The features that are seen again lie where home's lie, but for what moved.
+    assert {i for i in drive.sightings.landmark if i.startswith("h")} <= set(drive.home)
+
+
+def test_an_estimator_that_is_not_there_is_one_line(tmp_path):
+    answer = render("bedroom", "--out", tmp_path / "x", "--estimator", "robot")
+    assert answer.exit_code == 2
+    assert "robot" in answer.stderr
     assert len(answer.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "x").exists()

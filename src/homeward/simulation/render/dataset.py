@@ -17,7 +17,7 @@ from homeward.estimator import Estimator
 from homeward.frames import Pose
 from homeward.simulation.files import SCENARIO, scenario_yaml
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageDrive, ImageLoop
+from homeward.simulation.render.loop import ImageDrive, ImageLoop, panorama_of
 from homeward.simulation.render.picture import PixelTruth, png
 from homeward.simulation.render.scene import Scene
 
@@ -94,10 +94,13 @@ def write_rendered(
 
 def _image_settings(eye: Eye) -> str:
     """Return images.yaml: what a robot would know of its camera."""
-    camera = eye.scenario.camera
-    known = {"model": camera.projection, "roll": camera.roll, "pitch": camera.pitch}
-    if camera.tilt_sigma > 0:
-        known["tilt_sigma"] = camera.tilt_sigma
+    camera = panorama_of(eye)
+    known = {
+        "model": eye.scenario.camera.projection,
+        "roll": camera.roll,
+        "pitch": camera.pitch,
+        "tilt_sigma": camera.tilt_sigma,
+    }
     return yaml.safe_dump({"camera": known, "home": HOME_IMAGE}, sort_keys=False)
 
 

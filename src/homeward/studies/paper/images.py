@@ -26,7 +26,7 @@ from homeward.vision.features import View, look
 
 SIDE = 3.8
 """Length of the room's walls [m]: landmarks are 1 to 2.5 m from home, as in the paper's layout."""
-TRIES = 20
+TRIES = 8
 """Rooms drawn at most until one shows enough landmarks, and moved ones."""
 
 

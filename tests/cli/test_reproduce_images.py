@@ -1,0 +1,73 @@
+"""`homeward reproduce --measurements images`, and the worlds behind it."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from homeward.angles import wrap
+from homeward.cli.main import app
+from homeward.frames import Pose, bearing
+from homeward.studies.paper.cases import run_filter
+from homeward.studies.paper.settings import Assumed, Imaged, PaperSettings
+
+pytest.importorskip("cv2", reason="images need the extra `vision`")
+from homeward.studies.paper.images import draw_image_world
+
+ONE = Assumed(faults=1, longest=2.0)
+SETTINGS = PaperSettings(measurements="images", images=Imaged(width=512), assumed=ONE, runs=1)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return draw_image_world("2", SETTINGS, 0)
+
+
+def test_landmarks_are_features_that_home_saw(world):
+    assert world.landmarks.shape == (7, 2)
+    assert len(set(world.sight.landmarks.tolist())) == 7
+    stored = world.sight.home.azimuth[world.sight.landmarks]
+    np.testing.assert_allclose(wrap(world.stored - stored), 0.0, atol=1e-9)
+
+
+def test_faults_are_those_of_the_moved_boxes(world):
+    assert world.moved.sum() <= SETTINGS.assumed.faults
+    assert np.abs(world.faults[~world.moved]).max() < 0.02
+    assert (np.abs(world.faults[world.moved]) > 0.02).all()
+
+
+def test_images_show_the_landmarks_where_they_stand(world):
+    measured, seen = world.sight.measure(0, np.array(world.start), 0.05)
+    assert seen.sum() >= 4
+    true = bearing(Pose(*world.start), world.landmarks[:, 0], world.landmarks[:, 1])
+    assert np.median(np.abs(wrap(measured - true))[seen > 0]) < 0.02
+
+
+def test_between_images_nothing_is_seen(world):
+    assert world.sight.every == 4
+    for sample in (1, 2, 3, 5):
+        assert not world.sight.measure(sample, np.array(world.start), 0.05)[1].any()
+
+
+def test_inside_of_a_wall_nothing_is_seen(world):
+    assert not world.sight.measure(0, np.array([9.0, 0.0, 0.0]), 0.05)[1].any()
+
+
+def test_a_filter_runs_on_images(world):
+    run = run_filter("EKF", "2", world, SETTINGS)
+    assert len(run.t) == 40
+    assert np.isfinite(run.rmse).all()
+    # Some image told something: the bearings' variances have shrunk.
+    assert run.variance[-1, 3:].min() < run.variance[0, 3:].min()
+
+
+def test_the_page_has_the_panorama(tmp_path):
+    out = tmp_path / "paper"
+    words = ["--measurements", "images", "--runs", "1", "--set", "images.width=512"]
+    changes = ("longest=0.2", "circle_time=0.2", "faults=0", "single_fault=0", "several_faults=[]")
+    words += [part for change in changes for part in ("--set", f"assumed.{change}")]
+    answer = CliRunner().invoke(app, ["reproduce", "--out", str(out), *words])
+    assert answer.exit_code == 0, answer.output
+    assert (out / "panorama_case_2.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "paper.html").read_text()
+    assert "extracted features" in page
+    assert "rendered panoramas of 512" in page
