@@ -23,9 +23,12 @@ from homeward.report.observe_figures import draw_family
 from homeward.report.plan_figures import draw_begin
 from homeward.report.run_folder import write_run
 from homeward.report.viewer import write_recording
+from homeward.simulation.render.eye import Eye
+from homeward.simulation.render.rooms import load_room
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import SAMPLE, RunSettings, execute
+from homeward.vision.opencv import opencv
 
 IMAGES = Path(__file__).parent / "images"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -36,10 +39,11 @@ PORT, SETTLE_S = 9896, 10.0
 
 
 def main() -> None:
-    """Draw a family of homes, the example plan's map, and the sample's report and recording."""
+    """Draw observability, a plan, a rendered room, and the sample's report and recording."""
     (IMAGES / "observe-two.png").write_bytes(png(draw_family(observe(2)), dpi=90))
     plan = analyse(load_plan("warehouse"))
     (IMAGES / "plan-warehouse.png").write_bytes(png(draw_begin(plan), dpi=90))
+    _picture_room(IMAGES / "rendered-room.jpg")
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
     drive, track, settings = execute(RunSettings(drive=SAMPLE))
@@ -48,6 +52,13 @@ def main() -> None:
         _picture_page(Path(scratch) / "run" / "report.html", IMAGES / "sample-report.png")
         write_recording(Path(scratch) / "run.rrd", drive, track, Images(np.empty(0), []))
         _picture_recording(Path(scratch) / "run.rrd", IMAGES / "sample-recording.png")
+
+
+def _picture_room(file: Path) -> None:
+    """Render what the camera of a living room's robot sees at home."""
+    eye = Eye(load_room("living-room", changes={"camera.width": 1024, "camera.height": 256}))
+    cv2 = opencv()
+    cv2.imwrite(str(file), eye.home_picture(), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def _picture_page(page: Path, file: Path) -> None:

@@ -1,11 +1,15 @@
 """Rendered pictures: what they show, that they repeat, and what a room refuses."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rooms import scenario
 
+from homeward.drives.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
 from homeward.simulation.render.eye import Eye
@@ -14,7 +18,7 @@ from homeward.simulation.render.outline import inside
 from homeward.simulation.render.raycast import viewpoint
 from homeward.simulation.render.rooms import PLANS, load_room, room
 from homeward.simulation.render.scene import build_scene, place_on_path
-from homeward.simulation.render.settings import Mover
+from homeward.simulation.render.settings import Mover, RenderScenario
 from homeward.simulation.render.surfaces import footprint
 from homeward.simulation.render.textures import KINDS, LEVELS, PAD, Texture, build_atlas, paint
 
@@ -230,3 +234,12 @@ def test_running_into_a_box_is_said():
         eye.look(3.0, Pose(9.0, 0.0, 0.0), 1)
     with pytest.raises(InputError, match="home: in crate"):
         Eye(scenario(boxes=crate(stood={"at": [2.0, 2.0]})))
+
+
+def test_the_room_in_the_docs_renders():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "render.md").read_text("utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    eye = Eye(validated(RenderScenario, yaml.safe_load(example)))
+    assert eye.home_picture().shape == (192, 768, 3)
+    assert len(eye.scenario.boxes) == 5
+    assert sum(box.stood is not None for box in eye.scenario.boxes.values()) == 2

@@ -13,6 +13,7 @@ from homeward.simulation.render.scene import Scene
 from homeward.simulation.render.settings import PanoramaCamera
 from homeward.simulation.render.surfaces import Surfaces
 from homeward.simulation.render.textures import LEVELS, SIZE, Atlas
+from homeward.vision.opencv import opencv
 
 SHEET = 1024
 """Samples are looked up in rows of so many."""
@@ -113,7 +114,7 @@ class _Samples:
 
 def _samples(surfaces: Surfaces, view: Viewpoint, camera: PanoramaCamera) -> _Samples:
     """Cast four rays a pixel, and join those that meet one surface."""
-    import cv2
+    cv2 = opencv()
 
     azimuth = column_azimuths(2 * camera.width)
     elevation = row_elevations(camera, 2)
@@ -194,8 +195,7 @@ def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
 
 def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Interpolate an image at places x, y (n,), in its pixels; one row each, or a number."""
-    import cv2
-
+    cv2 = opencv()
     # OpenCV wants a sheet, and no side of it longer than 2^15.
     n = x.size
     x, y = (np.resize(v, (-(-n // SHEET), SHEET)) for v in (x, y))
@@ -207,7 +207,7 @@ def _exposed(
     image: np.ndarray, camera: PanoramaCamera, rng: np.random.Generator | None
 ) -> np.ndarray:
     """Return what the sensor makes of light: exposure, noise, rounding."""
-    import cv2
+    cv2 = opencv()
 
     gain = MEAN_GREY / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
     if rng is None:
@@ -222,6 +222,6 @@ def _exposed(
 
 def png(image: np.ndarray) -> bytes:
     """Return an image as a PNG file, level 1: noise does not get smaller by trying harder."""
-    import cv2
+    cv2 = opencv()
 
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
