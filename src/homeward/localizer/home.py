@@ -277,7 +277,8 @@ def _solved(
 ) -> HomeFit:
     """Return the fit to residuals (q,) of home bearings, linear around `home` (3,)."""
     correlated = problem.covariance @ by_known.T
-    spread = by_known @ correlated + np.diag(problem.sigmas**2)
+    spread = by_known @ correlated
+    spread.flat[:: right.size + 1] += problem.sigmas**2
     precision = np.linalg.inv(spread[right][:, right])
     weighted = by_home[right].T @ precision
     information, slope = weighted @ by_home[right] + problem.vague, weighted @ residual[right]

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.frames import Pose
@@ -103,7 +102,7 @@ class Localizer:
         if not math.isfinite(t) or t < self._t:
             self.counts.reject("bearings came late", len(sightings))
             return self.estimate(said)
-        usable = {n: float(wrap(b)) for n, b in sightings.items() if math.isfinite(b)}
+        usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self.counts.reject("bearing is not finite", len(sightings) - len(usable))
         self._advance(t)
         good = {n: s for n, s in (sigmas or {}).items() if math.isfinite(s) and s > 0}

@@ -28,8 +28,6 @@ SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
 LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
 """... and when a landmark moved by more of its distance [1], or the robot turned by more [rad]."""
-MOST_FORGOTTEN = 24
-"""Keyframes closed at once."""
 HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
 DRIFT_S, DRIFT_SHARE = 600.0, 0.2
@@ -143,7 +141,7 @@ class Mapper:
         prediction = self.marginal.predict(rows[known])
         shift = motion.covariance[0, 0] + motion.covariance[1, 1]
         drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-        variance = np.diag(prediction.spread) + (0.0 if fresh else drift)
+        variance = prediction.spread.diagonal() + (0.0 if fresh else drift)
         widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
         accepted = np.abs(prediction.residual) <= self._settings.gate * widened
         told = zip(
@@ -228,7 +226,7 @@ class Mapper:
 
     def _take(self, corrected: Marginal) -> bool:
         """Believe a quick correction if it is near enough to linear; return whether it is."""
-        if not (np.isfinite(corrected.mean).all() and (np.diag(corrected.covariance) > 0).all()):
+        if not (np.isfinite(corrected.mean).all() and (corrected.covariance.diagonal() > 0).all()):
             return False
         turned = abs(corrected.mean[2] - self.marginal.mean[2])
         moved = corrected.positions - self._solved_positions
@@ -260,7 +258,7 @@ class Mapper:
         since = window.newest - settings.longest_window
         needed = self.landmarks.first_needed(window, settings.mature_parallax, since)
         over = len(window.poses) - settings.longest_window
-        count = min(max(min(spare, needed - window.first), over), MOST_FORGOTTEN)
+        count = max(min(spare, needed - window.first), over)
         if count > 0:
             window.forget(count)
             self.landmarks.forget(window.first)

@@ -97,14 +97,16 @@ class Marginal:
         correlated = p[:, :HEAD] @ head.T + p[:, at] * gx + p[:, at + 1] * gy
         spread = head @ correlated[:HEAD]
         spread += gx[:, None] * correlated[at] + gy[:, None] * correlated[at + 1]
-        spread[np.diag_indices(len(rows))] += rows[:, SIGMA] ** 2
+        spread.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
         return Prediction(residual, jacobian, correlated, spread)
 
     def corrected(self, seen: Prediction) -> Marginal:
         """Return it corrected by sightings from the newest pose, those far off at less weight."""
-        variance = np.diag(seen.spread)
-        excess = np.maximum(seen.residual**2 / (TRUSTED**2 * variance), 1.0) - 1.0
-        gain = np.linalg.solve(seen.spread + np.diag(excess * variance), seen.correlated.T)
+        spread = seen.spread.copy()
+        variance = spread.diagonal()
+        least = np.maximum(seen.residual**2 / TRUSTED**2, variance)
+        spread.flat[:: len(spread) + 1] = least
+        gain = np.linalg.solve(spread, seen.correlated.T)
         covariance = self.covariance - seen.correlated @ gain
         return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 

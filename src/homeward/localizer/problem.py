@@ -44,19 +44,25 @@ class HomeProblem:
         """Positions of the landmarks [m], shape (q, 2)."""
         return self.mean[HEAD:].reshape(-1, 2)
 
+    @cached_property
+    def extent(self) -> float:
+        """The longer side of the box round the landmarks [m]."""
+        landmarks = self.landmarks
+        return float((landmarks.max(axis=0) - landmarks.min(axis=0)).max())
+
     def is_near(self, home: np.ndarray) -> bool:
         """Return whether a home (3,) lies within sight of its landmarks, for all one can say."""
         if self.prior is not None or not self.bearings.size:
             return True
         off = np.abs(home[:2] - self.landmarks.mean(axis=0)).max()
-        return bool(off < REACH * np.ptp(self.landmarks, axis=0).max())
+        return bool(off < REACH * self.extent)
 
     @cached_property
     def vague(self) -> np.ndarray:
         """(3, 3): information on home before anything is known: in sight of its landmarks."""
         if self.prior_information is not None or not self.bearings.size:
             return np.zeros((3, 3))
-        reach = 0.5 * REACH * max(float(np.ptp(self.landmarks, axis=0).max()), 1e-3)
+        reach = 0.5 * REACH * max(self.extent, 1e-3)
         return np.diag([reach**-2, reach**-2, math.pi**-2])
 
     @property
