@@ -92,7 +92,8 @@ def test_a_further_landmark_never_grows_the_bound(seed):
     fewer = posterior_bound(poses, twists, dt, marks[:-1], visible[:, :-1], **args)
     more = posterior_bound(poses, twists, dt, marks, visible, **args)
     for small, large in zip(more, fewer, strict=True):
-        assert np.linalg.eigvalsh(large - small)[0] > -1e-8 * np.trace(large)
+        # the bound's information spans ten powers of ten: so many digits are left of its inverse
+        assert np.linalg.eigvalsh(large - small)[0] > -1e-6 * np.trace(large)
 
 
 def test_an_efficient_estimator_reaches_the_bound():
