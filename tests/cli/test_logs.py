@@ -101,3 +101,10 @@ def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
     (folder / name).write_text(f"{header}\n")
     assert words in refused(call("run", folder, "--out", tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+
+
+def test_the_sample_is_converted_by_its_name(tmp_path):
+    result = call("convert", "sample", tmp_path / "folder")
+    assert result.exit_code == 0, result.output
+    for name in ("odometry.csv", "bearings.csv", "home.csv"):
+        assert (tmp_path / "folder" / name).read_bytes() == (sample_drive() / name).read_bytes()

@@ -12,7 +12,10 @@ from homeward.cli.options import progress, three_numbers
 
 def convert(
     source: Annotated[
-        Path, typer.Argument(help="A drive folder, a ROS bag, an MCAP file, an MRCLAM folder.")
+        str,
+        typer.Argument(
+            help="A drive folder, a ROS bag, an MCAP file, an MRCLAM folder, or: sample."
+        ),
     ],
     target: Annotated[
         Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")
@@ -35,11 +38,12 @@ def convert(
     from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
     from homeward.frames import Pose
+    from homeward.studies.single_run import named_drive
 
     place = None if home is None else Pose(*three_numbers(home, "--home"))
     with progress(f"reading {source}") as tell:
         drive = open_drive(
-            source,
+            named_drive(source),
             robot=robot,
             home=place,
             home_noise=math.radians(home_noise_deg),

@@ -129,10 +129,10 @@ def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     from homeward.frames import Pose
     from homeward.report.observe_page import PAGE, drive_summary, write_drive_view
     from homeward.studies.observing import WINDOW_S, observe_drive
-    from homeward.studies.single_run import SAMPLE, sample_drive
+    from homeward.studies.single_run import named_drive
 
     settings = {"drive": drive, "window": WINDOW_S, **given}
-    place = sample_drive() if drive == SAMPLE and not Path(drive).exists() else Path(drive)
+    place = named_drive(drive)
     pose = None if "home" not in given else Pose(*three_numbers(given["home"], "--home"))
     noise = math.radians(settings["home-noise-deg"])
     with progress(f"reading {drive}") as tell:

@@ -161,6 +161,11 @@ def drive_path(run: RunSettings) -> Path:
     return sample_drive() if run.drive == SAMPLE else Path(run.drive)
 
 
+def named_drive(name: str) -> Path:
+    """Return where a drive is that a user named: a path, or `SAMPLE` where no file is called so."""
+    return sample_drive() if name == SAMPLE and not Path(name).exists() else Path(name)
+
+
 def sample_drive() -> Path:
     """Return the folder of the sample drive that ships inside the package."""
     return Path(str(files("homeward").joinpath("data", SAMPLE)))
