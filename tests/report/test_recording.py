@@ -5,6 +5,8 @@ import os
 import re
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,7 +55,8 @@ def pose(message):
 
 def evo(*words, home):
     # A program of another licence, never imported; it must be there where tests are.
-    program = shutil.which(words[0])
+    beside = Path(sys.executable).parent  # the environment need not be on the PATH
+    program = shutil.which(words[0], path=f"{beside}{os.pathsep}{os.environ['PATH']}")
     assert program is not None, f"{words[0]} is not installed; make install brings it"
     env = os.environ | {"HOME": str(home), "MPLBACKEND": "agg"}
     result = subprocess.run(
