@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import progress, three_numbers
+from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
 
 
 def convert(
@@ -20,16 +20,10 @@ def convert(
     target: Annotated[
         Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")
     ],
-    topics: Annotated[
-        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
-    ] = None,
-    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
-    home: Annotated[
-        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
-    ] = None,
-    home_noise_deg: Annotated[
-        float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
-    ] = 0.0,
+    topics: Topics = None,
+    robot: Robot = None,
+    home: HomePose = None,
+    home_noise_deg: HomeNoise = 0.0,
     seed: Annotated[int, typer.Option(help="MRCLAM: of that noise.")] = 0,
 ) -> None:
     """Write a drive as a drive folder, an MCAP file or a ROS bag; the way back is exact."""

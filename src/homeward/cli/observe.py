@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import progress, three_numbers
+from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,16 +40,10 @@ def observe(
     window: Annotated[
         float | None, typer.Option(help="Stretches of the drive, in seconds [30].")
     ] = None,
-    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
-    home: Annotated[
-        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
-    ] = None,
-    home_noise_deg: Annotated[
-        float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
-    ] = 0.0,
-    topics: Annotated[
-        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
-    ] = None,
+    robot: Robot = None,
+    home: HomePose = None,
+    home_noise_deg: HomeNoise = 0.0,
+    topics: Topics = None,
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/observe"),
 ) -> None:
     """Say in words what bearings cannot tell apart, and draw it.

@@ -6,6 +6,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +14,14 @@ import yaml
 
 from homeward.errors import InputError
 
+Robot = Annotated[int | None, typer.Option(help="MRCLAM: which robot.")]
+HomePose = Annotated[
+    str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
+]
+HomeNoise = Annotated[float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")]
+Topics = Annotated[
+    Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+]
 Scheduler = Annotated[
     str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import key_values, progress, three_numbers
+from homeward.cli.options import HomePose, Robot, Topics, key_values, progress, three_numbers
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,17 +32,13 @@ def run(
             help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth; default: drive.yaml's."
         ),
     ] = None,
-    robot: Annotated[int | None, typer.Option(help="MRCLAM: which robot.")] = None,
-    home: Annotated[
-        str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
-    ] = None,
+    robot: Robot = None,
+    home: HomePose = None,
     home_noise_deg: Annotated[
         float | None, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
-    topics: Annotated[
-        Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
-    ] = None,
+    topics: Topics = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
