@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -62,12 +63,17 @@ class Inventory:
             sightings=0 if now is None else now.sightings,
         )
 
+    @cached_property
+    def _of_used(self) -> np.ndarray:
+        """Return the probability of each used landmark that it was moved, shape (q,)."""
+        return np.zeros(0) if self.hypotheses is None else self.hypotheses.moved_probabilities()
+
     def _moved_probability(self, name: str) -> float:
         """Return the probability that a landmark was moved since home was stored; NaN unjudged."""
         if self.hypotheses is None:
             return math.nan
         if name in self.used:
-            return float(self.hypotheses.moved_probabilities()[self.used.index(name)])
+            return float(self._of_used[self.used.index(name)])
         now = self.known.mapped.get(name)
         if now is None or name not in self.home:
             return math.nan

@@ -14,8 +14,6 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-CHECKSUM_LENGTH = 64
-
 
 class Cache:
     """A folder of compiled code.

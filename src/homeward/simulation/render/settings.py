@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -202,8 +201,3 @@ class RenderScenario(Course):
             if not inside(outline, *light.at[:2]) or not 0 < light.at[2] < self.room.height:
                 raise ValueError(f"lights.{i}: outside the room")
         return self
-
-
-def horizon_step(camera: PanoramaCamera) -> float:
-    """Return the angle of one pixel at the horizon [rad]."""
-    return 2 * math.pi / camera.width
