@@ -12,11 +12,12 @@ from homeward.localizer import chain
 from homeward.localizer.clock import Clock
 from homeward.localizer.home import fit
 from homeward.localizer.moved import search
-from homeward.localizer.odometry import CALIBRATION, LAG, TURN_SCALE, NoiseModel, Odometry
+from homeward.localizer.odometry import Odometry
+from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE, noise_rates
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
-from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import NC, bearing_residuals, sighting_rows
 from homeward.localizer.triangulation import triangulate
 
@@ -64,7 +65,7 @@ def drive(odometry, seconds=4.0):
 
 
 def integrated(calibration, until=3.0):
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     drive(odometry)
     return odometry.motion(until, calibration)
 
@@ -80,7 +81,7 @@ def test_motion_is_linear_in_its_calibration_as_it_says():
 
 
 def test_motion_in_pieces_is_the_motion_at_once():
-    pieces = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    pieces = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     drive(pieces)
     for t in (1.4, 1.41, 2.3, 3.0):
         motion = pieces.advance(t, NOTHING)
@@ -91,7 +92,7 @@ def test_motion_in_pieces_is_the_motion_at_once():
 
 
 def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     odometry.add(0.0, 0.0, 0.0)
     odometry.restart(0.0)
     assert not odometry.motion(1.0, NOTHING).covariance.any()
@@ -100,7 +101,7 @@ def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
 
 def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     drive(odometry)
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02])
     motion = odometry.motion(1.7, calibration)
@@ -109,7 +110,7 @@ def test_bearings_have_the_derivatives_they_say():
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):
-        return bearing_residuals(x[None, :3], x[3 : 3 + NC], x[None, 3 + NC :], row)
+        return bearing_residuals(x[None, :3].copy(), x[3 : 3 + NC], x[None, 3 + NC :], row)
 
     _, jacobian = expected(x)
     for i in range(x.size):

@@ -8,8 +8,9 @@ from rig import Rig, ring
 
 from homeward.drives.drive import OdometryNoise
 from homeward.localizer.landmarks import MOST_FROM_HOME
-from homeward.localizer.odometry import NoiseModel, Odometry
-from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.odometry import Odometry
+from homeward.localizer.preintegration import noise_rates
+from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import LANDMARK, NC, sighting_rows
 from homeward.localizer.smoothing import _bridged
 from homeward.localizer.window import Window
@@ -21,7 +22,7 @@ MOUNT = np.array([0.1, 0.0, 0.0])
 
 def circle(rng, keyframes):
     """A window that was solved after a drive in a circle, and the twists' odometry."""
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     window = Window(SIGMAS, np.full(NC, 1e-9))
     for point in POINTS:
         window.add_landmark(point + 0.02 * rng.normal(size=2))
@@ -48,7 +49,7 @@ def seen(rng, window):
     eye = np.array([x, y]) + 0.1 * np.array([math.cos(psi), math.sin(psi)])
     bearings = np.arctan2(*(POINTS - eye).T[::-1]) - psi + 0.005 * rng.normal(size=len(POINTS))
     sigmas = np.full(len(POINTS), 0.005)
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     still = odometry.motion(-math.inf, window.calibration)
     rows = sighting_rows(window.newest, bearings, sigmas, still, MOUNT, window.calibration)
     rows[:, LANDMARK] = np.arange(len(POINTS))
@@ -86,7 +87,7 @@ def test_closing_keyframes_at_once_keeps_what_they_said():
 
 
 def test_a_bridge_ends_where_it_must_and_is_sure_there():
-    odometry = Odometry(NoiseModel(OdometryNoise(), LocalizerSettings()))
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     for i in range(20):
         odometry.add(0.1 * i, 0.3, 0.4)
     odometry.restart(0.0)

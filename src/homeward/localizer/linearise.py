@@ -2,50 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from homeward.localizer.chain import NormalEquations
+from homeward.localizer.compiled import address, compiled
 from homeward.localizer.marginal import TRUSTED
-from homeward.localizer.odometry import Motion
-from homeward.localizer.sightings import NC, SIGMA, bearing_residuals
+from homeward.localizer.preintegration import Motion
+from homeward.localizer.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""
+FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
+STEP = 12 + 3 * NC
+"""Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
+its information (3, 3), and its derivative by the calibration (3, 5)."""
 
 
-@dataclass(frozen=True)
-class Step:
-    """The motion between two keyframes."""
-
-    free: np.ndarray
-    """(3,): what it would be were the calibration zero."""
-    covariance: np.ndarray
-    """(3, 3)"""
-    by_calibration: np.ndarray
-    """(3, 5)"""
-
-    @staticmethod
-    def of(motion: Motion, calibration: np.ndarray) -> Step:
-        """Return it from a motion that was linearised at a calibration, shape (5,)."""
-        free = motion.delta - motion.jacobian @ calibration
-        return Step(free, motion.covariance, motion.jacobian)
+def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
+    """Return a motion that was linearised at a calibration (5,) as a row (1, STEP) of the table."""
+    row = np.empty((1, STEP))
+    row[0, FREE] = motion.delta - motion.jacobian @ calibration
+    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST_VARIANCE * np.eye(3)).ravel()
+    row[0, BY_CALIBRATION] = motion.jacobian.ravel()
+    return row
 
 
 def add_odometry(
-    e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: Sequence[Step]
+    e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the steps between `poses`, shape (w, 3), one fewer than these."""
+    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (5,)."""
     if len(poses) < 2:
+        return
+    native = compiled()
+    if native is not None:
+        sums = (e.own, e.next, e.shared, e.common, e.slope, e.common_slope)
+        told = (poses, _turns(poses), calibration, steps, *sums)
+        native.add_odometry(len(poses), len(e.common), *map(address, told))
         return
     a, b = poses[:-1], poses[1:]
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
     d = b - a
     local = np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], d[:, 2]], axis=1)
-    by_calibration = np.array([step.by_calibration for step in steps])
-    error = np.array([step.free for step in steps]) + by_calibration @ calibration - local
+    by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
+    error = steps[:, FREE] + by_calibration @ calibration - local
     jacobian = np.zeros((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = -c
     jacobian[:, 0, 1], jacobian[:, 1, 0] = -s, s
@@ -54,9 +53,7 @@ def add_odometry(
     jacobian[:, 0, 3] = jacobian[:, 1, 4] = c
     jacobian[:, 0, 4], jacobian[:, 1, 3] = s, -s
     jacobian[:, :, 6:] = -by_calibration
-    covariances = np.array([step.covariance for step in steps])
-    information = np.linalg.inv(covariances + LEAST_VARIANCE * np.eye(3))
-    weighted = jacobian.transpose(0, 2, 1) @ information
+    weighted = jacobian.transpose(0, 2, 1) @ steps[:, INFORMATION].reshape(-1, 3, 3)
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]
     e.own[:-1] += blocks[:, :3, :3]
@@ -75,7 +72,8 @@ def add_sightings(
     poses: np.ndarray,
     calibration: np.ndarray,
     positions: np.ndarray,
-    sightings: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rows: np.ndarray,
+    first: int,
 ) -> None:
     """Add sightings, those with large residuals at less weight.
 
@@ -89,14 +87,21 @@ def add_sightings(
         As it is believed to be.
     positions : ndarray, shape (n, 2)
         Of the landmarks [m].
-    sightings : tuple of ndarray
-        Which pose (m,) and which landmark (m,) each row of a table (m, COLUMNS) belongs to, and
-        the table.
+    rows : ndarray, shape (m, COLUMNS)
+        Of the table of sightings, from these keyframes.
+    first : int
+        Number of the first of these keyframes.
     """
-    pose, landmark, rows = sightings
-    if not len(rows):
+    w, n, m = len(poses), len(positions), len(rows)
+    if not m:
         return
-    w, n = len(poses), len(positions)
+    native = compiled()
+    if native is not None:
+        sums = (e.own, e.shared, e.common, e.slope, e.common_slope)
+        told = (poses, _turns(poses), calibration, positions, rows, *sums)
+        native.add_sightings(w, n, m, first, TRUSTED, *map(address, told))
+        return
+    pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)
     residual, jacobian = bearing_residuals(poses[pose], calibration, positions[landmark], rows)
     sigma = rows[:, SIGMA]
     scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (TRUSTED * sigma), 1.0))
@@ -131,3 +136,8 @@ def _sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int)
     flat = group[:, None] * size + np.arange(size)
     total = np.bincount(flat.ravel(), blocks.ravel(), groups * size)
     return np.asarray(total.reshape(groups, *blocks.shape[1:]))
+
+
+def _turns(poses: np.ndarray) -> np.ndarray:
+    """Return cosine and sine of the headings of poses (w, 3), shape (w, 2)."""
+    return np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)

@@ -14,14 +14,16 @@ from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, S
 from homeward.frames import Pose
 from homeward.localizer.answer import Answer, landmark_distance, mixture
 from homeward.localizer.clock import Clock
+from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.moved import Hypotheses, Start, carry, follow, search, starts
-from homeward.localizer.odometry import CAMERA_YAW
+from homeward.localizer.preintegration import CAMERA_YAW
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
 
+SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
 SEARCH_EVERY = 40
@@ -46,9 +48,6 @@ class Localizer:
     """
 
     name = "robust"
-    notes: tuple[str, ...] = (
-        "The speed is taken at its word: bearings cannot tell an error of its scale.",
-    )
 
     def __init__(
         self,
@@ -57,6 +56,7 @@ class Localizer:
         settings: LocalizerSettings | None = None,
     ) -> None:
         self.counts = Counts()
+        self.notes: tuple[str, ...] = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
         default = self.settings.home_sigma

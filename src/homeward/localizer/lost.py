@@ -9,7 +9,7 @@ import numpy as np
 from homeward.estimator import Innovation
 from homeward.localizer.landmarks import Landmarks
 from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.odometry import Motion
+from homeward.localizer.preintegration import Motion
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
 

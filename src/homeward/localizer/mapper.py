@@ -13,7 +13,8 @@ from homeward.estimator import Counts, Innovation
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
-from homeward.localizer.odometry import Motion, NoiseModel, Odometry, calibration_sigmas
+from homeward.localizer.odometry import Odometry, calibration_sigmas
+from homeward.localizer.preintegration import Motion, noise_rates
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.sightings import LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.window import NEAR_M, Window
@@ -59,7 +60,7 @@ class Mapper:
         self._mount = np.array(drive.sensor.pose)
         self._given_sigma = drive.sensor.bearing_sigma
         self._sigma = self._given_sigma or settings.bearing_sigma
-        self._odometry = Odometry(NoiseModel(drive.odometry, settings))
+        self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
         sigmas = calibration_sigmas(drive, settings)
         self._new_window = partial(Window, sigmas, (DRIFT_SHARE * sigmas) ** 2 / DRIFT_S)
         self._begin_map(0.0)

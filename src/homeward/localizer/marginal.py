@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.localizer.odometry import Motion
+from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
 
 HEAD = 3 + NC
@@ -88,7 +88,7 @@ class Marginal:
         """
         number = rows[:, LANDMARK].astype(int)
         at = HEAD + 2 * number
-        poses = np.broadcast_to(self.mean[:3], (len(rows), 3))
+        poses = np.tile(self.mean[:3], (len(rows), 1))
         residual, jacobian = bearing_residuals(
             poses, self.mean[3:HEAD], self.positions[number], rows
         )

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.odometry import CALIBRATION, CAMERA_YAW, Motion
+from homeward.localizer.compiled import address, compiled
+from homeward.localizer.preintegration import CALIBRATION, CAMERA_YAW, Motion
 
 NC = len(CALIBRATION)
 KEYFRAME, LANDMARK, BEARING, SIGMA, OFFSET = 0, 1, 2, 3, slice(4, 7)
@@ -111,6 +112,12 @@ def bearing_residuals(
     jacobian : ndarray, shape (m, 10)
         By keyframe's pose, calibration and landmark.
     """
+    native = compiled()
+    if native is not None:
+        residual, jacobian = np.empty(len(rows)), np.empty((len(rows), 5 + NC))
+        told = (poses, calibration, positions, rows, residual, jacobian)
+        native.residuals(len(rows), *map(address, told))
+        return residual, jacobian
     arms = _arms(rows, poses, calibration)
     sight = positions - poses[:, :2] - arms[:, :2]
     square = np.maximum((sight * sight).sum(axis=1), 1e-6)

@@ -14,7 +14,8 @@ from homeward.localizer.answer import Answer, in_home_frame
 from homeward.localizer.home import HomeFit, fit
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, search
-from homeward.localizer.odometry import LONGEST_LAG, Motion, NoiseModel, Odometry
+from homeward.localizer.odometry import LONGEST_LAG, Odometry
+from homeward.localizer.preintegration import Motion, noise_rates
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.window import Window
@@ -83,7 +84,7 @@ def _fits(localizer: Localizer, whole: Window, found: Hypotheses) -> list[HomeFi
 
 def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float) -> Odometry:
     """Return an odometry that starts at `begin` [s] and knows the twists until `end` [s]."""
-    odometry = Odometry(NoiseModel(drive.settings.odometry, settings))
+    odometry = Odometry(noise_rates(drive.settings.odometry, settings.odometry))
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * LONGEST_LAG, end]).tolist()):
         odometry.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))

@@ -15,9 +15,9 @@ import math
 import numpy as np
 
 from homeward.localizer import chain
-from homeward.localizer.linearise import Step, add_odometry, add_sightings
+from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.odometry import Motion
+from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import (
     COLUMNS,
     KEYFRAME,
@@ -65,8 +65,9 @@ class Window:
         """The same of its length [m^2]."""
         self.settled = True
         """Whether the last `solve` came to rest."""
-        self._steps: list[Step] = []
-        self._closed: list[tuple[np.ndarray, list[float], np.ndarray, list[Step]]] | None = None
+        self._steps = np.zeros((0, STEP))
+        """(w - 1, STEP): the motions from keyframe to keyframe."""
+        self._closed: list[tuple[np.ndarray, list[float], np.ndarray, np.ndarray]] | None = None
         self._drift = drift
         information = np.concatenate(
             [np.full(3, 1e10), 1.0 / np.maximum(calibration_sigmas, 1e-6) ** 2]
@@ -88,7 +89,7 @@ class Window:
         whole.poses = np.concatenate([*(poses for poses, _, _, _ in closed), self.poses])
         whole.stamps = [t for _, stamps, _, _ in closed for t in stamps] + self.stamps
         whole.sightings = np.concatenate([*(rows for _, _, rows, _ in closed), self.sightings])
-        whole._steps = [step for _, _, _, steps in closed for step in steps] + self._steps
+        whole._steps = np.concatenate([*(steps for _, _, _, steps in closed), self._steps])
         whole.calibration, whole.positions = self.calibration, self.positions
         size = HEAD + self.positions.size
         whole._prior_information = np.eye(size) * FAR_M**-2
@@ -115,7 +116,7 @@ class Window:
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
-        self._steps.append(Step.of(motion, self.calibration))
+        self._steps = np.concatenate([self._steps, step_row(motion, self.calibration)])
         return self.newest
 
     def add_landmark(self, position: np.ndarray) -> int:
@@ -169,7 +170,7 @@ class Window:
             When the normal equations are singular.
         """
         for _ in range(STEPS):
-            poses, common, covariance = chain.solve(self._normal_equations())
+            poses, common, covariance = chain.solve(self._all())
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
             self.settled = self._move(poses, common) < SETTLED
@@ -180,7 +181,7 @@ class Window:
 
     def marginals(self) -> list[Marginal]:
         """Return what is known of each open pose, as `solve` does of the newest, after it."""
-        own, by_common, common = chain.marginals(self._normal_equations())
+        own, by_common, common = chain.marginals(self._all())
         shared = np.concatenate([self.calibration, self.positions.ravel()])
         found = []
         for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
@@ -193,17 +194,12 @@ class Window:
         """Close the oldest `count` poses, keeping what they say about everything else."""
         old = self.sightings[:, KEYFRAME] < self.first + count
         rows = self.sightings[old]
-        span, between = slice(0, count + 1), self._steps[:count]
-        equations = chain.NormalEquations.zeros(count + 1, NC + self.positions.size)
-        self._add_prior(equations)
-        add_odometry(equations, self.poses[span], self.calibration, between)
-        add_sightings(
-            equations, self.poses[span], self.calibration, self.positions, self._indexed(rows)
-        )
-        self._prior_information, self._prior_gradient = equations.of_last()
+        left = chain.eliminate(self._normal_equations(count + 1, rows))
+        self._prior_information, self._prior_gradient = left.information, left.gradient
         self._let_drift(self.stamps[count] - self.stamps[0])
         if self._closed is not None:
-            self._closed.append((self.poses[:count], self.stamps[:count], rows, between))
+            closed = (self.poses[:count], self.stamps[:count], rows, self._steps[:count])
+            self._closed.append(closed)
         self.first += count
         self.poses, self.stamps = self.poses[count:], self.stamps[count:]
         self._steps = self._steps[count:]
@@ -221,10 +217,6 @@ class Window:
     def _head_and_map(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks in one vector."""
         return np.concatenate([self.poses[0], self.calibration, self.positions.ravel()])
-
-    def _indexed(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the rows with which open pose and which landmark they belong to."""
-        return (rows[:, KEYFRAME].astype(int) - self.first, rows[:, LANDMARK].astype(int), rows)
 
     def _let_drift(self, seconds: float) -> None:
         """Let the calibration drift: the old one is marginalised, the new one takes its place."""
@@ -254,14 +246,21 @@ class Window:
         self.positions = self.positions + scale * landmarks
         return float(max(turn, share, np.abs(poses[:, :2]).max(), np.abs(common[:NC]).max()))
 
-    def _normal_equations(self) -> chain.NormalEquations:
-        """Return prior, odometry and sightings, linearised where they are believed to be."""
-        equations = chain.NormalEquations.zeros(len(self.poses), NC + self.positions.size)
+    def _normal_equations(self, w: int, rows: np.ndarray) -> chain.NormalEquations:
+        """Return what the oldest w poses and rows from them say, and the prior.
+
+        They are linearised where poses, calibration and landmarks are believed to be.
+        """
+        equations = chain.NormalEquations.zeros(w, NC + self.positions.size)
+        poses, calibration = self.poses[:w], self.calibration
         self._add_prior(equations)
-        add_odometry(equations, self.poses, self.calibration, self._steps)
-        rows = self._indexed(self.sightings)
-        add_sightings(equations, self.poses, self.calibration, self.positions, rows)
+        add_odometry(equations, poses, calibration, self._steps[: w - 1])
+        add_sightings(equations, poses, calibration, self.positions, rows, self.first)
         return equations
+
+    def _all(self) -> chain.NormalEquations:
+        """Return everything that is known."""
+        return self._normal_equations(len(self.poses), self.sightings)
 
     def _add_prior(self, e: chain.NormalEquations) -> None:
         """Add what closed poses said."""

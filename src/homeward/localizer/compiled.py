@@ -1,0 +1,59 @@
+"""The innermost loops in C, where there is a compiler; NumPy does the same without, more slowly.
+
+What is compiled is kept for next time (see `homeward.engine.native`). A function of the localiser
+that has a counterpart in ``arithmetic.c`` asks `compiled` for it, and else goes on by itself; tests
+hold the two together.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+from homeward.engine.native.compiler import NativeError
+from homeward.engine.native.library import load
+
+FUNCTIONS = {
+    "residuals": "i" + 6 * "a",
+    "add_sightings": "iiiid" + 10 * "a",
+    "add_odometry": "ii" + 10 * "a",
+    "eliminate": "ii" + 6 * "a",
+    "substitute": "ii" + 3 * "a",
+    "integrate": "iaaaddddi" + 5 * "a",
+}
+"""What the functions take, in order: integers, doubles, addresses of arrays."""
+_TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
+
+
+def compiled() -> ctypes.CDLL | None:
+    """Return the compiled functions; None where there is no compiler, or it fails."""
+    return _load()[0]
+
+
+def why_not() -> str | None:
+    """Return why there is no compiled code, in words; None where there is."""
+    return _load()[1]
+
+
+def address(array: np.ndarray) -> int:
+    """Return where an array of doubles begins, for a function that takes it row by row."""
+    assert array.dtype == np.float64
+    assert array.flags.c_contiguous
+    return array.ctypes.data
+
+
+@lru_cache(maxsize=1)
+def _load() -> tuple[ctypes.CDLL | None, str | None]:
+    source = files("homeward.localizer").joinpath("arithmetic.c").read_text(encoding="utf-8")
+    try:
+        functions = load(source).functions
+    except NativeError as error:
+        return None, f"No compiled code ({error}): NumPy does it, at a third of the speed."
+    for name, kinds in FUNCTIONS.items():
+        function = getattr(functions, name)
+        function.argtypes = tuple(_TYPES[kind] for kind in kinds)
+        function.restype = ctypes.c_int if name == "eliminate" else None
+    return functions, None

@@ -1,0 +1,170 @@
+"""Preintegration: twists as one motion, with what is unknown of the odometry.
+
+The unknowns are one vector, constant or nearly so (`CALIBRATION`): the true turn rate is
+``(1 + turn_scale) omega + turn_bias`` while the robot moves, the true speed is less in bends than
+on the straight, by ``turn_slip (|omega| - r |v|)``, twists act ``lag`` seconds after their stamps,
+and the camera's axis is turned by ``camera_yaw``. A robot whose twist is exactly zero stands, and
+neither drifts nor gathers noise.
+
+In the slip, r is how much this robot turns per metre where it drives straightest. So the speed is
+right there, and a robot that always turns alike has no slip: it could trade slip for the scale of
+the map, which nothing else holds, and the map would shrink, since small maps fit noise better.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from homeward.drives.drive import OdometryNoise
+from homeward.localizer.compiled import address, compiled
+from homeward.localizer.settings import OdometryDefaults
+
+CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "camera_yaw")
+"""The unknowns of the odometry and the camera: [1], [rad/s], [m], [s], [rad]."""
+TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW = range(5)
+LOST_SPEED = 0.3
+"""Without odometry the robot may drive this fast [m/s] ..."""
+LOST_TURN = 0.3
+"""... and turn this fast [rad/s]."""
+BEND, BENDS = 0.125, 33
+"""The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion in the frame of its own start, linear in the calibration around `at`."""
+
+    delta: np.ndarray
+    """(3,): x [m], y [m], heading [rad], the heading not wrapped."""
+    covariance: np.ndarray
+    """(3, 3), of `delta`, from white noise alone."""
+    jacobian: np.ndarray
+    """(3, 5), of `delta` with respect to the calibration."""
+    path: float = 0.0
+    """Length driven [m]."""
+    turned: float = 0.0
+    """Sum of the sizes of all turns [rad]."""
+
+    @staticmethod
+    @cache
+    def none() -> Motion:
+        """Return the motion that is none."""
+        return Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
+
+    def then(self, later: Motion) -> Motion:
+        """Return this motion followed by another."""
+        c, s = math.cos(self.delta[2]), math.sin(self.delta[2])
+        x, y, turn = later.delta.tolist()
+        step = np.array([c * x - s * y, s * x + c * y, turn])
+        first = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
+        second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Motion(
+            self.delta + step,
+            first @ self.covariance @ first.T + second @ later.covariance @ second.T,
+            first @ self.jacobian + second @ later.jacobian,
+            self.path + later.path,
+            self.turned + later.turned,
+        )
+
+
+def noise_rates(given: OdometryNoise, default: OdometryDefaults) -> np.ndarray:
+    """Return how fast white noise grows: as the drive says, or else in proportion to the motion.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Of the variances along [m^2/s], across [m^2/s] and of the heading [rad^2/s] (rows): what is
+        constant, what is in proportion to the speed [m/s], and what to the turn rate [rad/s].
+    """
+    rates = np.zeros((3, 3))
+    if given.speed_sigma is None:
+        rates[:2, 1] = default.distance**2, default.distance**2 / 9.0
+    else:
+        rates[0, 0] = given.speed_sigma**2
+    if given.turn_sigma is None:
+        rates[2, 1:] = default.turn_by_driving**2, default.turn_by_turning**2
+    else:
+        rates[2, 0] = given.turn_sigma**2
+    return rates
+
+
+def integrate(
+    pieces: np.ndarray, calibration: np.ndarray, rates: np.ndarray, straightest: float
+) -> tuple[Motion, np.ndarray]:
+    """Return the motion over pieces of time.
+
+    Parameters
+    ----------
+    pieces : ndarray, shape (n, 4)
+        Time without odometry and time with it [s], v [m/s] and omega [rad/s] of each.
+    calibration : ndarray, shape (5,)
+        Where to linearise; the lag is in the pieces' times.
+    rates : ndarray, shape (3, 3)
+        Of the noise; see `noise_rates`.
+    straightest : float
+        How much the robot turns per metre where it drives straightest [rad/m].
+
+    Returns
+    -------
+    motion : Motion
+        From begin to end.
+    by_bend : ndarray, shape (BENDS,)
+        Its length by how much the robot turned per metre [m].
+    """
+    native = compiled()
+    if native is not None:
+        delta, lengths, by_bend = np.empty(3), np.empty(2), np.empty(BENDS)
+        covariance, jacobian = np.empty((3, 3)), np.empty((3, len(CALIBRATION)))
+        given, found = (pieces, calibration, rates), (delta, covariance, jacobian, lengths, by_bend)
+        figures = (straightest, LOST_SPEED, LOST_TURN, BEND, BENDS)
+        native.integrate(len(pieces), *map(address, given), *figures, *map(address, found))
+        return Motion(delta, covariance, jacobian, *lengths.tolist()), by_bend
+    lost, dt, v, omega = pieces.T
+    moving = (v != 0.0) | (omega != 0.0)
+    rate = moving * ((1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS])
+    speed, turned = np.abs(v), np.abs(omega)
+    along, across, heading = rates @ np.array([np.ones(dt.size), speed, turned])
+    slip = np.sign(v) * turned - v * straightest
+    bend = turned / np.maximum(speed, 1e-6) / BEND
+    path = np.bincount(np.minimum(bend, BENDS - 1).astype(int), speed * dt, BENDS)
+    v = v - calibration[TURN_SLIP] * slip
+
+    turn = rate * dt
+    psi_end = turn.cumsum()
+    psi = psi_end - 0.5 * turn
+    c, s = np.cos(psi), np.sin(psi)
+    half = 0.5 * turn + 1e-12
+    chord = v * dt * (np.sin(half) / half)
+    along_x, along_y = chord * c, chord * s
+    x, y = along_x.cumsum(), along_y.cumsum()
+    delta = np.array([x[-1], y[-1], psi_end[-1]])
+
+    # a turn in piece i swings everything that comes after its middle
+    swing_x, swing_y = y - 0.5 * along_y - delta[1], delta[0] - x + 0.5 * along_x
+    ones, zeros = np.ones(dt.size), np.zeros(dt.size)
+    by_turn = np.array([swing_x, swing_y, ones])
+    by_path = np.array([c, s, zeros])
+    by_slip = np.array([-s, c, zeros])
+    steady, shift, swing = moving * dt, (LOST_SPEED * lost) ** 2, (LOST_TURN * lost) ** 2
+    covariance = (
+        (by_turn * (heading * steady + swing)) @ by_turn.T
+        + (by_path * (along * steady + shift)) @ by_path.T
+        + (by_slip * (across * steady + shift)) @ by_slip.T
+    )
+    jacobian = np.zeros((3, len(CALIBRATION)))
+    jacobian[:, TURN_SCALE] = by_turn @ (omega * dt)
+    jacobian[:, TURN_BIAS] = by_turn @ steady
+    jacobian[:, TURN_SLIP] = -by_path @ (slip * dt)
+    jacobian[:, LAG] = _shift(delta, v[0], rate[0], v[-1], rate[-1])
+    motion = Motion(delta, covariance, jacobian, float(speed @ dt), float(np.abs(turn).sum()))
+    return motion, np.asarray(path)
+
+
+def _shift(delta: np.ndarray, v0: float, rate0: float, v1: float, rate1: float) -> np.ndarray:
+    """Return the derivative of a motion by a delay of all its twists, shape (3,)."""
+    c, s = math.cos(delta[2]), math.sin(delta[2])
+    return np.array([v0 - rate0 * delta[1] - c * v1, rate0 * delta[0] - s * v1, rate0 - rate1])

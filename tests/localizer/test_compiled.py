@@ -1,0 +1,119 @@
+"""The compiled loops say what NumPy says, and without a compiler NumPy says it."""
+
+import numpy as np
+import pytest
+
+from homeward.drives.drive import OdometryNoise
+from homeward.localizer import chain, compiled, linearise, preintegration, sightings
+from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.preintegration import Motion, integrate, noise_rates
+from homeward.localizer.settings import OdometryDefaults
+from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
+
+ROOMS = (chain, linearise, preintegration, sightings)
+
+pytestmark = pytest.mark.skipif(
+    compiled.compiled() is None, reason="no C compiler, nothing to compare"
+)
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """A function that calls another one compiled, then with NumPy, and returns both answers."""
+
+    def call(function, *arguments):
+        native = function(*arguments)
+        with monkeypatch.context() as patch:
+            for room in ROOMS:
+                patch.setattr(room, "compiled", lambda: None)
+            return native, function(*arguments)
+
+    return call
+
+
+def a_map(rng, w=9, n=6, m=70, first=4):
+    """Poses, calibration, landmarks, sightings and steps between the poses; some are far off."""
+    poses = np.cumsum(rng.normal(0.3, 0.2, (w, 3)), axis=0)
+    calibration, positions = 0.05 * rng.normal(size=NC), rng.normal(0.0, 3.0, (n, 2))
+    rows = rng.normal(0.0, 1.0, (m, COLUMNS))
+    rows[:, 0], rows[:, LANDMARK] = first + rng.integers(0, w, m), rng.integers(0, n, m)
+    rows[:, SIGMA] = rng.uniform(0.01, 0.3, m)
+    steps = [
+        step_row(
+            Motion(rng.normal(size=3), np.diag(rng.uniform(1e-4, 1, 3)), rng.normal(size=(3, NC))),
+            calibration,
+        )
+        for _ in range(w - 1)
+    ]
+    return poses, calibration, positions, rows, np.concatenate([np.zeros((0, STEP)), *steps]), first
+
+
+def equations(poses, calibration, positions, rows, steps, first):
+    e = chain.NormalEquations.zeros(len(poses), NC + positions.size)
+    e.own[:] = e.own + np.eye(3)
+    e.common[:] = np.eye(len(e.common))
+    add_odometry(e, poses, calibration, steps)
+    add_sightings(e, poses, calibration, positions, rows, first)
+    return e
+
+
+@pytest.mark.parametrize("w", [1, 2, 9, 40])
+def test_normal_equations_and_their_solution(both, w):
+    native, plain = both(equations, *a_map(np.random.default_rng(w), w))
+    for field in ("own", "next", "shared", "common", "slope", "common_slope"):
+        theirs = getattr(plain, field)
+        assert np.allclose(
+            getattr(native, field), theirs, rtol=1e-10, atol=1e-9 * np.abs(theirs).max(initial=0.0)
+        ), field
+    for part, other in zip(*both(chain.solve, plain), strict=True):
+        assert np.allclose(part, other, rtol=1e-8, atol=1e-10)
+
+
+def test_a_pose_that_nothing_fixes_is_an_error_both_ways(monkeypatch):
+    e = chain.NormalEquations.zeros(3, 5)
+    e.common[:] = np.eye(5)
+    with pytest.raises(np.linalg.LinAlgError):
+        chain.solve(e)
+    monkeypatch.setattr(chain, "compiled", lambda: None)
+    with pytest.raises(np.linalg.LinAlgError):
+        chain.solve(e)
+
+
+def test_residuals_and_their_derivatives(both):
+    rng = np.random.default_rng(0)
+    _, calibration, _, rows, _, _ = a_map(rng)
+    poses, positions = rng.normal(size=(len(rows), 3)), rng.normal(0.0, 3.0, (len(rows), 2))
+    positions[0] = poses[0, :2]  # on the robot
+    rows[:5, sightings.BEARING] = [np.pi, -np.pi, 40.0, -40.0, 0.0]
+    for native, plain in zip(
+        *both(bearing_residuals, poses, calibration, positions, rows), strict=True
+    ):
+        assert np.allclose(native, plain, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given", [OdometryNoise(), OdometryNoise(speed_sigma=0.01, turn_sigma=0.02)]
+)
+def test_preintegration(both, given):
+    rng = np.random.default_rng(1)
+    pieces = rng.uniform(0.0, 0.3, (30, 4))
+    pieces[:, 2:] = rng.normal(0.0, 0.5, (30, 2))
+    pieces[::3, 0] = pieces[3, 2:] = pieces[7, 3] = pieces[9, 2] = 0.0
+    calibration = np.array([0.03, 0.002, 0.04, 0.2, 0.01])
+    rates = noise_rates(given, OdometryDefaults())
+    for n in (1, 30):
+        native, plain = both(integrate, pieces[:n], calibration, rates, 0.7)
+        assert np.allclose(native[1], plain[1])
+        for field in ("delta", "covariance", "jacobian", "path", "turned"):
+            assert np.allclose(getattr(native[0], field), getattr(plain[0], field)), field
+
+
+def test_without_a_compiler_the_user_is_told(monkeypatch):
+    compiled._load.cache_clear()
+    monkeypatch.setenv("CC", "no-such-compiler")
+    try:
+        assert compiled.compiled() is None
+        assert any("no-such-compiler" in note for note in Localizer({}).notes)
+    finally:
+        compiled._load.cache_clear()
