@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from homeward.drives.drive import OdometryNoise
-from homeward.localizer import chain, compiled, linearise, preintegration, sightings
+from homeward.localizer import chain, compiled, linearise, marginal, preintegration, sightings
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.marginal import Marginal
 from homeward.localizer.preintegration import Motion, integrate, noise_rates
 from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
-ROOMS = (chain, linearise, preintegration, sightings)
+ROOMS = (chain, linearise, marginal, preintegration, sightings)
 
 pytestmark = pytest.mark.skipif(
     compiled.compiled() is None, reason="no C compiler, nothing to compare"
@@ -90,6 +91,43 @@ def test_residuals_and_their_derivatives(both):
         *both(bearing_residuals, poses, calibration, positions, rows), strict=True
     ):
         assert np.allclose(native, plain, rtol=1e-12, atol=1e-12)
+
+
+def a_gaussian(rng, n=5):
+    """A Gaussian on pose, calibration and landmarks, and sightings of some of these."""
+    size = 8 + 2 * n
+    root = 0.1 * rng.normal(size=(size, size))
+    rows = a_map(rng, n=n, m=7)[3]
+    rows[:, sightings.OFFSET_JACOBIAN] *= 0.1
+    return Marginal(rng.normal(0.0, 3.0, size), root @ root.T), rows
+
+
+def test_the_gaussian_moves_predicts_and_is_corrected(both):
+    rng = np.random.default_rng(2)
+    gaussian, rows = a_gaussian(rng)
+    motion = Motion(rng.normal(size=3), np.diag([0.1, 0.2, 0.3]), rng.normal(size=(3, NC)))
+    predicted = both(gaussian.predict, rows)
+    for field in ("residual", "jacobian", "correlated", "spread"):
+        assert np.allclose(*(getattr(p, field) for p in predicted)), field
+    for native, plain in (
+        both(gaussian.after, motion, 0.1 * rng.normal(size=NC)),
+        both(gaussian.corrected, predicted[0]),
+        both(gaussian.corrected, predicted[0].only(np.arange(7) < 3)),
+    ):
+        assert np.allclose(native.mean, plain.mean)
+        assert np.allclose(native.covariance, plain.covariance)
+        assert np.array_equal(native.covariance, native.covariance.T)
+
+
+def test_sightings_without_spread_are_an_error_and_change_nothing():
+    gaussian, rows = a_gaussian(np.random.default_rng(3))
+    seen = gaussian.predict(rows)
+    seen.spread[:] = -1.0
+    seen.residual[:] = 0.0
+    before = gaussian.covariance.copy()
+    with pytest.raises(np.linalg.LinAlgError):
+        gaussian.corrected(seen)
+    assert np.array_equal(gaussian.covariance, before)
 
 
 @pytest.mark.parametrize(

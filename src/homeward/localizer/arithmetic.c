@@ -11,9 +11,10 @@
 #define OFFSET 4
 #define OFFSET_JACOBIAN 7
 #define COLUMNS (7 + 3 * NC)     /* of a sighting */
-#define UNKNOWNS (3 + NC + 2)    /* a sighting's: pose, calibration, landmark */
+#define HEAD (3 + NC)            /* pose and calibration */
+#define UNKNOWNS (HEAD + 2)      /* a sighting's: those, and the landmark */
 #define FREE 0
-#define INFORMATION 3
+#define NOISE 3
 #define BY_CALIBRATION 12
 #define STEP (12 + 3 * NC)       /* columns of a step */
 
@@ -23,6 +24,21 @@ int homeward_lanes(void) { return 1; }
 static double wrapped(double angle) {
   const double pi = 3.14159265358979323846;
   return angle - 2.0 * pi * ceil((angle - pi) / (2.0 * pi));
+}
+
+/* Inverse of a symmetric positive definite 3x3 matrix, by its Cholesky root; 0, or 1 if it is not
+ * that. */
+static int invert(const double *m, double *inverse) {
+  const double a = sqrt(m[0]), b = m[3] / a, d = m[6] / a;
+  const double c = sqrt(m[4] - b * b), e = (m[7] - d * b) / c, f = sqrt(m[8] - d * d - e * e);
+  const double root[3][3] = {{1.0 / a, 0.0, 0.0},
+                             {-b / (a * c), 1.0 / c, 0.0},
+                             {(b * e - c * d) / (a * c * f), -e / (c * f), 1.0 / f}};
+  for (int i = 0; i < 3; i++)
+    for (int q = 0; q < 3; q++)
+      inverse[3 * i + q] =
+          root[0][i] * root[0][q] + root[1][i] * root[1][q] + root[2][i] * root[2][q];
+  return !(a > 0.0 && c > 0.0 && f > 0.0 && isfinite(inverse[0]) && isfinite(inverse[8]));
 }
 
 /* Measured minus expected bearing of one sighting, and the Jacobian of the expected one. */
@@ -114,12 +130,13 @@ void add_odometry(long w, long a, const double *poses, const double *turns,
         j[i][6 + q] = -by;
       }
     }
-    double block[ALL][ALL], downhill[ALL];
+    double block[ALL][ALL], downhill[ALL], information[9];
+    invert(steps + NOISE, information);
     for (int i = 0; i < ALL; i++) {
       double weighted[3];
       for (int q = 0; q < 3; q++) {
         weighted[q] = 0.0;
-        for (int l = 0; l < 3; l++) weighted[q] += j[l][i] * steps[INFORMATION + 3 * l + q];
+        for (int l = 0; l < 3; l++) weighted[q] += j[l][i] * information[3 * l + q];
       }
       for (int q = 0; q < ALL; q++)
         block[i][q] = weighted[0] * j[0][q] + weighted[1] * j[1][q] + weighted[2] * j[2][q];
@@ -143,21 +160,6 @@ void add_odometry(long w, long a, const double *poses, const double *turns,
       common_slope[i] += downhill[6 + i];
     }
   }
-}
-
-/* Inverse of a symmetric positive definite 3x3 matrix, by its Cholesky root; 0, or 1 if it is not
- * that. */
-static int invert(const double *m, double *inverse) {
-  const double a = sqrt(m[0]), b = m[3] / a, d = m[6] / a;
-  const double c = sqrt(m[4] - b * b), e = (m[7] - d * b) / c, f = sqrt(m[8] - d * d - e * e);
-  const double root[3][3] = {{1.0 / a, 0.0, 0.0},
-                             {-b / (a * c), 1.0 / c, 0.0},
-                             {(b * e - c * d) / (a * c * f), -e / (c * f), 1.0 / f}};
-  for (int i = 0; i < 3; i++)
-    for (int q = 0; q < 3; q++)
-      inverse[3 * i + q] =
-          root[0][i] * root[0][q] + root[1][i] * root[1][q] + root[2][i] * root[2][q];
-  return !(a > 0.0 && c > 0.0 && f > 0.0 && isfinite(inverse[0]) && isfinite(inverse[8]));
 }
 
 /* Eliminate all poses but the last; 1 if one is not fixed. */
@@ -198,6 +200,105 @@ void substitute(long w, long a, const double *gains, const double *tail, double 
       for (long q = 0; q < a; q++) step -= gain[3 + q] * tail[3 + q];
       poses[3 * k + i] = step;
     }
+}
+
+/* Move the Gaussian on the newest pose, the calibration and the landmarks (size) on by a motion. */
+void move_on(long size, const double *delta, const double *noise, const double *by_calibration,
+             const double *calibration, double *mean, double *covariance) {
+  const double c = cos(mean[2]), s = sin(mean[2]), turn[3][3] = {{c, -s, 0}, {s, c, 0}, {0, 0, 1}};
+  double motion[3], by_head[3][HEAD] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  for (int i = 0; i < 3; i++) {
+    motion[i] = delta[i];
+    for (int k = 0; k < NC; k++) {
+      motion[i] += by_calibration[NC * i + k] * (mean[3 + k] - calibration[k]);
+      for (int q = 0; q < 3; q++) by_head[i][3 + k] += turn[i][q] * by_calibration[NC * q + k];
+    }
+  }
+  const double dx = c * motion[0] - s * motion[1], dy = s * motion[0] + c * motion[1];
+  by_head[0][2] = -dy;
+  by_head[1][2] = dx;
+  mean[0] += dx;
+  mean[1] += dy;
+  mean[2] += motion[2];
+  double own[3][3];
+  for (int i = 0; i < 3; i++)
+    for (int q = 0; q <= i; q++) {
+      double sum = 0.0;
+      for (int k = 0; k < HEAD; k++)
+        for (int l = 0; l < HEAD; l++)
+          sum += by_head[i][k] * covariance[k * size + l] * by_head[q][l];
+      for (int k = 0; k < 3; k++)
+        for (int l = 0; l < 3; l++) sum += turn[i][k] * noise[3 * k + l] * turn[q][l];
+      own[i][q] = own[q][i] = sum;
+    }
+  for (long j = 3; j < size; j++) {
+    double moved[3] = {0.0, 0.0, 0.0};
+    for (int i = 0; i < 3; i++)
+      for (int k = 0; k < HEAD; k++) moved[i] += by_head[i][k] * covariance[j * size + k];
+    for (int i = 0; i < 3; i++) covariance[j * size + i] = covariance[i * size + j] = moved[i];
+  }
+  for (int i = 0; i < 3; i++)
+    for (int q = 0; q < 3; q++) covariance[i * size + q] = own[i][q];
+}
+
+/* Sightings (m, COLUMNS) from the newest pose against that Gaussian: residuals, Jacobians, their
+ * covariance with everything (m, size) and with each other (m, m). */
+void predict(long size, long m, const double *mean, const double *covariance, const double *rows,
+             double *residual, double *jacobian, double *correlated, double *spread) {
+  const double c = cos(mean[2]), s = sin(mean[2]);
+  for (long i = 0; i < m; i++) {
+    const long at = HEAD + 2 * (long)rows[COLUMNS * i + LANDMARK];
+    double *j = jacobian + UNKNOWNS * i, *with = correlated + size * i;
+    residual[i] = residual_of(mean, c, s, mean + 3, mean + at, rows + COLUMNS * i, j);
+    for (long q = 0; q < size; q++) with[q] = 0.0;
+    for (int k = 0; k < UNKNOWNS; k++) {
+      const double *p = covariance + (k < HEAD ? k : at + k - HEAD) * size;
+      for (long q = 0; q < size; q++) with[q] += j[k] * p[q];
+    }
+  }
+  for (long i = 0; i < m; i++) {
+    const long at = HEAD + 2 * (long)rows[COLUMNS * i + LANDMARK];
+    const double *j = jacobian + UNKNOWNS * i, sigma = rows[COLUMNS * i + SIGMA];
+    for (long q = 0; q < m; q++) {
+      const double *with = correlated + size * q;
+      double sum = j[HEAD] * with[at] + j[HEAD + 1] * with[at + 1];
+      for (int k = 0; k < HEAD; k++) sum += j[k] * with[k];
+      spread[m * i + q] = sum + (i == q ? sigma * sigma : 0.0);
+    }
+  }
+}
+
+/* Correct that Gaussian by what `predict` found, which is used up. 1 if `spread` is not positive
+ * definite, and the Gaussian is as it was then. */
+int correct(long size, long m, double *residual, double *correlated, double *spread,
+            double *mean, double *covariance) {
+  for (long i = 0; i < m; i++) { /* to the Cholesky root of `spread` ... */
+    for (long q = 0; q <= i; q++) {
+      double sum = spread[m * i + q];
+      for (long k = 0; k < q; k++) sum -= spread[m * i + k] * spread[m * q + k];
+      if (q < i) {
+        spread[m * i + q] = sum / spread[m * q + q];
+      } else {
+        if (!(sum > 0.0)) return 1;
+        spread[m * i + i] = sqrt(sum);
+      }
+    }
+  }
+  for (long i = 0; i < m; i++) { /* ... and its inverse times `correlated`: independent rows */
+    double *mine = correlated + size * i, diagonal = 1.0 / spread[m * i + i];
+    for (long k = 0; k < i; k++)
+      for (long q = 0; q < size; q++) mine[q] -= spread[m * i + k] * correlated[size * k + q];
+    for (long q = 0; q < size; q++) mine[q] *= diagonal;
+  }
+  for (long i = 0; i < m; i++) {
+    const double *mine = correlated + size * i;
+    for (long k = 0; k < i; k++) residual[i] -= spread[m * i + k] * residual[k];
+    residual[i] /= spread[m * i + i];
+    for (long q = 0; q < size; q++) mean[q] += residual[i] * mine[q];
+    for (long k = 0; k < size; k++)
+      for (long q = 0; q < size; q++) covariance[size * k + q] -= mine[k] * mine[q];
+  }
+  return 0;
 }
 
 /* What twists held for pieces of time say of a motion. `pieces` (n, 4): time without odometry and

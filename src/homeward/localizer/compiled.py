@@ -22,9 +22,14 @@ FUNCTIONS = {
     "add_odometry": "ii" + 10 * "a",
     "eliminate": "ii" + 6 * "a",
     "substitute": "ii" + 3 * "a",
+    "move_on": "i" + 6 * "a",
+    "predict": "ii" + 7 * "a",
+    "correct": "ii" + 5 * "a",
     "integrate": "iaaaddddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, addresses of arrays."""
+MAY_FAIL = ("eliminate", "correct")
+"""Those that return 0, or 1 where a matrix is not positive definite."""
 _TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
 
 
@@ -55,5 +60,5 @@ def _load() -> tuple[ctypes.CDLL | None, str | None]:
     for name, kinds in FUNCTIONS.items():
         function = getattr(functions, name)
         function.argtypes = tuple(_TYPES[kind] for kind in kinds)
-        function.restype = ctypes.c_int if name == "eliminate" else None
+        function.restype = ctypes.c_int if name in MAY_FAIL else None
     return functions, None

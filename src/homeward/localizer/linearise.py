@@ -12,17 +12,18 @@ from homeward.localizer.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""
-FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
+FREE, NOISE, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
 """Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
-its information (3, 3), and its derivative by the calibration (3, 5)."""
+its covariance (3, 3), and its derivative by the calibration (3, 5)."""
 
 
 def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
     """Return a motion that was linearised at a calibration (5,) as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.delta - motion.jacobian @ calibration
-    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST_VARIANCE * np.eye(3)).ravel()
+    row[0, NOISE] = motion.covariance.ravel()
+    row[0, NOISE][::4] += LEAST_VARIANCE
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
     return row
 
@@ -53,7 +54,8 @@ def add_odometry(
     jacobian[:, 0, 3] = jacobian[:, 1, 4] = c
     jacobian[:, 0, 4], jacobian[:, 1, 3] = s, -s
     jacobian[:, :, 6:] = -by_calibration
-    weighted = jacobian.transpose(0, 2, 1) @ steps[:, INFORMATION].reshape(-1, 3, 3)
+    information = np.linalg.inv(steps[:, NOISE].reshape(-1, 3, 3))
+    weighted = jacobian.transpose(0, 2, 1) @ information
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]
     e.own[:-1] += blocks[:, :3, :3]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.localizer.compiled import address, compiled
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
 
@@ -29,7 +30,7 @@ class Prediction:
     jacobian: np.ndarray
     """(m, 10): of the expected bearings, as of `bearing_residuals`."""
     correlated: np.ndarray
-    """(3 + 5 + 2 n, m): covariance of everything with the expected bearings."""
+    """(m, 3 + 5 + 2 n): covariance of the expected bearings with everything."""
     spread: np.ndarray
     """(m, m): covariance of the residuals."""
 
@@ -40,7 +41,7 @@ class Prediction:
         return Prediction(
             self.residual[keep],
             self.jacobian[keep],
-            self.correlated[:, keep],
+            self.correlated[keep],
             self.spread[np.ix_(keep, keep)],
         )
 
@@ -61,6 +62,12 @@ class Marginal:
 
     def after(self, motion: Motion, calibration: np.ndarray) -> Marginal:
         """Return it with the newest pose moved on by a motion, linearised at a calibration (5,)."""
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        native = compiled()
+        if native is not None:
+            told = (motion.delta, motion.covariance, motion.jacobian, calibration)
+            native.move_on(mean.size, *map(address, (*told, mean, covariance)))
+            return Marginal(mean, covariance)
         x, y, psi = self.mean[:3].tolist()
         c, s = math.cos(psi), math.sin(psi)
         delta = motion.delta + motion.jacobian @ (self.mean[3:HEAD] - calibration)
@@ -71,7 +78,6 @@ class Marginal:
         by_head[[0, 1, 2], [0, 1, 2]] = 1.0
         by_head[0, 2], by_head[1, 2] = -step_y, step_x
         by_head[:, 3:] = rotation @ motion.jacobian
-        mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[:3] = x + step_x, y + step_y, psi + turn
         covariance[:3] = by_head @ self.covariance[:HEAD]
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
@@ -86,29 +92,49 @@ class Marginal:
         rows : ndarray, shape (m, COLUMNS)
             Of the table of sightings, with their landmarks' numbers.
         """
+        native = compiled()
+        if native is not None:
+            size, m = self.mean.size, len(rows)
+            residual, jacobian = np.empty(m), np.empty((m, HEAD + 2))
+            correlated, spread = np.empty((m, size)), np.empty((m, m))
+            found = (residual, jacobian, correlated, spread)
+            native.predict(size, m, *map(address, (self.mean, self.covariance, rows, *found)))
+            return Prediction(*found)
         number = rows[:, LANDMARK].astype(int)
         at = HEAD + 2 * number
         poses = np.tile(self.mean[:3], (len(rows), 1))
         residual, jacobian = bearing_residuals(
             poses, self.mean[3:HEAD], self.positions[number], rows
         )
-        head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD], jacobian[:, HEAD + 1]
+        head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
         p = self.covariance
-        correlated = p[:, :HEAD] @ head.T + p[:, at] * gx + p[:, at + 1] * gy
-        spread = head @ correlated[:HEAD]
-        spread += gx[:, None] * correlated[at] + gy[:, None] * correlated[at + 1]
+        correlated = head @ p[:HEAD] + gx * p[at] + gy * p[at + 1]
+        spread = correlated[:, :HEAD] @ head.T + correlated[:, at] * gx.T
+        spread += correlated[:, at + 1] * gy.T
         spread.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
         return Prediction(residual, jacobian, correlated, spread)
 
     def corrected(self, seen: Prediction) -> Marginal:
-        """Return it corrected by sightings from the newest pose, those far off at less weight."""
+        """Return it corrected by sightings from the newest pose, those far off at less weight.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When `seen` has no spread.
+        """
         spread = seen.spread.copy()
         variance = spread.diagonal()
-        least = np.maximum(seen.residual**2 / TRUSTED**2, variance)
-        spread.flat[:: len(spread) + 1] = least
-        gain = np.linalg.solve(spread, seen.correlated.T)
-        covariance = self.covariance - seen.correlated @ gain
-        return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
+        spread.flat[:: len(spread) + 1] = np.maximum(seen.residual**2 / TRUSTED**2, variance)
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        native = compiled()
+        if native is not None:
+            told = (seen.residual.copy(), seen.correlated.copy(), spread, mean, covariance)
+            if native.correct(mean.size, len(spread), *map(address, told)):
+                raise np.linalg.LinAlgError("the sightings have no spread")
+            return Marginal(mean, covariance)
+        gain = np.linalg.solve(spread, seen.correlated)
+        covariance -= seen.correlated.T @ gain
+        return Marginal(mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
 
 def landmark_columns(number: int) -> slice:
