@@ -19,7 +19,7 @@ from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.moved import Hypotheses, Start, carry, follow, search, starts
-from homeward.localizer.preintegration import CAMERA_YAW
+from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
 
@@ -27,7 +27,9 @@ SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of i
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
 SEARCH_EVERY = 40
-"""Keyframes between two searches for home from scratch."""
+"""Keyframes between two searches for home from scratch ..."""
+SEARCH_PATIENCE = 10
+"""... and as many more it waits for one at which the window is not solved."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 ELSEWHERE = 3.0
@@ -173,10 +175,12 @@ class Localizer:
         if now is None:
             now = search(problem)
             self._starts.clear()
-        elif not self._mapper.solved:
-            now = carry(problem, now)
         else:
-            now = follow(problem, now, self._next_start(problem))
+            self._look_elsewhere(problem)
+            if self._mapper.solved:
+                now = follow(problem, now, self._starts.popleft() if self._starts else None)
+            else:
+                now = carry(problem, now)
         self._hypotheses = now
         if now is None:
             self._fixed = False
@@ -187,13 +191,13 @@ class Localizer:
             self._fixed = self._is_fixed(now)
             self._rivals = now.rivals(ELSEWHERE)
 
-    def _next_start(self, problem: HomeProblem) -> Start | None:
-        """Return where else home might be, one place after the other, now and then."""
-        newest = self._mapper.window.newest
-        if not self._starts and newest >= self._searched + SEARCH_EVERY:
+    def _look_elsewhere(self, problem: HomeProblem) -> None:
+        """Collect places where home might be instead, now and then, when there is time."""
+        since = self._mapper.window.newest - self._searched
+        wait = SEARCH_EVERY + (SEARCH_PATIENCE if self._mapper.solved else 0)
+        if not self._starts and since >= wait:
             self._starts.extend(starts(problem))
-            self._searched = newest
-        return self._starts.popleft() if self._starts else None
+            self._searched = self._mapper.window.newest
 
     def _problem(self, names: list[str], marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks, in the odometry frame."""
@@ -220,10 +224,12 @@ class Localizer:
         reason = self._why_none()
         if reason is not None or self._hypotheses is None:
             return Estimate(t, Status.MAPPING, reason or "", None, None, innovations)
-        motion = self._mapper.motion(t)
-        calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
-        drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-        answer = self._answer.after(motion.delta, drift).with_scale(self._speed_scale)
+        motion, answer = self._mapper.motion(t), self._answer
+        if motion is not Motion.none():
+            calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
+            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+            answer = answer.after(motion.delta, drift)
+        answer = answer.with_scale(self._speed_scale)
         agreeing = int(self._hypotheses.best.right.sum())
         if agreeing < 4:
             status, reason = Status.UNVERIFIED, f"only {agreeing} home bearings agree"

@@ -57,6 +57,8 @@ class Motion:
 
     def then(self, later: Motion) -> Motion:
         """Return this motion followed by another."""
+        if self is Motion.none():
+            return later
         c, s = math.cos(self.delta[2]), math.sin(self.delta[2])
         x, y, turn = later.delta.tolist()
         step = np.array([c * x - s * y, s * x + c * y, turn])

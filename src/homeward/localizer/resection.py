@@ -8,6 +8,7 @@ uniform.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 from math import comb
 
@@ -101,6 +102,7 @@ def mixture_scores(
     return np.log(right + wrong).sum(axis=1), right > wrong
 
 
+@lru_cache(maxsize=64)
 def _triples(q: int) -> np.ndarray:
     """Return triples of q things, shape (k, 3)."""
     if comb(q, 3) <= MOST_TRIPLES:
