@@ -4,15 +4,27 @@ import numpy as np
 import pytest
 
 from homeward.drives.drive import OdometryNoise
-from homeward.localizer import chain, compiled, linearise, marginal, preintegration, sightings
+from homeward.localizer import (
+    chain,
+    compiled,
+    fitting,
+    linear,
+    linearise,
+    marginal,
+    preintegration,
+    sightings,
+)
+from homeward.localizer.fitting import solved
+from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.marginal import Marginal
 from homeward.localizer.preintegration import Motion, integrate, noise_rates
+from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
-ROOMS = (chain, linearise, marginal, preintegration, sightings)
+ROOMS = (chain, fitting, linear, linearise, marginal, preintegration, sightings)
 
 pytestmark = pytest.mark.skipif(
     compiled.compiled() is None, reason="no C compiler, nothing to compare"
@@ -128,6 +140,46 @@ def test_sightings_without_spread_are_an_error_and_change_nothing():
     with pytest.raises(np.linalg.LinAlgError):
         gaussian.corrected(seen)
     assert np.array_equal(gaussian.covariance, before)
+
+
+def a_home(rng, q=6, prior=None):
+    """Landmarks round a home, as known, with a home bearing each."""
+    at = rng.uniform(0.0, 2.0 * np.pi, q)
+    landmarks = rng.uniform(1.0, 3.0, q)[:, None] * np.stack([np.cos(at), np.sin(at)], axis=1)
+    root = 0.05 * rng.normal(size=(4 + 2 * q, 4 + 2 * q))
+    return HomeProblem(
+        mean=np.concatenate([[0.5, 0.2, 0.3, 0.0], landmarks.ravel()]),
+        covariance=root @ root.T,
+        bearings=at + 0.02 * rng.normal(size=q),
+        sigmas=rng.uniform(0.005, 0.03, q),
+        mount=np.array([0.1, 0.0, 0.2]),
+        same_camera=True,
+        moved_prior=0.1,
+        prior=prior,
+        prior_information=None if prior is None else np.diag([4.0, 3.0, 2.0]),
+    )
+
+
+@pytest.mark.parametrize("prior", [None, np.array([0.1, -0.1, 0.2])])
+def test_home_is_solved_for(both, prior):
+    problem = a_home(np.random.default_rng(4), prior=prior)
+    around = both(linearised, problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    assert np.allclose(around[0].correlated, around[1].correlated)
+    assert np.allclose(around[0].spread, around[1].spread)
+    for right in (np.ones(6, bool), np.array([1, 0, 1, 1, 0, 1], bool)):
+        native, plain = both(solved, around[0], right)
+        for field in ("step", "precision", "information", "log_volume", "home", "covariance"):
+            assert np.allclose(getattr(native, field), getattr(plain, field)), field
+        inside = native.precision[right][:, right]
+        assert np.allclose(inside @ around[0].spread[right][:, right], np.eye(right.sum()))
+        assert not native.precision[~right].any()
+
+
+def test_bearings_without_spread_fix_no_home(both):
+    problem = a_home(np.random.default_rng(5))
+    around = linearised(problem, np.zeros(3), problem.mean)
+    around.spread[:] = -1.0
+    assert both(solved, around, np.ones(6, bool)) == (None, None)
 
 
 @pytest.mark.parametrize(

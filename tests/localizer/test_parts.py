@@ -10,7 +10,7 @@ from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer import chain
 from homeward.localizer.clock import Clock
-from homeward.localizer.home import fit
+from homeward.localizer.fitting import fit
 from homeward.localizer.moved import search
 from homeward.localizer.odometry import Odometry
 from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE, noise_rates

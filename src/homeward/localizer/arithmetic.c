@@ -41,6 +41,18 @@ static int invert(const double *m, double *inverse) {
   return !(a > 0.0 && c > 0.0 && f > 0.0 && isfinite(inverse[0]) && isfinite(inverse[8]));
 }
 
+/* Lower Cholesky root in the place of a matrix (m, m); 0, or 1 if it is not positive definite. */
+static int root(long m, double *matrix) {
+  for (long i = 0; i < m; i++)
+    for (long q = 0; q <= i; q++) {
+      double sum = matrix[m * i + q];
+      for (long k = 0; k < q; k++) sum -= matrix[m * i + k] * matrix[m * q + k];
+      if (i == q && !(sum > 0.0)) return 1;
+      matrix[m * i + q] = i == q ? sqrt(sum) : sum / matrix[m * q + q];
+    }
+  return 0;
+}
+
 /* Measured minus expected bearing of one sighting, and the Jacobian of the expected one. */
 static double residual_of(const double *pose, double c, double s, const double *calibration,
                           const double *position, const double *row, double *jacobian) {
@@ -272,19 +284,8 @@ void predict(long size, long m, const double *mean, const double *covariance, co
  * definite, and the Gaussian is as it was then. */
 int correct(long size, long m, double *residual, double *correlated, double *spread,
             double *mean, double *covariance) {
-  for (long i = 0; i < m; i++) { /* to the Cholesky root of `spread` ... */
-    for (long q = 0; q <= i; q++) {
-      double sum = spread[m * i + q];
-      for (long k = 0; k < q; k++) sum -= spread[m * i + k] * spread[m * q + k];
-      if (q < i) {
-        spread[m * i + q] = sum / spread[m * q + q];
-      } else {
-        if (!(sum > 0.0)) return 1;
-        spread[m * i + i] = sqrt(sum);
-      }
-    }
-  }
-  for (long i = 0; i < m; i++) { /* ... and its inverse times `correlated`: independent rows */
+  if (root(m, spread)) return 1;
+  for (long i = 0; i < m; i++) { /* the inverse root times `correlated`: independent rows */
     double *mine = correlated + size * i, diagonal = 1.0 / spread[m * i + i];
     for (long k = 0; k < i; k++)
       for (long q = 0; q < size; q++) mine[q] -= spread[m * i + k] * correlated[size * k + q];
@@ -298,6 +299,79 @@ int correct(long size, long m, double *residual, double *correlated, double *spr
     for (long k = 0; k < size; k++)
       for (long q = 0; q < size; q++) covariance[size * k + q] -= mine[k] * mine[q];
   }
+  return 0;
+}
+
+/* Covariance of q expected home bearings with what is known (q, size), and of their residuals. */
+void spread_home(long q, long size, const double *covariance, const double *by_known,
+                 const double *sigmas, double *correlated, double *spread) {
+  for (long i = 0; i < q; i++) {
+    double *with = correlated + size * i;
+    for (long k = 0; k < size; k++) with[k] = 0.0;
+    for (long l = 0; l < size; l++) {
+      const double by = by_known[size * i + l];
+      if (by != 0.0)
+        for (long k = 0; k < size; k++) with[k] += by * covariance[size * l + k];
+    }
+  }
+  for (long i = 0; i < q; i++)
+    for (long j = 0; j <= i; j++) {
+      double sum = i == j ? sigmas[i] * sigmas[i] : 0.0;
+      for (long k = 0; k < size; k++) sum += correlated[size * i + k] * by_known[size * j + k];
+      spread[q * i + j] = spread[q * j + i] = sum;
+    }
+}
+
+/* Home where the bearings are linear, for the set `right` (q; 0 or 1). `information` (3, 3) and
+ * `slope` (3) come as the prior's and leave as everybody's; out: the inverse of the set's spread,
+ * zero outside of it (q, q), the step of home (3) and the log determinant of the set's spread. 1 if
+ * the set does not fix home. */
+int solve_home(long q, const double *right, const double *spread, const double *by_home,
+               const double *residual, double *information, double *slope, double *precision,
+               double *step, double *log_volume) {
+  /* Outside of the set the matrix is a unit matrix, and its inverse is cleared in the end. */
+  double *lower = precision;
+  for (long i = 0; i < q; i++)
+    for (long j = 0; j < q; j++)
+      lower[q * i + j] = right[i] && right[j] ? spread[q * i + j] : i == j;
+  if (root(q, lower)) return 1;
+  *log_volume = 0.0;
+  for (long i = 0; i < q; i++) *log_volume += 2.0 * log(lower[q * i + i]);
+  for (long j = 0; j < q; j++) { /* the root's inverse, in its place */
+    lower[q * j + j] = 1.0 / lower[q * j + j];
+    for (long i = j + 1; i < q; i++) {
+      double sum = 0.0;
+      for (long k = j; k < i; k++) sum -= lower[q * i + k] * lower[q * k + j];
+      lower[q * i + j] = sum / lower[q * i + i];
+    }
+  }
+  for (long i = 0; i < q; i++) /* ... times its transpose: above the diagonal, on it, below it */
+    for (long j = i + 1; j < q; j++) {
+      double sum = 0.0;
+      for (long k = j; k < q; k++) sum += lower[q * k + i] * lower[q * k + j];
+      precision[q * i + j] = sum;
+    }
+  for (long i = 0; i < q; i++) {
+    double sum = 0.0;
+    for (long k = i; k < q; k++) sum += lower[q * k + i] * lower[q * k + i];
+    precision[q * i + i] = right[i] ? sum : 0.0;
+  }
+  for (long i = 0; i < q; i++)
+    for (long j = 0; j < i; j++) precision[q * i + j] = precision[q * j + i];
+
+  for (long i = 0; i < q; i++) {
+    double weighted[3] = {0.0, 0.0, 0.0};
+    for (long j = 0; j < q; j++)
+      for (int k = 0; k < 3; k++) weighted[k] += precision[q * i + j] * by_home[3 * j + k];
+    for (int k = 0; k < 3; k++) {
+      for (int l = 0; l < 3; l++) information[3 * k + l] += weighted[k] * by_home[3 * i + l];
+      slope[k] += weighted[k] * residual[i];
+    }
+  }
+  double inverse[9];
+  if (invert(information, inverse)) return 1;
+  for (int k = 0; k < 3; k++)
+    step[k] = inverse[3 * k] * slope[0] + inverse[3 * k + 1] * slope[1] + inverse[3 * k + 2] * slope[2];
   return 0;
 }
 

@@ -25,10 +25,12 @@ FUNCTIONS = {
     "move_on": "i" + 6 * "a",
     "predict": "ii" + 7 * "a",
     "correct": "ii" + 5 * "a",
+    "spread_home": "ii" + 5 * "a",
+    "solve_home": "i" + 9 * "a",
     "integrate": "iaaaddddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, addresses of arrays."""
-MAY_FAIL = ("eliminate", "correct")
+MAY_FAIL = ("eliminate", "correct", "solve_home")
 """Those that return 0, or 1 where a matrix is not positive definite."""
 _TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
 

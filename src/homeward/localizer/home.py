@@ -15,12 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
-from homeward.localizer.problem import HEAD, HomeProblem, linearise
+from homeward.localizer.linear import Linear, linearised
+from homeward.localizer.problem import HEAD, HomeProblem
 
-STEPS = 6
-SETTLED = 1e-4
-"""A step of home smaller than this ends the iteration [m or rad]."""
-LONGEST_STEP_M = 1.0
 UNSETTLED = 0.5
 """A last step longer than this says that the fit has not come to rest [standard deviations]."""
 LEAST_SHARE = 0.002
@@ -33,34 +30,29 @@ UNIFORM_FROM = 2.0
 class HomeFit:
     """Home for one set of right home bearings; what follows from it is worked out when asked."""
 
-    problem: HomeProblem
+    linear: Linear
     right: np.ndarray
     """(q,), bool: the set."""
-    at: np.ndarray
-    """(3,): where home was linearised ..."""
     step: np.ndarray
-    """(3,): ... and the last step from there."""
-    residual: np.ndarray
-    """(q,): of the home bearings, the map at its mean [rad]."""
-    by_known: np.ndarray
-    """(q, 4 + 2 q): Jacobian of the expected home bearings by what is known ..."""
-    by_home: np.ndarray
-    """(q, 3): ... and by home."""
-    correlated: np.ndarray
-    """(4 + 2 q, q): covariance of what is known with the expected home bearings."""
-    spread: np.ndarray
-    """(q, q): of the home bearings, were home known."""
+    """(3,): from where home was linearised to where it is."""
     precision: np.ndarray
-    """(r, r): inverse of it, of the set."""
+    """(q, q): inverse of the spread of the set; zero outside of it."""
     information: np.ndarray
     """(3, 3): on home."""
-    doubt: np.ndarray | None = None
-    """(3, 3): see `_doubt`; from the fit that this one was carried on from."""
+    log_volume: float
+    """Log of the determinant of the spread of the set."""
+    known_doubt: np.ndarray | None = None
+    """(3, 3): see `doubt`; from the fit that this one was carried on from."""
+
+    @property
+    def problem(self) -> HomeProblem:
+        """What is known."""
+        return self.linear.problem
 
     @cached_property
     def home(self) -> np.ndarray:
         """(3,): pose of the robot at home, in the odometry frame."""
-        return np.asarray(self.at + self.step)
+        return np.asarray(self.linear.at + self.step)
 
     @cached_property
     def settled(self) -> bool:
@@ -70,7 +62,7 @@ class HomeFit:
     @cached_property
     def known(self) -> np.ndarray:
         """(4 + 2 q,): pose, camera yaw and landmarks, corrected by the home bearings."""
-        return np.asarray(self.problem.mean + self.correlated[:, self.right] @ self._weighted)
+        return np.asarray(self.problem.mean + self._weighted @ self.linear.correlated)
 
     @property
     def pose(self) -> np.ndarray:
@@ -85,10 +77,11 @@ class HomeFit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """(6, 6), of home and newest pose."""
-        spread = np.linalg.inv(self.information) + self._doubt
-        gain = self.correlated[:3, self.right] @ self.precision
-        by_pose = gain @ self.by_home[self.right]
-        own = self.problem.covariance[:3, :3] - gain @ self.correlated[:3, self.right].T
+        spread = np.linalg.inv(self.information) + self.doubt
+        with_pose = self.linear.correlated[:, :3]
+        gain = with_pose.T @ self.precision
+        by_pose = gain @ self.linear.by_home
+        own = self.problem.covariance[:3, :3] - gain @ with_pose
         joint = np.empty((6, 6))
         joint[:3, :3], joint[3:, 3:] = spread, own + by_pose @ spread @ by_pose.T
         joint[:3, 3:] = -spread @ by_pose.T
@@ -99,12 +92,12 @@ class HomeFit:
     def evidence(self) -> float:
         """Log of the evidence of the set, up to a constant that all sets share."""
         problem, n, q = self.problem, int(self.right.sum()), self.right.size
-        residual = self.residual[self.right]
+        residual = self.linear.residual
         square = residual @ self.precision @ residual - self.step @ self.information @ self.step
         if problem.prior is not None:
             offset = self._off_prior()
             square += offset @ problem.prior_information @ offset
-        log_density = 0.5 * (np.linalg.slogdet(self.precision)[1] - n * math.log(TWO_PI))
+        log_density = -0.5 * (self.log_volume + n * math.log(TWO_PI))
         log_volume = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(self.information)[1])
         p = problem.moved_prior
         labels = n * math.log(1.0 - p) + (q - n) * math.log(p / TWO_PI)
@@ -113,22 +106,21 @@ class HomeFit:
     @cached_property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
         """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
-        right, out = self.right, ~self.right
-        innovation, variance = np.zeros(right.size), np.zeros(right.size)
+        linear, out = self.linear, ~self.right
         spread = np.linalg.inv(self.information)
-        lever = self.precision @ self.by_home[right]
-        rest = np.diag(self.precision) - ((lever @ spread) * lever).sum(axis=1)
+        lever = self.precision @ linear.by_home
+        rest = self.precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
         rest = np.maximum(rest, 1e-9)
-        innovation[right], variance[right] = self._weighted / rest, 1.0 / rest
+        innovation, variance = self._weighted / rest, 1.0 / rest
         if out.any():
-            between = self.spread[np.ix_(out, right)]
-            gain = between @ self.precision
+            between, by_home = linear.spread[out], linear.by_home[out]
             innovation[out] = wrap(
-                self.residual[out] - self.by_home[out] @ self.step - between @ self._weighted
+                linear.residual[out] - by_home @ self.step - between @ self._weighted
             )
-            lever = self.by_home[out] - gain @ self.by_home[right]
+            gain = between @ self.precision
+            lever = by_home - gain @ linear.by_home
             variance[out] = (
-                np.diag(self.spread)[out]
+                linear.spread.diagonal()[out]
                 - (gain * between).sum(axis=1)
                 + ((lever @ spread) * lever).sum(axis=1)
             )
@@ -157,8 +149,10 @@ class HomeFit:
             mean=np.concatenate([self.known[:HEAD], position]),
             covariance=np.zeros((HEAD + 2, HEAD + 2)),
             bearings=np.array([bearing]),
+            sigmas=np.array([sigma]),
         )
-        residual, _, by_home = linearise(one, self.home, one.mean)
+        there = linearised(one, self.home, one.mean)
+        residual, by_home = there.residual, there.by_home
         by_landmark = -by_home[0, :2]
         variance = sigma**2 + by_landmark @ covariance @ by_landmark
         variance += by_home[0] @ self.covariance[:3, :3] @ by_home[0]
@@ -169,41 +163,31 @@ class HomeFit:
 
     @cached_property
     def _weighted(self) -> np.ndarray:
-        """Return the residuals of the set after the step, times their precision."""
-        right = self.right
-        left = self.residual[right] - self.by_home[right] @ self.step
+        """Return the residuals of the set after the step, times their precision (q,)."""
+        left = self.linear.residual - self.linear.by_home @ self.step
         return np.asarray(self.precision @ left)
 
     def _off_prior(self) -> np.ndarray:
         """Return how far the start prior's home is from where home was linearised, (3,)."""
-        offset = np.zeros(3) if self.problem.prior is None else self.problem.prior - self.at
+        offset = np.zeros(3) if self.problem.prior is None else self.problem.prior - self.linear.at
         offset[2] = wrap(offset[2])
         return offset
 
-    def carried(self, problem: HomeProblem) -> HomeFit | None:
-        """Return the fit after what is known has changed by next to nothing, linearised as here."""
-        residual = self.residual - self.by_known @ (problem.mean - self.problem.mean)
-        try:
-            now = _solved(problem, self.right, self.at, residual, self.by_known, self.by_home)
-        except np.linalg.LinAlgError:
-            return None
-        return replace(now, doubt=self._doubt)
-
     @cached_property
-    def _doubt(self) -> np.ndarray:
-        """Covariance of home beyond what the information on it says.
+    def doubt(self) -> np.ndarray:
+        """(3, 3): covariance of home beyond what the information on it says.
 
         Where home lies on the circle through the landmarks its position is not fixed at all; but
         the landmarks as mapped are never quite on the circle, and so seem to fix it. What their
         errors add to the information in the mean is taken out, down to a share of `LEAST_SHARE`.
         """
-        if self.doubt is not None:
-            return self.doubt
-        d = self.landmarks[self.right] - self.at[:2]
+        if self.known_doubt is not None:
+            return self.known_doubt
+        d = self.landmarks[self.right] - self.linear.at[:2]
         square = np.maximum((d**2).sum(axis=1), 1e-4)
         a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
         curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
-        errors = self._own_errors(d) / np.diag(self.spread)[self.right, None, None]
+        errors = self._own_errors(d) / self.linear.spread.diagonal()[self.right, None, None]
         chance = np.zeros((3, 3))
         chance[:2, :2] = (curvature @ errors @ curvature).sum(axis=0)
         root = np.linalg.cholesky(self.information)
@@ -227,81 +211,6 @@ class HomeFit:
         errors = own @ self.problem.covariance[of_set][:, of_set] @ own
         each = np.arange(len(d))
         return np.asarray(errors.reshape(len(d), 2, len(d), 2)[each, :, each])
-
-
-def fit(
-    problem: HomeProblem, home: np.ndarray, right: np.ndarray, steps: int = STEPS
-) -> HomeFit | None:
-    """Fit home to a set of right home bearings; None when they do not fix it.
-
-    Parameters
-    ----------
-    problem : HomeProblem
-        What is known.
-    home : ndarray, shape (3,)
-        Where to start.
-    right : ndarray, shape (q,), bool
-        The set.
-    steps : int
-        Gauss-Newton steps at most.
-    """
-    if right.sum() < problem.fewest:
-        return None
-    known = problem.mean
-    for _ in range(steps):
-        try:
-            now = _step(problem, home, known, right)
-        except np.linalg.LinAlgError:
-            return None
-        if np.abs(now.step).max() < SETTLED:
-            break
-        home, known = now.home, now.known
-    fixed = np.isfinite(now.step).all() and np.isfinite(now.information).all()
-    fixed = fixed and (np.linalg.eigvalsh(now.information) > 0).all()
-    return now if fixed and problem.is_near(now.home) else None
-
-
-def _step(problem: HomeProblem, home: np.ndarray, known: np.ndarray, right: np.ndarray) -> HomeFit:
-    """Return the fit after one Gauss-Newton step from `home` (3,) and what is known (4 + 2 q,)."""
-    residual, by_known, by_home = linearise(problem, home, known)
-    return _solved(problem, right, home, residual, by_known, by_home)
-
-
-def _solved(
-    problem: HomeProblem,
-    right: np.ndarray,
-    home: np.ndarray,
-    residual: np.ndarray,
-    by_known: np.ndarray,
-    by_home: np.ndarray,
-) -> HomeFit:
-    """Return the fit to residuals (q,) of home bearings, linear around `home` (3,)."""
-    correlated = problem.covariance @ by_known.T
-    spread = by_known @ correlated
-    spread.flat[:: right.size + 1] += problem.sigmas**2
-    precision = np.linalg.inv(spread[right][:, right])
-    weighted = by_home[right].T @ precision
-    information, slope = weighted @ by_home[right] + problem.vague, weighted @ residual[right]
-    if problem.prior is not None:
-        offset = problem.prior - home
-        offset[2] = wrap(offset[2])
-        information = information + problem.prior_information
-        slope = slope + problem.prior_information @ offset
-    step = np.linalg.solve(information, slope)
-    step *= min(1.0, LONGEST_STEP_M / max(float(np.abs(step).max()), 1e-12))
-    return HomeFit(
-        problem,
-        right,
-        home,
-        step,
-        residual,
-        by_known,
-        by_home,
-        correlated,
-        spread,
-        precision,
-        information,
-    )
 
 
 def _log_density(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:

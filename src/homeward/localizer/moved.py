@@ -14,7 +14,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose, compose, inverse
-from homeward.localizer.home import HomeFit, fit
+from homeward.localizer.fitting import carried, fit, solved
+from homeward.localizer.home import HomeFit
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.resection import mixture_scores, poses_from_triples
 
@@ -26,6 +27,8 @@ CLIMBS = 12
 """Flips at most from one start."""
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
+PROMISING = 6.0
+"""... and climbed from when their log evidence falls short of the best by no more than this."""
 NEGLIGIBLE = 1e-4
 """A hypothesis less probable than this is dropped."""
 
@@ -70,16 +73,21 @@ def search(problem: HomeProblem) -> Hypotheses | None:
         _climb(problem, home, right, found)
     if not found:
         return None
-    best = max(found.values(), key=lambda f: f.evidence)
     if problem.bearings.size <= PAIRS_UP_TO:
-        for pair in combinations(range(problem.bearings.size), 2):
-            right = best.right.copy()
-            right[list(pair)] ^= True
-            if right.tobytes() not in found:
-                tried = fit(problem, best.home, right, steps=2)
-                if tried is not None and tried.evidence > best.evidence - 6.0:
-                    _climb(problem, tried.home, right, found)
+        _flip_pairs(problem, max(found.values(), key=lambda f: f.evidence), found)
     return _weigh(list(found.values()))
+
+
+def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]) -> None:
+    """Climb from the best set with two bearings flipped, where that looks promising from it."""
+    for pair in combinations(range(problem.bearings.size), 2):
+        right = best.right.copy()
+        right[list(pair)] ^= True
+        if right.sum() < problem.fewest or right.tobytes() in found:
+            continue
+        tried = solved(best.linear, right)
+        if tried is not None and tried.evidence > best.evidence - PROMISING:
+            _climb(problem, tried.home, right, found)
 
 
 def follow(
@@ -112,7 +120,7 @@ def follow(
 
 def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return the same sets as probable as before, after the map has changed by next to nothing."""
-    again = [f.carried(problem) for f in hypotheses.fits]
+    again = [carried(f, problem) for f in hypotheses.fits]
     if None not in again:
         return Hypotheses(tuple(f for f in again if f is not None), hypotheses.weights)
     return follow(problem, hypotheses)

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, inverse, polar_covariance_to_pose
 from homeward.localizer.resection import REACH
@@ -69,29 +68,6 @@ class HomeProblem:
     def fewest(self) -> int:
         """Home bearings that fix home."""
         return 3 if self.prior is None else 0
-
-
-def linearise(
-    problem: HomeProblem, home: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals as of the mean of the map, and Jacobians by what is known and by home."""
-    q = problem.bearings.size
-    c, s = math.cos(home[2]), math.sin(home[2])
-    mx, my, yaw = problem.mount
-    ox, oy = c * mx - s * my, s * mx + c * my
-    points = known[HEAD:].reshape(-1, 2)
-    dx, dy = points[:, 0] - home[0] - ox, points[:, 1] - home[1] - oy
-    square = np.maximum(dx * dx + dy * dy, 1e-4)
-    gx, gy = -dy / square, dx / square
-    unknown_yaw = known[3] if problem.same_camera else 0.0
-    residual = wrap(problem.bearings - np.arctan2(dy, dx) + home[2] + yaw + unknown_yaw)
-    by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
-    by_known = np.zeros((q, problem.mean.size))
-    if problem.same_camera:
-        by_known[:, 3] = -1.0
-    rows = np.arange(q)
-    by_known[rows, HEAD + 2 * rows], by_known[rows, HEAD + 1 + 2 * rows] = gx, gy
-    return residual + by_known @ (known - problem.mean), by_known, by_home
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

@@ -11,7 +11,8 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.frames import Pose, between
 from homeward.localizer.answer import Answer, in_home_frame
-from homeward.localizer.home import HomeFit, fit
+from homeward.localizer.fitting import fit
+from homeward.localizer.home import HomeFit
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, search
 from homeward.localizer.odometry import LONGEST_LAG, Odometry
