@@ -52,10 +52,10 @@ def in_home_frame(fit: HomeFit) -> Answer:
     c, s = math.cos(home_heading), math.sin(home_heading)
     dx, dy = x - home_x, y - home_y
     px, py = c * dx + s * dy, c * dy - s * dx
-    jacobian = np.array(
-        [[-c, -s, py, c, s, 0.0], [s, -c, -px, -s, c, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0]]
-    )
-    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_home = np.array([[-c, -s, py], [s, -c, -px], [0.0, 0.0, -1.0]])
+    by_pose = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    in_all = by_home - by_pose @ fit.by_home  # home moves the pose with it
+    covariance = in_all @ fit.spread @ in_all.T + by_pose @ fit.pose_spread @ by_pose.T
     return Answer(Pose(px, py, _wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
 
 
@@ -69,10 +69,11 @@ def mixture(hypotheses: Hypotheses) -> Answer:
         off = np.array([x, y, _wrap(heading)])
         covariance = covariance + weight * (other.covariance + off[:, None] * off)
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
-    a, b, d = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     sagitta = largest / (2.0 * landmark_distance(hypotheses.best, hypotheses.best.home))
-    return Answer(best.pose, covariance + np.diag([sagitta**2, sagitta**2, 0.0]))
+    covariance[[0, 1], [0, 1]] += sagitta**2
+    return Answer(best.pose, covariance)
 
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:

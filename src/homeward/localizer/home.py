@@ -75,18 +75,33 @@ class HomeFit:
         return np.asarray(self.known[HEAD:].reshape(-1, 2))
 
     @cached_property
+    def spread(self) -> np.ndarray:
+        """(3, 3): covariance of home."""
+        return np.asarray(np.linalg.inv(self.information) + self.doubt)
+
+    @cached_property
+    def by_home(self) -> np.ndarray:
+        """(3, 3): minus the derivative of the newest pose by home."""
+        return np.asarray(self._gain @ self.linear.by_home)
+
+    @cached_property
+    def pose_spread(self) -> np.ndarray:
+        """(3, 3): covariance of the newest pose, were home known."""
+        with_pose = self.linear.correlated[:, :3]
+        return np.asarray(self.problem.covariance[:3, :3] - self._gain @ with_pose)
+
+    @cached_property
     def covariance(self) -> np.ndarray:
         """(6, 6), of home and newest pose."""
-        spread = np.linalg.inv(self.information) + self.doubt
-        with_pose = self.linear.correlated[:, :3]
-        gain = with_pose.T @ self.precision
-        by_pose = gain @ self.linear.by_home
-        own = self.problem.covariance[:3, :3] - gain @ with_pose
-        joint = np.empty((6, 6))
-        joint[:3, :3], joint[3:, 3:] = spread, own + by_pose @ spread @ by_pose.T
-        joint[:3, 3:] = -spread @ by_pose.T
-        joint[3:, :3] = joint[:3, 3:].T
+        together = -self.spread @ self.by_home.T
+        pose = self.pose_spread - self.by_home @ together
+        joint = np.block([[self.spread, together], [together.T, pose]])
         return np.asarray(0.5 * (joint + joint.T))
+
+    @cached_property
+    def _gain(self) -> np.ndarray:
+        """(3, q): of the residuals, on the newest pose."""
+        return np.asarray(self.linear.correlated[:, :3].T @ self.precision)
 
     @cached_property
     def evidence(self) -> float:

@@ -18,7 +18,7 @@ from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.moved import Hypotheses, Start, carry, follow, search, starts
+from homeward.localizer.moved import Hypotheses, Start, carry, challenged, follow, search, starts
 from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
@@ -29,7 +29,7 @@ NO_BEARINGS_S = 2.0
 SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
-"""... and as many more it waits for one at which the window is not solved."""
+"""... which waits so many for one at which the window is not solved."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 ELSEWHERE = 3.0
@@ -176,11 +176,9 @@ class Localizer:
             now = search(problem)
             self._starts.clear()
         else:
-            self._look_elsewhere(problem)
-            if self._mapper.solved:
-                now = follow(problem, now, self._starts.popleft() if self._starts else None)
-            else:
-                now = carry(problem, now)
+            now = (follow if self._mapper.solved else carry)(problem, now)
+            if now is not None:
+                now = self._challenged(problem, now)
         self._hypotheses = now
         if now is None:
             self._fixed = False
@@ -191,13 +189,16 @@ class Localizer:
             self._fixed = self._is_fixed(now)
             self._rivals = now.rivals(ELSEWHERE)
 
-    def _look_elsewhere(self, problem: HomeProblem) -> None:
-        """Collect places where home might be instead, now and then, when there is time."""
+    def _challenged(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
+        """Look now and then where else home might be, one place after the other."""
         since = self._mapper.window.newest - self._searched
-        wait = SEARCH_EVERY + (SEARCH_PATIENCE if self._mapper.solved else 0)
-        if not self._starts and since >= wait:
+        wait = SEARCH_PATIENCE if self._mapper.solved else 0
+        if self._starts and since >= wait:
+            return challenged(problem, now, self._starts.popleft())
+        if not self._starts and since >= SEARCH_EVERY + wait:
             self._starts.extend(starts(problem))
             self._searched = self._mapper.window.newest
+        return now
 
     def _problem(self, names: list[str], marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks, in the odometry frame."""

@@ -90,20 +90,8 @@ def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]
             _climb(problem, tried.home, right, found)
 
 
-def follow(
-    problem: HomeProblem, hypotheses: Hypotheses, start: Start | None = None
-) -> Hypotheses | None:
-    """Return the same sets, flipped where that is better, after the map has changed a little.
-
-    Parameters
-    ----------
-    problem : HomeProblem
-        What is known now.
-    hypotheses : Hypotheses
-        Of the same landmarks, from before.
-    start : tuple, optional
-        Another home and set to climb from.
-    """
+def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Return the same sets, flipped where that is better, after the map has changed a little."""
     found: dict[bytes, HomeFit] = {}
     for hypothesis in hypotheses.fits:
         again = fit(problem, hypothesis.home, hypothesis.right, steps=3)
@@ -113,9 +101,14 @@ def follow(
         flip = _best_flip(problem, again)
         if flip is not None:
             _climb(problem, again.home, flip, found)
-    if start is not None:
-        _climb(problem, *start, found)
     return _weigh(list(found.values())) if found else None
+
+
+def challenged(problem: HomeProblem, hypotheses: Hypotheses, start: Start) -> Hypotheses:
+    """Return the sets with those among them that are climbed to from another home and set."""
+    found = {f.right.tobytes(): f for f in hypotheses.fits}
+    _climb(problem, *start, found)
+    return _weigh(list(found.values())) if len(found) > len(hypotheses.fits) else hypotheses
 
 
 def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:

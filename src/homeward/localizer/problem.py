@@ -61,8 +61,8 @@ class HomeProblem:
         """(3, 3): information on home before anything is known: in sight of its landmarks."""
         if self.prior_information is not None or not self.bearings.size:
             return np.zeros((3, 3))
-        reach = 0.5 * REACH * max(self.extent, 1e-3)
-        return np.diag([reach**-2, reach**-2, math.pi**-2])
+        near = (0.5 * REACH * max(self.extent, 1e-3)) ** -2
+        return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
 
     @property
     def fewest(self) -> int:

@@ -33,7 +33,7 @@ LONGEST_TURN, LONGEST_SHARE, NEAR_M = 0.2, 0.3, 0.3
 """A step turns no keyframe further [rad], and moves no landmark by more of its distance [1]."""
 STEPS = 5
 """Gauss-Newton steps at most."""
-SETTLED = 1e-2
+SETTLED = 2e-2
 """Smaller steps of poses [m, rad] and landmarks [distance] end it; the rest goes as its square."""
 
 
