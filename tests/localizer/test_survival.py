@@ -78,6 +78,25 @@ def test_a_landmark_that_moves_during_the_drive_is_noticed():
     assert math.hypot(known.x - rig.landmarks["L3"][0], known.y - rig.landmarks["L3"][1]) < 0.4
 
 
+def test_a_landmark_out_of_sight_for_which_another_is_taken_has_not_moved():
+    rig = Rig(ring(9))
+    rig.drive(60)
+
+    def mistake(seen):
+        """L3 is hidden, and L4 is taken for it every fourth time, L7 and L8 now and then."""
+        one = rig.rng.choice(["L4", "L7", "L8"], p=[0.9, 0.05, 0.05])
+        wrong = {one: "L3"} if rig.rng.random() < 0.25 else {}
+        return {wrong.get(n, n): b for n, b in seen.items() if n != "L3"}
+
+    rig.drive(90, see=mistake)
+    (known,) = [m for m in rig.localizer.landmarks() if m.landmark == "L3"]
+    assert not known.moved
+    assert math.isnan(known.moved_at)
+    assert math.hypot(known.x - rig.landmarks["L3"][0], known.y - rig.landmarks["L3"][1]) < 0.2
+    assert rig.error() < 0.1
+    assert rig.wrong_share() < 0.01
+
+
 def test_kidnapped_and_localised_again():
     rig = Rig(ring(10))
     rig.drive(60)

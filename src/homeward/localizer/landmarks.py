@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.localizer.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, cameras, directions
-from homeward.localizer.triangulation import triangulate
+from homeward.localizer.triangulation import AGREES, SHARE, triangulate
 from homeward.localizer.window import Window
 
 BASE = 5.0
@@ -24,7 +25,9 @@ REFUSED = 6
 MOST_FROM_HOME = 48
 """Home is found among so many landmarks at most; those that came first are the nearest."""
 PLACED = 0.3
-"""Only a landmark seen under this angle can be said to have moved [rad]."""
+"""Only a landmark seen under this angle can be said to have moved [rad] ..."""
+ESTABLISHED = 12
+"""... and seen so often before, and so often since where it is now."""
 MISFIT, FEWEST_TO_JUDGE = 4.0, 6
 """A landmark is taken out when most of at least so many sightings are so many deviations off."""
 
@@ -49,6 +52,11 @@ class Landmark:
         """Angle between the outermost sight lines [rad]."""
         return self.lines[2] - self.lines[1]
 
+    @property
+    def established(self) -> bool:
+        """Whether it was seen often enough, and from enough sides, to say that it moved."""
+        return self.parallax >= PLACED and self.sightings >= ESTABLISHED
+
     def seen_along(self, direction: float) -> None:
         """Count a sighting along a direction in the odometry frame [rad]."""
         if not self.sightings:
@@ -61,9 +69,11 @@ class Landmark:
 
 @dataclass
 class Waiting:
-    """Sightings of a landmark that is not in the map yet."""
+    """Sightings of a landmark that is not in the map yet, or not where it was mapped."""
 
-    rows: deque[np.ndarray]
+    since: float
+    """When the first of them was seen [s]."""
+    rows: deque[np.ndarray] = field(default_factory=deque)
     due: float = 0.0
     """It is worth a try when there are so many rows."""
 
@@ -95,25 +105,35 @@ class Landmarks:
         """Return the numbers of landmarks in the window, shape (m,); -1 of those not mapped."""
         return np.array([self.mapped[n].number if n in self.mapped else -1 for n in names], int)
 
-    def keep(self, window: Window, names: list[str], rows: np.ndarray) -> None:
-        """Take sightings, rows of the table with their landmarks, into the window or aside."""
+    def keep(self, window: Window, t: float, names: list[str], rows: np.ndarray) -> None:
+        """Take sightings of `t` [s], rows of the table, into the window or aside."""
         lines = directions(rows, window.poses_of(rows), window.calibration).tolist()
         for name, row, line in zip(names, rows, lines, strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
-                self._waiting.setdefault(name, Waiting(deque())).rows.append(row)
+                self._waiting.setdefault(name, Waiting(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
+                self._waiting.pop(name, None)
         window.add_sightings(rows[rows[:, LANDMARK] >= 0])
+
+    def doubt(self, t: float, name: str, row: np.ndarray) -> None:
+        """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
+        self._waiting.setdefault(name, Waiting(t)).rows.append(row)
 
     def start(self, window: Window) -> bool:
         """Let the landmarks enter whose sight lines agree by now; return whether any did."""
-        due = [n for n, w in self._waiting.items() if len(w.rows) >= w.due][:MOST_STARTS]
+        due = [n for n in self._waiting if n not in self.mapped and self._is_due(n)][:MOST_STARTS]
         started = [self._start(window, name) for name in due]
         return any(started)
 
+    def _is_due(self, name: str) -> bool:
+        """Return whether what is put aside of a landmark is worth a try."""
+        waiting = self._waiting.get(name)
+        return waiting is not None and len(waiting.rows) >= waiting.due
+
     def _start(self, window: Window, name: str) -> bool:
-        """Let one landmark enter if its sight lines agree."""
+        """Let one landmark enter if its sight lines agree, even if it is mapped elsewhere."""
         waiting = self._waiting.pop(name)
         rows = np.array(waiting.rows)
         found = self._triangulate(window, rows)
@@ -122,6 +142,13 @@ class Landmarks:
             self._waiting[name] = waiting  # behind the others
             return False
         position, agree = found
+        if name in self.mapped:
+            if agree.sum() < ESTABLISHED or self._is_another(window, name, rows[agree]):
+                waiting.due = MORE * len(rows)
+                self._waiting[name] = waiting
+                return False
+            self.former[name] = self.mapped.pop(name)
+            self.moved_at[name] = waiting.since
         rows = rows[agree]
         rows[:, LANDMARK] = number = window.add_landmark(position)
         window.add_sightings(rows)
@@ -141,6 +168,15 @@ class Landmarks:
             return None
         return triangulate(eyes, rows[:, BEARING], _line_sigmas(window, rows), self._parallax)
 
+    def _is_another(self, window: Window, name: str, rows: np.ndarray) -> bool:
+        """Return whether sightings under a name are explained by another landmark of the map."""
+        others = np.delete(window.positions, self.mapped[name].number, axis=0)
+        eyes = cameras(rows, window.poses_of(rows), window.calibration)
+        sight = others[:, None, :] - eyes[:, :2]
+        expected = np.arctan2(sight[:, :, 1], sight[:, :, 0]) - eyes[:, 2]
+        fits = np.abs(wrap(rows[:, BEARING] - expected)) < AGREES * _line_sigmas(window, rows)
+        return bool((fits.mean(axis=1) >= SHARE).any())
+
     def refused(self, fits: Mapping[str, bool]) -> list[str]:
         """Count which sightings of a stamp fitted; return the landmarks refused again and again."""
         for name, fit in fits.items():
@@ -148,14 +184,20 @@ class Landmarks:
             landmark.refused = 0 if fit else landmark.refused + 1
         return [name for name in fits if self.mapped[name].refused >= REFUSED]
 
-    def restart(self, window: Window, names: list[str], t: float) -> None:
-        """Let landmarks start anew: at `t` [s] they are found not to be where they were."""
+    def restart(self, window: Window, names: list[str]) -> bool:
+        """Let landmarks start anew that are found not to be where they were; tell if any did.
+
+        One that was established has moved, where its sightings since agree on another place. They
+        need not: it may be out of sight, and others be mistaken for it.
+        """
+        started = False
         for name in names:
-            if self.mapped[name].parallax >= PLACED and name not in self.former:
-                self.former[name] = self.mapped.pop(name)
-                self.moved_at[name] = t
+            if self.mapped[name].established and name not in self.former:
+                started |= self._is_due(name) and self._start(window, name)
             else:
                 self._drop(window, name)
+                started = True
+        return started
 
     def drop_misfits(self, window: Window) -> int:
         """Take landmarks out on which the sightings do not agree; return how many."""

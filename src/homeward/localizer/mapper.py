@@ -125,11 +125,9 @@ class Mapper:
             return innovations, self._look_around(t, names, bearings, deviations)
         fits = {i.landmark: i.accepted for i in innovations}
         rows[:, SIGMA] = np.sqrt(deviations**2 + since.covariance[2, 2])
-        kept = self._keep(names, rows, fits)
+        kept = self._keep(t, names, rows, fits)
         refused = self.landmarks.refused(fits)
-        changed = bool(refused) and self.lost.others_fit(refused)
-        if changed:
-            self.landmarks.restart(self.window, refused, t)
+        changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
         return innovations, fresh or changed
@@ -191,13 +189,16 @@ class Mapper:
         rows[:, LANDMARK] = self.landmarks.number(names)
         return rows
 
-    def _keep(self, names: list[str], rows: np.ndarray, fits: Mapping[str, bool]) -> np.ndarray:
-        """Put what was not rejected into the window; return which (m,), bool."""
+    def _keep(
+        self, t: float, names: list[str], rows: np.ndarray, fits: Mapping[str, bool]
+    ) -> np.ndarray:
+        """Put what was not rejected at `t` [s] into the window; return which (m,), bool."""
         kept = np.zeros(len(names), bool)
         for i, name in enumerate(names):
             taken = self._taken.get(name, 0)
             if not fits.get(name, True):
                 self._counts.reject("bearing does not fit the map")
+                self.landmarks.doubt(t, name, rows[i])
             elif taken >= MOST_PER_KEYFRAME:
                 self._counts.reject("the robot stands and saw this before")
             else:
@@ -205,7 +206,8 @@ class Mapper:
                 kept[i] = True
         self._counts.used += int(kept.sum())
         mine = rows[kept]
-        self.landmarks.keep(self.window, [n for n, k in zip(names, kept, strict=True) if k], mine)
+        fitting = [n for n, k in zip(names, kept, strict=True) if k]
+        self.landmarks.keep(self.window, t, fitting, mine)
         self._between.append(mine[mine[:, LANDMARK] >= 0])
         return kept
 
@@ -291,7 +293,7 @@ class Mapper:
             self._counts.reject("the robot is lost in its map", len(names))
             return False
         self._resume(t, motion, *found)
-        self._keep(names, self._rows(Motion.none(), names, bearings, sigmas), {})
+        self._keep(t, names, self._rows(Motion.none(), names, bearings, sigmas), {})
         self._correct(None)
         return True
 
