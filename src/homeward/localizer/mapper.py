@@ -195,14 +195,13 @@ class Mapper:
         """Put what was not rejected at `t` [s] into the window; return which (m,), bool."""
         kept = np.zeros(len(names), bool)
         for i, name in enumerate(names):
-            taken = self._taken.get(name, 0)
-            if not fits.get(name, True):
+            taken = self._taken[name] = self._taken.get(name, 0) + 1
+            if taken > MOST_PER_KEYFRAME:
+                self._counts.reject("the robot stands and saw this before")
+            elif not fits.get(name, True):
                 self._counts.reject("bearing does not fit the map")
                 self.landmarks.doubt(t, name, rows[i])
-            elif taken >= MOST_PER_KEYFRAME:
-                self._counts.reject("the robot stands and saw this before")
             else:
-                self._taken[name] = taken + 1
                 kept[i] = True
         self._counts.used += int(kept.sum())
         mine = rows[kept]
