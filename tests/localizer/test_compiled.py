@@ -131,6 +131,21 @@ def test_the_gaussian_moves_predicts_and_is_corrected(both):
         assert np.array_equal(native.covariance, native.covariance.T)
 
 
+@pytest.mark.parametrize("number", [-1.0, 5.0, 1e9])
+def test_a_landmark_that_is_not_there_is_an_error(number):
+    gaussian, rows = a_gaussian(np.random.default_rng(3))
+    rows[3, LANDMARK] = number
+    with pytest.raises(IndexError):
+        gaussian.predict(rows)
+    poses, calibration, positions, rows, _, first = a_map(np.random.default_rng(4))
+    rows[3, LANDMARK] = number + 1.0 if number > 0 else number
+    e = chain.NormalEquations.zeros(len(poses), NC + positions.size)
+    with pytest.raises(IndexError):
+        add_sightings(e, poses, calibration, positions, rows, first)
+    with pytest.raises(IndexError):
+        add_sightings(e, poses, calibration, positions, np.abs(rows), first + 1)
+
+
 def test_sightings_without_spread_are_an_error_and_change_nothing():
     gaussian, rows = a_gaussian(np.random.default_rng(3))
     seen = gaussian.predict(rows)

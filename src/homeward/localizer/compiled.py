@@ -1,7 +1,7 @@
 """The innermost loops in C, where there is a compiler; NumPy does the same without, more slowly.
 
 What is compiled is kept for next time (see `homeward.engine.native`). A function of the localiser
-that has a counterpart in ``arithmetic.c`` asks `compiled` for it, and else goes on by itself; tests
+that has a counterpart in ``native/*.c`` asks `compiled` for it, and else goes on by itself; tests
 hold the two together.
 """
 
@@ -16,6 +16,8 @@ import numpy as np
 from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.library import load
 
+SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "motion.c")
+"""Of one program, in this order."""
 FUNCTIONS = {
     "residuals": "i" + 6 * "a",
     "add_sightings": "iiiid" + 10 * "a",
@@ -30,8 +32,8 @@ FUNCTIONS = {
     "integrate": "iaaaddddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, addresses of arrays."""
-MAY_FAIL = ("eliminate", "correct", "solve_home")
-"""Those that return 0, or 1 where a matrix is not positive definite."""
+MAY_FAIL = ("add_sightings", "eliminate", "predict", "correct", "solve_home")
+"""Those that return 0, or 1 where an index is out of range or a matrix not positive definite."""
 _TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
 
 
@@ -49,12 +51,13 @@ def address(array: np.ndarray) -> int:
     """Return where an array of doubles begins, for a function that takes it row by row."""
     assert array.dtype == np.float64
     assert array.flags.c_contiguous
-    return array.ctypes.data
+    return int(array.__array_interface__["data"][0])
 
 
 @lru_cache(maxsize=1)
 def _load() -> tuple[ctypes.CDLL | None, str | None]:
-    source = files("homeward.localizer").joinpath("arithmetic.c").read_text(encoding="utf-8")
+    folder = files("homeward.localizer").joinpath("native")
+    source = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES)
     try:
         functions = load(source).functions
     except NativeError as error:

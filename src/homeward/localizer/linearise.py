@@ -101,7 +101,8 @@ def add_sightings(
     if native is not None:
         sums = (e.own, e.shared, e.common, e.slope, e.common_slope)
         told = (poses, _turns(poses), calibration, positions, rows, *sums)
-        native.add_sightings(w, n, m, first, TRUSTED, *map(address, told))
+        if native.add_sightings(w, n, m, first, TRUSTED, *map(address, told)):
+            raise IndexError("a sighting from no pose, or of no landmark")
         return
     pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)
     residual, jacobian = bearing_residuals(poses[pose], calibration, positions[landmark], rows)

@@ -98,7 +98,9 @@ class Marginal:
             residual, jacobian = np.empty(m), np.empty((m, HEAD + 2))
             correlated, spread = np.empty((m, size)), np.empty((m, m))
             found = (residual, jacobian, correlated, spread)
-            native.predict(size, m, *map(address, (self.mean, self.covariance, rows, *found)))
+            told = (self.mean, self.covariance, rows, *found)
+            if native.predict(size, m, *map(address, told)):
+                raise IndexError("a sighting of no landmark")
             return Prediction(*found)
         number = rows[:, LANDMARK].astype(int)
         at = HEAD + 2 * number
