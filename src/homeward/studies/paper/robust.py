@@ -39,7 +39,7 @@ def drive_of(world: World, settings: PaperSettings) -> Drive:
         name="the paper's case",
         odometry=Odometry(nothing, nothing, nothing),
         sightings=Sightings(nothing, np.empty(0, object), nothing, nothing),
-        home={str(i): HomeBearing(float(b)) for i, b in enumerate(world.stored)},
+        home={str(i): HomeBearing(float(b), EXACT) for i, b in enumerate(world.stored)},
         settings=DriveSettings(
             sensor=Sensor(bearing_sigma=max(assumed.bearing_sigma, EXACT)),
             odometry=OdometryNoise(
