@@ -74,7 +74,7 @@ def pair(number: int, width: int) -> Pair:
     place = points(trace(surfaces, view, rays), view, rays)
     there = eye.view(robot, 1)
     x, y, _ = ((place - there.position) @ there.rotation).T
-    off = wrap(now.azimuth[seen.now_row[seen.agrees]] - np.arctan2(y, x))
+    off = wrap(seen.pairs.now[seen.agrees, 0] - np.arctan2(y, x))
     true = to_polar(robot)
     error = wrap(np.array([seen.direction - true.theta, seen.heading - true.alpha]))
     nees = error @ np.linalg.solve(seen.covariance, error) if seen.accepted else math.nan

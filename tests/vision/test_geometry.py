@@ -51,6 +51,28 @@ def test_exact_pairs_have_no_residual_and_are_possible(motion):
     assert found.possible.all()
 
 
+def test_nothing_is_recognised_from_quite_another_side():
+    """Between the two cameras lies a point that both see, from opposite sides."""
+    motion = Motion(0.3, 0.0)
+    ahead, behind = np.array([[0.3 + 0.1, 0.0]]), np.array([[0.3 + np.pi - 0.1, 0.0]])
+    sigma = np.full(1, SIGMA)
+    pairs = Pairs(ahead, behind, sigma, sigma, np.zeros(1))
+    found = residuals(np.array([motion]), pairs)
+    assert abs(found.value[0, 0]) < 1e-6
+    assert not found.possible.any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_near_home_the_way_round_is_told(seed):
+    """Cameras may tilt by ten times what places are off: that must not turn the answer round."""
+    rng = np.random.default_rng(seed)
+    motion = Motion(*rng.uniform(-np.pi, np.pi, 2))
+    pairs = made_up(motion, n=80, seed=seed, noise=SIGMA / 2, distance=0.12)
+    fit = search(pairs, np.ones(80), 0.02)
+    assert abs(wrap(fit.motion.theta - motion.theta)) < 0.15
+    assert fit.inlier.mean() > 0.9
+
+
 def test_travelled_the_other_way_round_most_rays_meet_behind_a_camera():
     motion = Motion(0.3, 1.2)
     back = motion._replace(theta=motion.theta + np.pi)
@@ -117,8 +139,9 @@ def test_too_few_matches_give_nothing():
 
 def test_at_home_the_direction_is_as_good_as_unknown_and_the_heading_known():
     motion = Motion(0.4, 0.9)
-    fit = refine(np.array([motion]), made_up(motion, noise=SIGMA, distance=1e-4), 0.01)
-    sigmas = np.sqrt(np.diag(covariance(fit, made_up(motion).home[:, 0])))
+    pairs = made_up(motion, noise=SIGMA, distance=1e-4)
+    fit = refine(np.array([motion]), pairs, 0.01)
+    sigmas = np.sqrt(np.diag(covariance(fit, pairs, 0.01)))
     assert abs(wrap(fit.motion.alpha - motion.alpha)) < 0.005
     assert sigmas[0] > 0.3
     assert sigmas[1] < 0.01
@@ -138,7 +161,7 @@ def test_the_covariance_covers_errors_that_a_sector_shares():
         error = wrap(np.array(fit.motion)[:2] - np.array(motion)[:2])
         for found, matrix in (
             (plain, np.linalg.inv(fit.information)),
-            (clustered, covariance(fit, pairs.home[:, 0])),
+            (clustered, covariance(fit, shared, 0.01)),
         ):
             found.append(error @ np.linalg.solve(matrix[:2, :2], error))
     assert np.mean(plain) > 3.0

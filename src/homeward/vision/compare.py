@@ -8,6 +8,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.vision.acceptance import Verdict, judge
+from homeward.vision.alignment import align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
@@ -33,7 +34,7 @@ class Comparison:
 
     verdict: Verdict
     pairs: Pairs
-    """All matches."""
+    """All matches: where home saw a landmark, and where its patch lies now."""
     home_row: np.ndarray
     """(n,): the feature of the home view of each match."""
     now_row: np.ndarray
@@ -97,9 +98,9 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     home, now : View
         From `homeward.vision.features.look`.
     camera : Panorama
-        That took both; only its `tilt_sigma` is looked at.
+        That took both.
     """
-    rows, pairs, quality = paired(home, now)
+    rows, pairs, quality = paired(home, now, camera)
     i, j = rows.T
     fit = search(pairs, quality, camera.tilt_sigma)
     verdict = judge(fit, pairs)
@@ -117,15 +118,16 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         motion=None if fit is None else fit.motion,
         covariance=np.full((2, 2), np.inf)
         if fit is None or not verdict.accepted
-        else covariance(fit, pairs.home[:, 0])[:2, :2],
+        else covariance(fit, pairs, camera.tilt_sigma)[:2, :2],
     )
 
 
-def paired(home: View, now: View) -> tuple[np.ndarray, Pairs, np.ndarray]:
+def paired(home: View, now: View, camera: Panorama) -> tuple[np.ndarray, Pairs, np.ndarray]:
     """Return the features that look alike, (n, 2) rows, their directions and qualities.
 
     Features that turned in the image are left out, since cameras are nearly upright; so are
-    further ones at the same two places.
+    further ones at the same two places, and those whose surroundings do not look alike when laid
+    one upon the other.
     """
     rows, quality = match(home.descriptor, now.descriptor)
     i, j = rows.T
@@ -134,12 +136,31 @@ def paired(home: View, now: View) -> tuple[np.ndarray, Pairs, np.ndarray]:
     order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
     _, first = np.unique(places[order].round(), axis=0, return_index=True)
     kept = np.sort(order[first])
-    i, j = rows[kept].T
+    pairs, found = _laid(home, now, rows[kept], camera)
+    return rows[kept][found], pairs[found], quality[kept][found]
+
+
+def _laid(home: View, now: View, rows: np.ndarray, camera: Panorama) -> tuple[Pairs, np.ndarray]:
+    """Return the directions of matches, and which are found: now, where home's patch fits best."""
+    i, j = rows.T
+    growth = now.size[j] / home.size[i]
+    laid = align(
+        home.picture,
+        now.picture,
+        np.column_stack([home.column[i], home.row[i]]),
+        np.column_stack([now.column[j], now.row[j]]),
+        home.size[i],
+        growth,
+        wrap(now.angle[j] - home.angle[i]),
+    )
+    # Home's feature is the landmark itself: what is uncertain is only where it lies now, and both
+    # sides are given half of that.
+    sigma = laid.sigma * camera.column_angle(now.shape[1]) / np.sqrt(2)
     pairs = Pairs(
         np.column_stack([home.azimuth[i], home.elevation[i]]),
-        np.column_stack([now.azimuth[j], now.elevation[j]]),
-        home.sigma[i],
-        now.sigma[j],
-        np.log(now.size[j] / home.size[i]),
+        np.column_stack(camera.directions(laid.column, laid.row, now.shape)),
+        sigma,
+        sigma,
+        np.log(growth),
     )
-    return rows[kept], pairs, quality[kept]
+    return pairs, laid.found

@@ -5,9 +5,10 @@ of the true error. They are not: features of one thing err together, most of all
 moved along the epipolar line, and in a bare room few things carry the answer. A sandwich estimate
 does not see it, since the fit bends towards the few. The jackknife does: each sector of azimuth is
 left out in turn, all its matches together (MacKinnon, Nielsen and Webb, "Fast and reliable
-jackknife and bootstrap methods for cluster-robust inference", J. Appl. Econometrics 2023). The
-plain covariance is added, for where there are few sectors the jackknife alone may be small by
-chance.
+jackknife and bootstrap methods for cluster-robust inference", J. Appl. Econometrics 2023), and the
+motion fitted anew, from forgiving to strict: where another set of matches would then be believed,
+the answer was not safe, which no derivative tells. Some of the plain covariance is added, for where
+there are few sectors the jackknife alone may be small by chance.
 """
 
 from __future__ import annotations
@@ -16,39 +17,46 @@ import math
 
 import numpy as np
 
-from homeward.vision.refine import Fit
+from homeward.angles import wrap
+from homeward.vision.epipolar import Pairs
+from homeward.vision.refine import Fit, descend
 
 SECTORS = 24
 """Of azimuth at home: matches in one are taken to err together."""
+
+PLAIN = 0.25
+"""What of the plain covariance is added: the sigmas of matches allow for the bad ones (edges of
+near things), and most are half as far off."""
 
 LARGEST_SIGMA = 100.0
 """[rad]"""
 
 
-def covariance(fit: Fit, azimuth: np.ndarray) -> np.ndarray:
+def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     """Return the covariance of a motion.
 
     Parameters
     ----------
     fit : Fit
         The motion.
-    azimuth : ndarray, shape (n,)
-        Of each match at home [rad].
+    pairs : Pairs
+        All matches.
+    tilt_sigma : float
+        How far each camera may be tilted from what is known [rad].
 
     Returns
     -------
     ndarray, shape (5, 5)
         Of `Motion`.
     """
+    azimuth = pairs.home[:, 0]
     sector = np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     groups = np.unique(sector[fit.inlier])
     # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
-    information = fit.information + np.eye(5) / LARGEST_SIGMA**2
-    total = np.linalg.inv(information)
-    for group in groups:
-        rows = fit.rows[sector == group]
-        gradient = rows.T @ fit.residuals[sector == group]
-        # Of the fit without this sector, to first order.
-        change = np.linalg.solve(information - rows.T @ rows, gradient)
-        total = total + np.outer(change, change) * (1 - 1 / groups.size)
-    return np.asarray(total)
+    plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
+    motion = np.array(fit.motion)
+    starts = np.tile(motion, (groups.size, 1))
+    kept = sector != groups[:, None]
+    change = descend(starts, pairs, tilt_sigma, kept) - motion
+    change[:, :2] = wrap(change[:, :2])
+    return np.asarray(PLAIN * plain + change.T @ change * (1 - 1 / groups.size))

@@ -97,6 +97,10 @@ def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np
     )
 
 
+_Vectors = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Components apart: arrays of three along their last axis take twice the time."""
+
+
 class Residuals(NamedTuple):
     """How far pairs are from each of several motions, in standard deviations."""
 
@@ -105,11 +109,13 @@ class Residuals(NamedTuple):
     jacobian: np.ndarray
     """(m, n, 5), with respect to `Motion`."""
     possible: np.ndarray
-    """(m, n) bool: the rays meet ahead of both cameras, and as far away as the features' sizes
-    say, as far as errors allow to tell."""
+    """(m, n) bool: the rays meet ahead of both cameras, at distances in the ratio of the features'
+    sizes, under no wide angle; as far as errors allow to tell."""
 
 
 IN_FRONT_SIGMAS = 3.0
+MOST_PARALLAX = np.radians(60.0)
+"""From directions that differ by more than this [rad], nothing looks the same."""
 GROWTH = 0.5
 """How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
 
@@ -124,25 +130,22 @@ def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
     pairs : Pairs
         n matches.
     """
-    theta, alpha, roll, pitch, rise = np.atleast_2d(motions).T
+    theta, alpha, roll, pitch, rise = np.atleast_2d(motions).T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
-    x1, x2 = pairs.home_vectors, pairs.now_vectors
+    x1, x2 = _parts(pairs.home_vectors), _parts(pairs.now_vectors)
     leaned, by_roll, by_pitch = _leaned(x2, roll, pitch)
     y, y_roll, y_pitch = (_about_z(alpha, v) for v in (leaned, by_roll, by_pitch))
-    normal, lever = cross(x1, y), cross(t, x1)
-    jacobian = np.stack(
-        [
-            dot(normal, t_theta),
-            lever[..., 1] * y[..., 0] - lever[..., 0] * y[..., 1],
-            dot(lever, y_roll),
-            dot(lever, y_pitch),
-            dot(normal, t_rise),
-        ],
-        axis=-1,
-    )
+    normal, lever = _cross(x1, y), _cross(t, x1)
     deviation = _deviation(t, alpha, y, pairs)
+    jacobian = np.empty((*deviation.shape, 5))
+    jacobian[..., 0] = _dot(normal, t_theta)
+    jacobian[..., 1] = lever[1] * y[0] - lever[0] * y[1]
+    jacobian[..., 2] = _dot(lever, y_roll)
+    jacobian[..., 3] = _dot(lever, y_pitch)
+    jacobian[..., 4] = _dot(normal, t_rise)
+    jacobian /= deviation[..., None]
     possible = _possible(t, x1, y, normal, pairs)
-    return Residuals(dot(normal, t) / deviation, jacobian / deviation[..., None], possible)
+    return Residuals(_dot(normal, t) / deviation, jacobian, possible)
 
 
 def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
@@ -150,89 +153,86 @@ def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarr
 
     Those by theta and by rise: where there is no parallax, noise looks like it.
     """
-    theta, alpha, roll, pitch, rise = np.array([motion]).T
+    theta, alpha, roll, pitch, rise = np.array([motion]).T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
-    y = _about_z(alpha, _leaned(pairs.now_vectors, roll, pitch)[0])
+    y = _about_z(alpha, _leaned(_parts(pairs.now_vectors), roll, pitch)[0])
     own = _deviation(t, alpha, y, pairs)[0]
     by_theta, by_rise = (_deviation(way, alpha, y, pairs)[0] for way in (t_theta, t_rise))
     return (by_theta / own) ** 2 + 1e-12, (by_rise / own) ** 2 + 1e-12
 
 
-def _deviation(t: np.ndarray, alpha: np.ndarray, y: np.ndarray, pairs: Pairs) -> np.ndarray:
-    """Return the standard deviation, (m, n), of t . (x1 x y) for motions with t (m, 1, 3)."""
-    home_slope = _slope(cross(y, t), pairs.home_tangents)
+def _deviation(t: _Vectors, alpha: np.ndarray, y: _Vectors, pairs: Pairs) -> np.ndarray:
+    """Return the standard deviation, (m, n), of t . (x1 x y)."""
+    home_slope = _slope(_cross(y, t), pairs.home_tangents)
     # The gradient by x2, before the turn and the tilt: both leave its length as it is, and what
     # the tilt does to the directions of azimuth and elevation is of no account.
-    lever = cross(t, pairs.home_vectors)
+    lever = _cross(t, _parts(pairs.home_vectors))
     now_slope = _slope(_about_z(-alpha, lever), pairs.now_tangents)
-    deviation = np.hypot(pairs.home_sigma * home_slope, pairs.now_sigma * now_slope)
-    return np.asarray(np.maximum(deviation, 1e-9))
+    variance = pairs.home_sigma**2 * home_slope + pairs.now_sigma**2 * now_slope
+    return np.asarray(np.maximum(np.sqrt(variance), 1e-9))
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the vector product along the last axis; NumPy's own takes several times as long."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+def _slope(gradient: _Vectors, tangents: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the squared gradient by (azimuth, elevation), from that by the unit vector."""
+    by_azimuth, by_elevation = (_dot(gradient, _parts(tangent)) for tangent in tangents)
+    return np.asarray(by_azimuth * by_azimuth + by_elevation * by_elevation)
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the scalar product along the last axis."""
-    return np.asarray((a * b).sum(axis=-1))
+def _parts(vectors: np.ndarray) -> _Vectors:
+    """Return the components of vectors, (n, 3), each (n,) and in one piece."""
+    x, y, z = np.ascontiguousarray(vectors.T)
+    return x, y, z
 
 
-def _direction(theta: np.ndarray, rise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return t, (m, 1, 3), and its derivatives with respect to theta and rise."""
+def _cross(a: _Vectors, b: _Vectors) -> _Vectors:
+    (ax, ay, az), (bx, by, bz) = a, b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+def _dot(a: _Vectors, b: _Vectors) -> np.ndarray:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _direction(theta: np.ndarray, rise: np.ndarray) -> tuple[_Vectors, _Vectors, _Vectors]:
+    """Return t, its components (m, 1), and its derivatives with respect to theta and rise."""
     c, s, cr, sr = np.cos(theta), np.sin(theta), np.cos(rise), np.sin(rise)
     none = np.zeros_like(theta)
-    ways = ((c * cr, s * cr, sr), (-s * cr, c * cr, none), (-c * sr, -s * sr, cr))
-    t, t_theta, t_rise = (np.stack(way, axis=-1)[:, None, :] for way in ways)
-    return t, t_theta, t_rise
+    return (c * cr, s * cr, sr), (-s * cr, c * cr, none), (-c * sr, -s * sr, cr)
 
 
 def _leaned(
-    x: np.ndarray, roll: np.ndarray, pitch: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return Ry(pitch) Rx(roll) x, (m, n, 3), and its derivatives by roll and pitch."""
-    cr, sr, cp, sp = (f(a)[:, None] for a in (roll, pitch) for f in (np.cos, np.sin))
-    x, y, z = x[:, 0], x[:, 1], x[:, 2]
+    x: _Vectors, roll: np.ndarray, pitch: np.ndarray
+) -> tuple[_Vectors, _Vectors, _Vectors]:
+    """Return Ry(pitch) Rx(roll) x, components (m, n), and its derivatives by roll and pitch."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    along, y, z = x
     rolled_y, rolled_z = cr * y - sr * z, sr * y + cr * z
-    leaned = (cp * x + sp * rolled_z, rolled_y, cp * rolled_z - sp * x)
+    leaned = (cp * along + sp * rolled_z, rolled_y, cp * rolled_z - sp * along)
     by_roll = (sp * rolled_y, -rolled_z, cp * rolled_y)
-    by_pitch = (leaned[2], np.zeros_like(leaned[2]), -leaned[0])
-    a, b, c = (np.stack(np.broadcast_arrays(*v), axis=-1) for v in (leaned, by_roll, by_pitch))
-    return a, b, c
+    return leaned, by_roll, (leaned[2], np.zeros_like(rolled_y), -leaned[0])
 
 
-def _about_z(angle: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return vectors, (m, n, 3), turned about z by (m,) angles [rad]."""
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, y, z = x[..., 0], x[..., 1], x[..., 2]
-    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+def _about_z(angle: np.ndarray, x: _Vectors) -> _Vectors:
+    """Return vectors turned about z by (m, 1) angles [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]
 
 
-def _slope(gradient: np.ndarray, tangents: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the length of a gradient by (azimuth, elevation), from that by the unit vector."""
-    by_azimuth, by_elevation = tangents
-    return np.asarray(np.hypot(dot(gradient, by_azimuth), dot(gradient, by_elevation)))
+def _possible(t: _Vectors, x1: _Vectors, y: _Vectors, normal: _Vectors, pairs: Pairs) -> np.ndarray:
+    """Whether the rays can show the same thing: (m, n) bool.
 
-
-def _possible(
-    t: np.ndarray, x1: np.ndarray, y: np.ndarray, normal: np.ndarray, pairs: Pairs
-) -> np.ndarray:
-    """Whether both distances along the rays are positive, and in the ratio of the sizes.
-
-    With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n, n = x1 x y. This is
-    what tells a wrong match along the epipolar line from a right one.
+    Both distances along them are positive and in the ratio of the sizes, and the rays do not differ
+    by too much. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
+    n = x1 x y. This is what tells a wrong match along the epipolar line from a right one.
     """
     slack = IN_FRONT_SIGMAS * np.hypot(pairs.home_sigma, pairs.now_sigma)
-    good, far, doubt = np.ones(y.shape[:-1], bool), [], np.zeros(y.shape[:-1])
+    good, far, doubt = _dot(x1, y) > np.cos(MOST_PARALLAX), [], 0.0
     for ray in (y, x1):
-        arm = cross(t, ray)
-        distance = dot(arm, normal)
-        error = slack * np.sqrt(dot(arm, arm))
+        arm = _cross(t, ray)
+        distance = _dot(arm, normal)
+        error = slack * np.sqrt(_dot(arm, arm))
         good &= distance >= -error
         far.append(np.maximum(distance, 1e-12))
-        doubt += error / far[-1]
+        doubt = doubt + error / far[-1]
     ratio = np.log(far[0] / far[1])
     return np.asarray(good & (np.abs(ratio - pairs.growth) <= GROWTH + doubt))

@@ -11,12 +11,14 @@ import numpy as np
 
 from homeward.vision.camera import Panorama
 from homeward.vision.opencv import opencv
+from homeward.vision.picture import Picture, enlarged
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
 
 FEWEST_COLUMNS = 360
-"""Smaller panoramas are enlarged."""
+"""Smaller panoramas are enlarged, for patches need some pixels: of real ones with 3 deg a pixel few
+features are found as they are, and twenty times as many in their enlargement."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class View:
     """Standard deviation of either angle [rad]."""
     descriptor: np.ndarray
     """(n, 128) float32, unit length (RootSIFT)."""
+    picture: Picture
+    """What it looks like about them."""
 
     def __len__(self) -> int:
         return self.column.size
@@ -57,7 +61,8 @@ def look(image: np.ndarray, camera: Panorama) -> View:
         What its pixels look at.
     """
     height, width = image.shape
-    column, row, size, angle, descriptor = _detect(image)
+    times = math.ceil(FEWEST_COLUMNS / width)
+    column, row, size, angle, descriptor = _detect(image, times)
     azimuth, elevation = camera.directions(column, row, (height, width))
     sigma = pixel_sigma(size) * camera.column_angle(width)
     return View(
@@ -71,6 +76,7 @@ def look(image: np.ndarray, camera: Panorama) -> View:
         elevation,
         sigma,
         descriptor,
+        Picture.of(image, times),
     )
 
 
@@ -79,17 +85,12 @@ def pixel_sigma(size: np.ndarray) -> np.ndarray:
     return 0.14 + 0.04 * size
 
 
-def _detect(image: np.ndarray) -> tuple[np.ndarray, ...]:
+def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
     """Return columns, rows, sizes [px], angles and RootSIFT descriptors, the seam not felt."""
     cv2, width = opencv(), image.shape[1]
-    pad = max(16, width // 16)
+    pad = max(16, width // 32)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
-    # Patches need some pixels: of real panoramas with 3 deg a pixel few features are found as
-    # they are, and twenty times as many in their enlargement.
-    times = math.ceil(FEWEST_COLUMNS / width)
-    if times > 1:
-        padded = cv2.resize(padded, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
-    points, found = _sift().detectAndCompute(padded, None)
+    points, found = _sift().detectAndCompute(enlarged(padded, times), None)
     if not points:
         return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
     rows = np.array([(*p.pt, p.size, p.angle) for p in points])

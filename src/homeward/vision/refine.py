@@ -9,8 +9,11 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.epipolar import Motion, Pairs, Residuals, derivative_noise, residuals
 
-SCALES = (12.0, 6.0, 3.0, 3.0, 3.0, 3.0)
-"""Of the robust loss [standard deviations], step by step: from forgiving to strict."""
+LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
+"""Of the matches, step by step, as a share of the tilt that is allowed for: a first guess fits far
+worse than places are known, and matches that strict would hold it where it is."""
+SCALE = 3.0
+"""Of the robust loss [standard deviations]."""
 INLIER = 3.0
 """A match fits within this many standard deviations."""
 
@@ -29,10 +32,6 @@ class Fit:
     """MSAC cost over all matches, prior included."""
     information: np.ndarray
     """(5, 5): of the motion, were all errors independent and as large as assumed."""
-    rows: np.ndarray
-    """(n, 5): Jacobian of each match's residual, times the root of its weight."""
-    residuals: np.ndarray
-    """(n,): normalised residuals, times the root of their weights."""
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
@@ -53,22 +52,43 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
         The one of least cost.
     """
     prior = prior_information(tilt_sigma)
-    x = np.array(starts)
-    for scale in SCALES:
-        found = residuals(x, pairs)
-        weighted = (found.jacobian * _weight(found, scale)[..., None]).swapaxes(1, 2)
-        normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
-        gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
-        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
-        # Where home is near, theta is hardly determined: no wild turns on the way.
-        x = x - np.clip(step, -0.3, 0.3)
-    x[:, :2] = wrap(x[:, :2])
+    x = descend(starts, pairs, tilt_sigma)
     found = residuals(x, pairs)
     total = cost(found) + np.sum((x @ prior) * x, axis=1)
     best = int(np.argmin(total))
     return _judged(
         x[best], pairs, Residuals(*(part[best] for part in found)), float(total[best]), prior
     )
+
+
+def descend(
+    starts: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Return motions, (m, 5), that fit matches robustly, each from its own start.
+
+    Parameters
+    ----------
+    starts : ndarray, shape (m, 5)
+        Motions to begin from.
+    pairs : Pairs
+        n matches.
+    tilt_sigma : float
+        How far each camera may be tilted from what is known [rad].
+    counts : ndarray, shape (m, n), or 1
+        What each match counts for in each of the fits.
+    """
+    x, prior = np.array(starts), prior_information(tilt_sigma)
+    for looseness in LOOSENESS:
+        found = residuals(x, pairs.loosened(looseness * tilt_sigma))
+        weight = _weight(found) * counts
+        weighted = (found.jacobian * weight[..., None]).swapaxes(1, 2)
+        normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
+        gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
+        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        # Where home is near, theta is hardly determined: no wild turns on the way.
+        x = x - np.clip(step, -0.3, 0.3)
+    x[:, :2] = wrap(x[:, :2])
+    return x
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:
@@ -89,15 +109,13 @@ def squares(found: Residuals) -> np.ndarray:
 
 def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray) -> Fit:
     inlier = squares(found) <= INLIER**2
-    root = np.sqrt(_weight(found, SCALES[-1]) * inlier)
+    root = np.sqrt(_weight(found) * inlier)
     rows = found.jacobian * root[:, None] * _beyond_noise(x, pairs, found.jacobian, root**2)
     return Fit(
         motion=Motion(*x.tolist()),
         inlier=inlier,
         cost=total,
         information=rows.T @ rows + prior,
-        rows=rows,
-        residuals=found.value * root,
     )
 
 
@@ -117,6 +135,6 @@ def _beyond_noise(
     return factor
 
 
-def _weight(found: Residuals, scale: float) -> np.ndarray:
+def _weight(found: Residuals) -> np.ndarray:
     """Return Geman and McClure's weights; impossible matches do not count."""
-    return np.asarray(found.possible / (1.0 + (found.value / scale) ** 2) ** 2)
+    return np.asarray(found.possible / (1.0 + (found.value / SCALE) ** 2) ** 2)

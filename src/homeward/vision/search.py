@@ -12,9 +12,9 @@ from homeward.vision.two_point import costs, rows_of, solve
 SAMPLES = 800
 """Pairs of matches that are tried."""
 CANDIDATES = 12
-"""That are looked at closely, each travelled both ways."""
+"""That are looked at closely."""
 REFINED = 3
-"""The best of them."""
+"""The best of them, each travelled both ways."""
 TURNS = 50
 """Matches from which a mere turn is tried."""
 APART = 0.1
@@ -45,10 +45,12 @@ def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) 
     chosen = _candidates(pairs, quality, tilt_sigma, seed)
     if not len(chosen):
         return None
-    starts = np.zeros((2 * len(chosen), 5))
-    starts[:, :2] = np.concatenate([chosen, chosen + np.array([np.pi, 0.0])])
-    order = np.argsort(cost(residuals(starts, pairs.loosened(tilt_sigma))), kind="stable")
-    return refine(starts[order[:REFINED]], pairs, tilt_sigma)
+    starts = np.zeros((2, len(chosen), 5))
+    starts[..., :2] = chosen, chosen + np.array([np.pi, 0.0])
+    total = cost(residuals(starts.reshape(-1, 5), pairs.loosened(tilt_sigma))).reshape(2, -1)
+    order = np.argsort(total.min(axis=0), kind="stable")[:REFINED]
+    # Near home, which way round is told only by places as exactly known as they are.
+    return refine(starts[:, order].reshape(-1, 5), pairs, tilt_sigma)
 
 
 def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int) -> np.ndarray:

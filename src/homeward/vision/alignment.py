@@ -1,0 +1,152 @@
+"""Where a feature of one panorama lies in another, to a small part of a pixel.
+
+SIFT finds a feature in each panorama by itself, to a third of a pixel. Its picture at home is laid
+onto the picture now instead, carried by an affine map (shift, size, turn, shear): inverse
+compositional Lucas-Kanade (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004), all matches
+at once. Patches are compared by zero-mean, unit-length grey values, so that light does not matter,
+near their centre more than at their rim. How well they then agree says how far the place may be
+off, and that an edge of something near before something far away is no place at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.vision.picture import Picture
+
+HALF = 6
+"""A patch is compared at (2 HALF + 1)^2 points."""
+LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
+"""Radius of a patch [px]: `PER_SIZE` times the feature's diameter, within bounds."""
+WINDOW = 0.6
+"""Standard deviation of the weight about the patch's centre, in radii."""
+STEPS = 8
+NOISE = 0.15
+"""Of a patch of unit length: against it and `SHAPE`, what a change of shape explains is weighed."""
+SHAPE = 0.3
+"""How far the map may be from the features' own size and turn, as a standard deviation [1]."""
+LONGEST_STEP = 0.5
+"""In radii, so that nothing jumps."""
+LEAST_LIKENESS = 0.8
+"""Correlation below which the two patches do not show the same."""
+LONGEST_SHIFT = 0.5
+"""In radii: what lands farther off has slid onto something else."""
+SIGMA_FLOOR, SIGMA_TIMES = 0.1, 2.0
+"""Of a place now [px]: so much at least, and so many times what independent noise would do, as
+was found on rendered rooms: what is left between patches is not independent from pixel to pixel."""
+
+_across, _down = (
+    a.ravel().astype(np.float32) for a in np.meshgrid(*2 * [np.arange(-HALF, HALF + 1) / HALF])
+)
+_GRID = np.stack([_across, _down, np.ones_like(_across)])
+_ROOT = np.exp(-(_across**2 + _down**2) / (4 * WINDOW**2))
+_ROOT /= np.linalg.norm(_ROOT)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where features of home lie now; n of them."""
+
+    column: np.ndarray
+    """(n,) [px]"""
+    row: np.ndarray
+    """(n,) [px]"""
+    sigma: np.ndarray
+    """(n,): standard deviation of either [px], by what is left between the two patches."""
+    found: np.ndarray
+    """(n,) bool: whether the two patches show the same."""
+
+
+def align(
+    home: Picture,
+    now: Picture,
+    at_home: np.ndarray,
+    at_now: np.ndarray,
+    size: np.ndarray,
+    growth: np.ndarray,
+    turn: np.ndarray,
+) -> Alignment:
+    """Lay the patches about features of home onto the panorama now.
+
+    Parameters
+    ----------
+    home, now : Picture
+        The two panoramas.
+    at_home, at_now : ndarray, shape (n, 2)
+        Column and row of each feature and of its match [px].
+    size : ndarray, shape (n,)
+        Diameter of the feature at home [px].
+    growth : ndarray, shape (n,)
+        How many times larger it is now.
+    turn : ndarray, shape (n,)
+        And how far it is turned, clockwise [rad].
+    """
+    radius = np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times
+    patch, slopes = _template(home, at_home, radius)
+    prior = np.diag([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
+    information = slopes.swapaxes(1, 2) @ slopes + prior
+    start = _similarity(at_now, radius * growth, turn)
+    back, carried = np.linalg.inv(start[:, :, :2]), start
+    for _ in range(STEPS):
+        off = _normal(now.sample(carried @ _GRID, radius * growth / HALF))[0] - patch
+        gradient = (off[:, None, :] @ slopes)[:, 0]
+        gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) @ prior[2:, 2:]
+        step = np.linalg.solve(information, gradient[..., None])[..., 0]
+        carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
+    laid = _normal(now.sample(carried @ _GRID, radius * growth / HALF))[0]
+    likeness = (laid * patch).sum(axis=1)
+    left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
+    spread = np.linalg.eigvalsh(np.linalg.inv(information)[:, :2, :2])[:, 1]
+    noise = radius * growth * np.sqrt(left * spread)
+    shift = np.hypot(*(carried[:, :, 2] - at_now).T)
+    return Alignment(
+        column=carried[:, 0, 2],
+        row=carried[:, 1, 2],
+        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * noise),
+        found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * radius * growth),
+    )
+
+
+def _template(home: Picture, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return patches, (n, k), and how they change with the six parameters, (n, k, 6).
+
+    In units of the patch's radius: shift (right, down), then the matrix row by row. What changes
+    only the mean or the length of a patch is taken out, as both are.
+    """
+    spacing = radius / HALF
+    points = _similarity(at, radius, np.zeros_like(radius)) @ _GRID
+    patch, length = _normal(home.sample(points, spacing))
+    slope = []
+    for way in np.eye(2):
+        half = spacing[:, None, None] * way[:, None] / 2
+        ahead, behind = (home.sample(points + side * half, spacing) for side in (1, -1))
+        slope.append((ahead - behind) * _ROOT * HALF / length[:, None])
+    x, y = slope
+    slopes = np.stack([x, y, x * _across, x * _down, y * _across, y * _down], axis=-1)
+    for known in (np.broadcast_to(_ROOT, patch.shape), patch):
+        slopes -= known[..., None] * (known[:, None, :] @ slopes)
+    return patch, slopes
+
+
+def _similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return maps, (n, 2, 3), from a patch's own coordinates to columns and rows."""
+    c, s = scale * np.cos(turn), scale * np.sin(turn)
+    return np.stack([np.stack([c, -s, at[:, 0]], -1), np.stack([s, c, at[:, 1]], -1)], axis=1)
+
+
+def _undone(step: np.ndarray) -> np.ndarray:
+    """Return the inverse, (n, 3, 3), of the map that a step stands for."""
+    matrix = np.zeros((len(step), 3, 3)) + np.eye(3)
+    matrix[:, :2, :2] += step[:, 2:].reshape(-1, 2, 2)
+    matrix[:, :2, 2] = step[:, :2]
+    return np.asarray(np.linalg.inv(matrix))
+
+
+def _normal(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted patches of zero mean and unit length, and the length that they had."""
+    weighted = grey * _ROOT
+    weighted -= (weighted @ _ROOT)[:, None] * _ROOT
+    length = np.maximum(np.linalg.norm(weighted, axis=1), 1e-3)
+    return weighted / length[:, None], length
