@@ -34,6 +34,7 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)

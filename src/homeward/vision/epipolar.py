@@ -8,7 +8,7 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -79,14 +79,6 @@ class Pairs:
             self.growth[rows],
         )
 
-    def loosened(self, sigma: float) -> Pairs:
-        """Return the same pairs with a further error of `sigma` [rad] at either end."""
-        return replace(
-            self,
-            home_sigma=np.hypot(self.home_sigma, sigma),
-            now_sigma=np.hypot(self.now_sigma, sigma),
-        )
-
 
 def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives of unit vectors, (n, 3), by azimuth and by elevation."""
@@ -120,7 +112,7 @@ GROWTH = 0.5
 """How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
 
 
-def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
+def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Residuals:
     """Return the epipolar residual of each pair over its standard deviation (Sampson's).
 
     Parameters
@@ -129,6 +121,8 @@ def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
         Rows in the order of `Motion`.
     pairs : Pairs
         n matches.
+    looseness : float
+        A further error of each direction [rad].
     """
     theta, alpha, roll, pitch, rise = np.atleast_2d(motions).T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
@@ -136,7 +130,8 @@ def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
     leaned, by_roll, by_pitch = _leaned(x2, roll, pitch)
     y, y_roll, y_pitch = (_about_z(alpha, v) for v in (leaned, by_roll, by_pitch))
     normal, lever = _cross(x1, y), _cross(t, x1)
-    deviation = _deviation(t, alpha, y, pairs)
+    sigmas = np.hypot(pairs.home_sigma, looseness), np.hypot(pairs.now_sigma, looseness)
+    deviation = _deviation(t, alpha, y, pairs, sigmas)
     jacobian = np.empty((*deviation.shape, 5))
     jacobian[..., 0] = _dot(normal, t_theta)
     jacobian[..., 1] = lever[1] * y[0] - lever[0] * y[1]
@@ -144,7 +139,7 @@ def residuals(motions: np.ndarray, pairs: Pairs) -> Residuals:
     jacobian[..., 3] = _dot(lever, y_pitch)
     jacobian[..., 4] = _dot(normal, t_rise)
     jacobian /= deviation[..., None]
-    possible = _possible(t, x1, y, normal, pairs)
+    possible = _possible(t, x1, y, normal, pairs.growth, np.hypot(*sigmas))
     return Residuals(_dot(normal, t) / deviation, jacobian, possible)
 
 
@@ -156,19 +151,23 @@ def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarr
     theta, alpha, roll, pitch, rise = np.array([motion]).T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
     y = _about_z(alpha, _leaned(_parts(pairs.now_vectors), roll, pitch)[0])
-    own = _deviation(t, alpha, y, pairs)[0]
-    by_theta, by_rise = (_deviation(way, alpha, y, pairs)[0] for way in (t_theta, t_rise))
+    sigmas = pairs.home_sigma, pairs.now_sigma
+    own, by_theta, by_rise = (
+        _deviation(way, alpha, y, pairs, sigmas)[0] for way in (t, t_theta, t_rise)
+    )
     return (by_theta / own) ** 2 + 1e-12, (by_rise / own) ** 2 + 1e-12
 
 
-def _deviation(t: _Vectors, alpha: np.ndarray, y: _Vectors, pairs: Pairs) -> np.ndarray:
+def _deviation(
+    t: _Vectors, alpha: np.ndarray, y: _Vectors, pairs: Pairs, sigmas: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
     """Return the standard deviation, (m, n), of t . (x1 x y)."""
     home_slope = _slope(_cross(y, t), pairs.home_tangents)
     # The gradient by x2, before the turn and the tilt: both leave its length as it is, and what
     # the tilt does to the directions of azimuth and elevation is of no account.
     lever = _cross(t, _parts(pairs.home_vectors))
     now_slope = _slope(_about_z(-alpha, lever), pairs.now_tangents)
-    variance = pairs.home_sigma**2 * home_slope + pairs.now_sigma**2 * now_slope
+    variance = sigmas[0] ** 2 * home_slope + sigmas[1] ** 2 * now_slope
     return np.asarray(np.maximum(np.sqrt(variance), 1e-9))
 
 
@@ -218,21 +217,27 @@ def _about_z(angle: np.ndarray, x: _Vectors) -> _Vectors:
     return c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]
 
 
-def _possible(t: _Vectors, x1: _Vectors, y: _Vectors, normal: _Vectors, pairs: Pairs) -> np.ndarray:
+def _possible(
+    t: _Vectors,
+    x1: _Vectors,
+    y: _Vectors,
+    normal: _Vectors,
+    growth: np.ndarray,
+    sigma: np.ndarray,
+) -> np.ndarray:
     """Whether the rays can show the same thing: (m, n) bool.
 
     Both distances along them are positive and in the ratio of the sizes, and the rays do not differ
     by too much. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
     n = x1 x y. This is what tells a wrong match along the epipolar line from a right one.
     """
-    slack = IN_FRONT_SIGMAS * np.hypot(pairs.home_sigma, pairs.now_sigma)
     good, far, doubt = _dot(x1, y) > np.cos(MOST_PARALLAX), [], 0.0
     for ray in (y, x1):
         arm = _cross(t, ray)
         distance = _dot(arm, normal)
-        error = slack * np.sqrt(_dot(arm, arm))
+        error = IN_FRONT_SIGMAS * sigma * np.sqrt(_dot(arm, arm))
         good &= distance >= -error
         far.append(np.maximum(distance, 1e-12))
         doubt = doubt + error / far[-1]
     ratio = np.log(far[0] / far[1])
-    return np.asarray(good & (np.abs(ratio - pairs.growth) <= GROWTH + doubt))
+    return np.asarray(good & (np.abs(ratio - growth) <= GROWTH + doubt))

@@ -79,7 +79,7 @@ def descend(
     """
     x, prior = np.array(starts), prior_information(tilt_sigma)
     for looseness in LOOSENESS:
-        found = residuals(x, pairs.loosened(looseness * tilt_sigma))
+        found = residuals(x, pairs, looseness * tilt_sigma)
         weight = _weight(found) * counts
         weighted = (found.jacobian * weight[..., None]).swapaxes(1, 2)
         normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)

@@ -47,7 +47,7 @@ def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) 
         return None
     starts = np.zeros((2, len(chosen), 5))
     starts[..., :2] = chosen, chosen + np.array([np.pi, 0.0])
-    total = cost(residuals(starts.reshape(-1, 5), pairs.loosened(tilt_sigma))).reshape(2, -1)
+    total = cost(residuals(starts.reshape(-1, 5), pairs, tilt_sigma)).reshape(2, -1)
     order = np.argsort(total.min(axis=0), kind="stable")[:REFINED]
     # Near home, which way round is told only by places as exactly known as they are.
     return refine(starts[:, order].reshape(-1, 5), pairs, tilt_sigma)
