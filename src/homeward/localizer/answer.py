@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.frames import Pose
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
@@ -60,20 +61,22 @@ def in_home_frame(fit: HomeFit) -> Answer:
 
 
 def mixture(hypotheses: Hypotheses) -> Answer:
-    """Return the best hypothesis' pose, with a covariance that covers all of them."""
-    best = in_home_frame(hypotheses.best)
-    covariance = hypotheses.weights[0] * best.covariance
-    for fit, weight in zip(hypotheses.fits[1:], hypotheses.weights[1:], strict=True):
-        other = in_home_frame(fit)
-        x, y, heading = (a - b for a, b in zip(other.pose, best.pose, strict=True))
-        off = np.array([x, y, _wrap(heading)])
-        covariance = covariance + weight * (other.covariance + off[:, None] * off)
+    """Return the mean and covariance of the pose under all hypotheses together."""
+    answers = [in_home_frame(fit) for fit in hypotheses.fits]
+    best, weights = answers[0].pose, hypotheses.weights
+    off = np.array([a.pose for a in answers]) - np.array(best)
+    off[:, 2] = wrap(off[:, 2])
+    mean = weights @ off
+    off -= mean
+    within = np.tensordot(weights, np.array([a.covariance for a in answers]), axes=1)
+    covariance = within + (weights * off.T) @ off
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     sagitta = largest / (2.0 * landmark_distance(hypotheses.best, hypotheses.best.home))
+    pose = Pose(best.x + mean[0], best.y + mean[1], _wrap(best.heading + mean[2]))
     covariance[[0, 1], [0, 1]] += sagitta**2
-    return Answer(best.pose, covariance)
+    return Answer(pose, covariance)
 
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:

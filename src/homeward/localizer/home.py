@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
+from homeward.localizer.faults import log_odds, log_wrong
 from homeward.localizer.linear import Linear, linearised
 from homeward.localizer.problem import HEAD, HomeProblem
 
@@ -22,8 +23,6 @@ UNSETTLED = 0.5
 """A last step longer than this says that the fit has not come to rest [standard deviations]."""
 LEAST_SHARE = 0.002
 """So much of the information on home is left at least when errors of the map are taken out [1]."""
-UNIFORM_FROM = 2.0
-"""A predicted bearing with a larger standard deviation is taken as uniform [rad]."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,9 @@ class HomeFit:
         log_density = -0.5 * (self.log_volume + n * math.log(TWO_PI))
         log_volume = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(self.information)[1])
         p = problem.moved_prior
-        labels = n * math.log(1.0 - p) + (q - n) * math.log(p / TWO_PI)
-        return float(-0.5 * square + log_density + log_volume + labels)
+        labels = n * math.log(1.0 - p) + (q - n) * math.log(p)
+        wrong = log_wrong(*self.innovations)[~self.right].sum()
+        return float(-0.5 * square + log_density + log_volume + labels + wrong)
 
     @cached_property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
@@ -144,8 +144,7 @@ class HomeFit:
     @cached_property
     def odds(self) -> np.ndarray:
         """(q,): log odds of right against wrong, the rest of the set given."""
-        p = self.problem.moved_prior
-        return _log_density(*self.innovations) + math.log((1.0 - p) / p * TWO_PI)
+        return log_odds(*self.innovations, self.problem.moved_prior)
 
     def odds_of(
         self, position: np.ndarray, covariance: np.ndarray, bearing: float, sigma: float
@@ -171,10 +170,7 @@ class HomeFit:
         by_landmark = -by_home[0, :2]
         variance = sigma**2 + by_landmark @ covariance @ by_landmark
         variance += by_home[0] @ self.covariance[:3, :3] @ by_home[0]
-        p = self.problem.moved_prior
-        return float(
-            _log_density(residual, np.array([variance]))[0] + math.log((1.0 - p) / p * TWO_PI)
-        )
+        return float(log_odds(residual, np.array([variance]), self.problem.moved_prior)[0])
 
     @cached_property
     def _weighted(self) -> np.ndarray:
@@ -226,10 +222,3 @@ class HomeFit:
         errors = own @ self.problem.covariance[of_set][:, of_set] @ own
         each = np.arange(len(d))
         return np.asarray(errors.reshape(len(d), 2, len(d), 2)[each, :, each])
-
-
-def _log_density(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the log density of innovations; uniform where nothing can be predicted."""
-    variance = np.maximum(variance, 1e-12)
-    normal = -0.5 * innovation**2 / variance - 0.5 * np.log(TWO_PI * variance)
-    return np.where(variance > UNIFORM_FROM**2, -math.log(TWO_PI), normal)

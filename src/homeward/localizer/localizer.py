@@ -18,7 +18,16 @@ from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.moved import Hypotheses, Start, carry, challenged, follow, search, starts
+from homeward.localizer.moved import (
+    Hypotheses,
+    Start,
+    carry,
+    challenged,
+    follow,
+    renamed,
+    search,
+    starts,
+)
 from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
@@ -168,13 +177,12 @@ class Localizer:
         if self._mapper.begun_anew:
             self._prior = None
         names = self._mapper.landmarks.seen_from(self._home)
-        if names != self._seen_from_home:
-            self._seen_from_home, self._hypotheses = names, None
         problem = self._problem(names, self._mapper.marginal)
-        now = self._hypotheses
-        if now is None:
-            now = search(problem)
+        now, before = self._hypotheses, self._seen_from_home
+        if now is None or names != before:
+            now = search(problem, renamed(now, before, names) if now else [])
             self._starts.clear()
+            self._seen_from_home = names
         else:
             now = (follow if self._mapper.solved else carry)(problem, now)
             if now is not None:

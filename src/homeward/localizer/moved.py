@@ -7,6 +7,7 @@ for the linearised problem; pairs are tried too while q is small.
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -29,6 +30,10 @@ PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
 PROMISING = 6.0
 """... and climbed from when their log evidence falls short of the best by no more than this."""
+NEIGHBOURS = 3
+"""So many sets that differ from the best one by the most doubtful flips are weighed with it."""
+DOUBTFUL = 4.0
+"""Only flips whose log odds are smaller are doubtful [1]."""
 NEGLIGIBLE = 1e-4
 """A hypothesis less probable than this is dropped."""
 
@@ -66,16 +71,24 @@ class Hypotheses:
         return total
 
 
-def search(problem: HomeProblem) -> Hypotheses | None:
-    """Return the most probable sets, or None when home cannot be fixed."""
+def search(problem: HomeProblem, also: Sequence[Start] = ()) -> Hypotheses | None:
+    """Return the most probable sets, or None when home cannot be fixed.
+
+    Parameters
+    ----------
+    problem : HomeProblem
+        What is known.
+    also : sequence of tuples
+        Homes and sets to climb from besides those that the problem itself suggests.
+    """
     found: dict[bytes, HomeFit] = {}
-    for home, right in starts(problem):
+    for home, right in [*also, *starts(problem)]:
         _climb(problem, home, right, found)
     if not found:
         return None
     if problem.bearings.size <= PAIRS_UP_TO:
         _flip_pairs(problem, max(found.values(), key=lambda f: f.evidence), found)
-    return _weigh(list(found.values()))
+    return _weigh(problem, found)
 
 
 def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]) -> None:
@@ -101,14 +114,23 @@ def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
         flip = _best_flip(problem, again)
         if flip is not None:
             _climb(problem, again.home, flip, found)
-    return _weigh(list(found.values())) if found else None
+    return _weigh(problem, found) if found else None
+
+
+def renamed(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Start]:
+    """Return hypotheses on landmarks `names` as starts for landmarks `now`, new ones left out."""
+    starts = []
+    for f in hypotheses.fits:
+        right = dict(zip(names, f.right.tolist(), strict=True))
+        starts.append((f.home, np.array([right.get(n, False) for n in now], bool)))
+    return starts
 
 
 def challenged(problem: HomeProblem, hypotheses: Hypotheses, start: Start) -> Hypotheses:
     """Return the sets with those among them that are climbed to from another home and set."""
     found = {f.right.tobytes(): f for f in hypotheses.fits}
     _climb(problem, *start, found)
-    return _weigh(list(found.values())) if len(found) > len(hypotheses.fits) else hypotheses
+    return _weigh(problem, found) if len(found) > len(hypotheses.fits) else hypotheses
 
 
 def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
@@ -187,10 +209,27 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
     return flipped
 
 
-def _weigh(fits: list[HomeFit]) -> Hypotheses:
-    """Return the fits as hypotheses, without the negligible ones."""
-    fits = sorted(fits, key=lambda f: -f.evidence)
+def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
+    """Return the fits and the best one's neighbours as hypotheses, without the negligible ones.
+
+    What an iteration that has not come to rest says of its evidence is not comparable.
+    """
+    settled = {key: f for key, f in found.items() if f.settled} or found
+    best = max(settled.values(), key=lambda f: f.evidence)
+    fits = [*settled.values(), *_neighbours(problem, best, settled)]
+    fits.sort(key=lambda f: -f.evidence)
     weights = np.exp(np.array([f.evidence for f in fits]) - fits[0].evidence)
     keep = weights > NEGLIGIBLE
     weights = weights[keep] / weights[keep].sum()
     return Hypotheses(tuple(f for f, k in zip(fits, keep, strict=True) if k), weights)
+
+
+def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) -> Iterator[HomeFit]:
+    """Yield fits to sets that differ from the best one by a doubtful flip, and are not found."""
+    for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
+        right = best.right.copy()
+        right[i] ^= True
+        if abs(best.odds[i]) < DOUBTFUL and right.tobytes() not in found:
+            tried = fit(problem, best.home, right)
+            if tried is not None and tried.settled:
+                yield tried

@@ -1,0 +1,48 @@
+"""A home bearing is right or wrong: how probable each of the two is, given how far it is off.
+
+A right one is off by its noise alone. By how much a wrong one is off nobody knows: a landmark may
+have been pushed a little or carried across the room, so every order of magnitude is as probable
+(a log-uniform scale), up to anywhere on the circle. That is a mixture of Gaussians of fixed scales
+and of the uniform density, so that adding the prediction's own variance is exact.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.angles import TWO_PI
+
+SCALES = (0.5,)
+"""Of wrong bearings, half a decade apart [rad]; they and the uniform density weigh alike."""
+UNIFORM_FROM = 2.0
+"""A bearing predicted with a larger standard deviation may be anywhere on the circle [rad]."""
+
+
+def log_right(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the log density of being `off` [rad], of right bearings predicted with `variance`."""
+    variance = np.maximum(variance, 1e-12)
+    normal = -0.5 * off**2 / variance - 0.5 * np.log(TWO_PI * variance)
+    return np.where(variance > UNIFORM_FROM**2, -math.log(TWO_PI), normal)
+
+
+def log_wrong(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the log density of being `off` [rad], of wrong ones predicted with `variance`."""
+    parts = [log_right(off, variance + scale**2) for scale in SCALES]
+    parts.append(np.full_like(parts[0], -math.log(TWO_PI)))
+    return np.asarray(np.logaddexp.reduce(parts, axis=0) - math.log(len(parts)))
+
+
+def log_odds(off: np.ndarray, variance: np.ndarray, moved_prior: float) -> np.ndarray:
+    """Return the log odds of right against wrong.
+
+    Parameters
+    ----------
+    off, variance : ndarray
+        Stored minus predicted bearing [rad], and the variance of that, were the bearing right.
+    moved_prior : float
+        Probability that a bearing is wrong, before it was seen.
+    """
+    prior = math.log1p(-moved_prior) - math.log(moved_prior)
+    return np.asarray(prior + log_right(off, variance) - log_wrong(off, variance))
