@@ -147,30 +147,30 @@ class HomeFit:
         return log_odds(*self.innovations, self.problem.moved_prior)
 
     def odds_of(
-        self, position: np.ndarray, covariance: np.ndarray, bearing: float, sigma: float
-    ) -> float:
-        """Return the log odds of right against wrong of one more home bearing.
+        self, places: np.ndarray, covariances: np.ndarray, bearing: float, sigma: float
+    ) -> np.ndarray:
+        """Return the log odds of right against wrong of one more home bearing, shape (k,).
 
         Parameters
         ----------
-        position, covariance : ndarray, shape (2,), (2, 2)
-            Of its landmark, in the odometry frame [m], [m^2].
+        places, covariances : ndarray, shape (k, 2), (k, 2, 2)
+            Where its landmark may stand, in the odometry frame [m], [m^2].
         bearing, sigma : float
             What home stored, and its standard deviation [rad].
         """
-        one = replace(
+        size = HEAD + places.size
+        there = replace(
             self.problem,
-            mean=np.concatenate([self.known[:HEAD], position]),
-            covariance=np.zeros((HEAD + 2, HEAD + 2)),
-            bearings=np.array([bearing]),
-            sigmas=np.array([sigma]),
+            mean=np.concatenate([self.known[:HEAD], places.ravel()]),
+            covariance=np.zeros((size, size)),
+            bearings=np.full(len(places), bearing),
+            sigmas=np.full(len(places), sigma),
         )
-        there = linearised(one, self.home, one.mean)
-        residual, by_home = there.residual, there.by_home
-        by_landmark = -by_home[0, :2]
-        variance = sigma**2 + by_landmark @ covariance @ by_landmark
-        variance += by_home[0] @ self.covariance[:3, :3] @ by_home[0]
-        return float(log_odds(residual, np.array([variance]), self.problem.moved_prior)[0])
+        seen = linearised(there, self.home, there.mean)
+        by_place, by_home = -seen.by_home[:, :2], seen.by_home
+        variance = sigma**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
+        variance += ((by_home @ self.spread) * by_home).sum(axis=1)
+        return log_odds(seen.residual, variance, self.problem.moved_prior)
 
     @cached_property
     def _weighted(self) -> np.ndarray:

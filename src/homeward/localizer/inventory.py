@@ -74,17 +74,21 @@ class Inventory:
             return math.nan
         if name in self.used:
             return float(self._of_used[self.used.index(name)])
-        now = self.known.mapped.get(name)
-        if now is None or name not in self.home:
+        if name not in self.home:
             return math.nan
-        stored, columns = self.home[name], landmark_columns(now.number)
-        odds = self.hypotheses.best.odds_of(
-            self.marginal.mean[columns],
-            self.marginal.covariance[columns, columns],
-            stored.bearing,
-            stored.sigma,
-        )
-        return 1.0 / (1.0 + math.exp(min(max(odds, -500.0), 500.0)))
+        stored, best = self.home[name], self.hypotheses.best
+        if name in self.known.mapped:
+            columns = landmark_columns(self.known.mapped[name].number)
+            places = self.marginal.mean[None, columns]
+            covariances, weights = self.marginal.covariance[None, columns, columns], np.ones(1)
+        elif name in self.known.glimpsed:
+            ray = self.known.glimpsed[name]
+            places, covariances, weights = ray.places, ray.covariances, ray.weights
+        else:
+            return math.nan
+        odds = best.odds_of(places, covariances, stored.bearing, stored.sigma)
+        together = float(np.logaddexp.reduce(odds + np.log(np.maximum(weights, 1e-300))))
+        return 1.0 / (1.0 + math.exp(min(max(together, -500.0), 500.0)))
 
     def _from_home(self, now: Landmark, hypotheses: Hypotheses) -> tuple[float, float, float]:
         """Return where a landmark stands in the home frame, and how uncertain its distance is."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.glimpses import Glimpse, glimpse
 from homeward.localizer.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, cameras, directions
 from homeward.localizer.triangulation import AGREES, SHARE, triangulate
 from homeward.localizer.window import Window
@@ -94,6 +95,8 @@ class Landmarks:
         """Where landmarks stood that moved during the drive."""
         self.moved_at: dict[str, float] = {}
         """When they moved [s]."""
+        self.glimpsed: dict[str, Glimpse] = {}
+        """Rays on which landmarks stand that have no place in the map."""
         self._waiting: dict[str, Waiting] = {}
 
     def seen_from(self, home: Collection[str]) -> list[str]:
@@ -121,11 +124,24 @@ class Landmarks:
         """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
         self._waiting.setdefault(name, Waiting(t)).rows.append(row)
 
-    def start(self, window: Window) -> bool:
-        """Let the landmarks enter whose sight lines agree by now; return whether any did."""
+    def start(self, window: Window, covariance: np.ndarray) -> bool:
+        """Let the landmarks enter whose sight lines agree by now; return whether any did.
+
+        Parameters
+        ----------
+        window : Window
+            The map.
+        covariance : ndarray, shape (3, 3)
+            Of the newest pose.
+        """
         due = [n for n in self._waiting if n not in self.mapped and self._is_due(n)][:MOST_STARTS]
-        started = [self._start(window, name) for name in due]
-        return any(started)
+        started = [name for name in due if self._start(window, name)]
+        for name in due:
+            if name in started:
+                self.glimpsed.pop(name, None)
+            else:
+                self._glimpse(window, name, covariance)
+        return bool(started)
 
     def _is_due(self, name: str) -> bool:
         """Return whether what is put aside of a landmark is worth a try."""
@@ -156,6 +172,16 @@ class Landmarks:
         for line in directions(rows, window.poses_of(rows), window.calibration).tolist():
             self.mapped[name].seen_along(line)
         return True
+
+    def _glimpse(self, window: Window, name: str, covariance: np.ndarray) -> None:
+        """Keep on what ray a landmark without a place stands, if its sight lines agree on one."""
+        rows = np.array(self._waiting[name].rows)
+        eyes = cameras(rows, window.poses_of(rows), window.calibration)
+        mapped = np.hypot(*(window.positions - eyes[-1, :2]).T)
+        scale = float(np.median(mapped)) if mapped.size else math.nan
+        seen = glimpse(eyes, rows[:, BEARING], _line_sigmas(window, rows), covariance, scale)
+        if seen is not None:
+            self.glimpsed[name] = seen
 
     def _triangulate(
         self, window: Window, rows: np.ndarray

@@ -213,7 +213,8 @@ class Mapper:
     def _correct(self, seen: Prediction | None) -> None:
         """Correct pose and map: by the newest sightings alone, or the whole window when due."""
         try:
-            due = self.landmarks.start(self.window) or self._due or seen is None
+            started = self.landmarks.start(self.window, self.marginal.covariance[:3, :3])
+            due = started or self._due or seen is None
             if due or seen is None or not self._take(self.marginal.corrected(seen)):
                 self._solve()
             else:

@@ -1,0 +1,101 @@
+"""Landmarks that were seen, but not from enough sides to have a place: somewhere along a ray.
+
+A robot that drives straight at a landmark never learns how far it is, and yet knows where it would
+stand: home sees that ray under some directions and not under others, which may be enough to tell
+that the landmark was moved.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+
+FEWEST = 6
+"""Sight lines that make a ray; more do not tell its distance better, as their errors go along."""
+SHARE = 0.6
+"""Of the lines that must agree with the ray."""
+AGREES = 3.0
+"""A line agrees within this many standard deviations."""
+NEAREST, FARTHEST, DISTANCES = 0.1, 30.0, 24
+"""Distances tried, against the median distance of what is mapped; every ratio as probable."""
+STEPS = 2
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """Where a landmark may stand: k Gaussians along a ray, in the odometry frame."""
+
+    places: np.ndarray
+    """(k, 2) [m]"""
+    covariances: np.ndarray
+    """(k, 2, 2) [m^2]"""
+    weights: np.ndarray
+    """(k,), sum to one."""
+
+
+def glimpse(
+    cameras: np.ndarray,
+    bearings: np.ndarray,
+    sigmas: np.ndarray,
+    covariance: np.ndarray,
+    scale: float,
+) -> Glimpse | None:
+    """Return where a landmark may stand; None when its sight lines do not agree on a ray.
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (m, 3)
+        Poses of the camera, the newest last: x [m], y [m], heading of its axis [rad].
+    bearings, sigmas : ndarray, shape (m,)
+        Measured from the axis, and their standard deviations [rad].
+    covariance : ndarray, shape (3, 3)
+        Of the newest pose.
+    scale : float
+        Median distance of mapped landmarks [m].
+    """
+    if len(bearings) < FEWEST or not (math.isfinite(scale) and scale > 0):
+        return None
+    ratio = (FARTHEST / NEAREST) ** (1.0 / (DISTANCES - 1))
+    distances = scale * NEAREST * ratio ** np.arange(DISTANCES)
+    lines = cameras[:, 2] + bearings
+    directions = np.full(DISTANCES, lines[-1])
+    for _ in range(STEPS):
+        off, lever = _off(cameras, lines, distances, directions)
+        weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (AGREES * sigmas))) ** 2
+        directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)
+    share = np.abs(_off(cameras, lines, distances, directions)[0]) / (AGREES * sigmas)
+    if (share < 1.0).mean(axis=1).max() < SHARE:
+        return None
+    cost = 0.5 * AGREES**2 * FEWEST * np.minimum(share**2, 1.0).mean(axis=1)
+    weights = np.exp(cost.min() - cost)
+    along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    swing = np.median(sigmas) ** 2 + covariance[2, 2]
+    apart = (0.5 * math.log(ratio)) ** 2
+    return Glimpse(
+        places=cameras[-1, :2] + distances[:, None] * along,
+        covariances=covariance[:2, :2]
+        + apart * _squared(distances[:, None] * along)
+        + swing * _squared(distances[:, None] * across),
+        weights=weights / weights.sum(),
+    )
+
+
+def _off(
+    cameras: np.ndarray, lines: np.ndarray, distances: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return each line's angle off each place (k, m), and that by the place's direction."""
+    x, y = distances * np.cos(directions), distances * np.sin(directions)
+    dx = x[:, None] + cameras[-1, 0] - cameras[:, 0]
+    dy = y[:, None] + cameras[-1, 1] - cameras[:, 1]
+    square = np.maximum(dx**2 + dy**2, 1e-6)
+    return wrap(lines - np.arctan2(dy, dx)), (dx * x[:, None] + dy * y[:, None]) / square
+
+
+def _squared(vectors: np.ndarray) -> np.ndarray:
+    """Return the outer products of vectors (k, 2) with themselves, shape (k, 2, 2)."""
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
