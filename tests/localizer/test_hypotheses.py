@@ -1,0 +1,189 @@
+"""Wrong home bearings: how far off they may be, which sets compete, and one answer out of all."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from rig import Rig, ring
+from test_parts import problem
+
+from homeward.angles import TWO_PI, wrap
+from homeward.frames import Pose, between
+from homeward.localizer import moved
+from homeward.localizer.answer import in_home_frame, landmark_distance, mixture
+from homeward.localizer.faults import log_odds, log_right, log_wrong
+from homeward.localizer.fitting import fit
+from homeward.localizer.glimpses import glimpse
+from homeward.localizer.moved import Hypotheses, renamed, search
+
+CIRCLE = np.linspace(-math.pi, math.pi, 20001)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.1, 0.3])
+def test_right_and_wrong_are_densities_on_the_circle(sigma):
+    variance = np.full(CIRCLE.size, sigma**2)
+    for density in (log_right, log_wrong):
+        assert np.trapezoid(np.exp(density(CIRCLE, variance)), CIRCLE) == pytest.approx(1, abs=1e-3)
+
+
+def test_a_wrong_bearing_is_predicted_as_uncertainly_as_its_fault_and_the_map_together():
+    fault = np.exp(log_wrong(CIRCLE, np.zeros(CIRCLE.size)))
+    for off in (0.0, 0.2, 0.7, 1.5):
+        noise = np.exp(log_right(off - CIRCLE, np.full(CIRCLE.size, 0.15**2)))
+        both = np.trapezoid(fault * noise, CIRCLE)
+        assert np.exp(log_wrong(np.array(off), np.array(0.15**2))) == pytest.approx(both, rel=1e-3)
+
+
+def test_a_bearing_further_off_is_less_probably_right_and_one_that_nothing_predicts_says_nothing():
+    odds = log_odds(np.linspace(0.0, 0.4, 50), np.full(50, 0.02**2), 0.1)
+    assert (np.diff(odds) < 0).all()
+    assert odds[0] > 0 > odds[-1]
+    nothing = log_odds(np.array([0.0, 1.0, 3.0]), np.full(3, 25.0), 0.1)
+    assert nothing == pytest.approx(math.log(9.0))
+    near, far = log_wrong(np.array([0.3, 2.5]), np.full(2, 0.02**2))
+    assert near > far > -math.log(TWO_PI) - math.log(2.5)
+
+
+def test_evidence_of_a_flip_is_what_the_odds_say_while_another_one_is_wrong():
+    home, known = problem({2: 0.3})
+    right = np.arange(8) != 2
+    now = fit(known, np.array(home), right)
+    for i in (0, 5, 7):
+        flipped = right.copy()
+        flipped[i] = False
+        without = fit(known, now.home, flipped)
+        assert now.evidence - without.evidence == pytest.approx(now.odds[i], abs=0.3)
+
+
+def two_hypotheses(weights=(0.6, 0.4)):
+    home, known = problem({1: 0.06, 4: -0.05})
+    rights = [np.arange(8) != 1, np.arange(8) != 4]
+    fits = tuple(fit(known, np.array(home), right) for right in rights)
+    return Hypotheses(fits, np.array(weights))
+
+
+def test_the_answer_has_the_moments_of_all_hypotheses_together():
+    both = two_hypotheses()
+    rng = np.random.default_rng(0)
+    parts = [in_home_frame(f) for f in both.fits]
+    samples = np.concatenate(
+        [
+            rng.multivariate_normal(np.array(a.pose), a.covariance, round(4e5 * w))
+            for a, w in zip(parts, both.weights, strict=True)
+        ]
+    )
+    answer = mixture(both)
+    assert np.array(answer.pose) == pytest.approx(samples.mean(axis=0), abs=2e-4)
+    spread = np.cov(samples.T)
+    widest = np.linalg.eigvalsh(spread[:2, :2])[-1]
+    sagitta = widest / (2 * landmark_distance(both.best, both.best.home))
+    spread[[0, 1], [0, 1]] += sagitta**2
+    assert answer.covariance == pytest.approx(spread, rel=0.02, abs=1e-6)
+
+
+def test_the_pose_does_not_jump_when_another_hypothesis_takes_the_lead():
+    both = two_hypotheses((0.5, 0.5))
+    other = Hypotheses(both.fits[::-1], both.weights[::-1])
+    assert np.array(mixture(both).pose) == pytest.approx(np.array(mixture(other).pose), abs=1e-12)
+    poses = [np.array(in_home_frame(f).pose) for f in both.fits]
+    assert np.abs(poses[0] - poses[1]).max() > 0.01
+
+
+def test_headings_on_both_sides_of_half_a_turn_have_their_mean_there():
+    both = two_hypotheses((0.5, 0.5))
+    turns = [
+        wrap(math.pi + off - f.pose[2] + f.home[2])
+        for f, off in zip(both.fits, (0.1, -0.1), strict=True)
+    ]
+    fits = []
+    for f, turn in zip(both.fits, turns, strict=True):
+        turned = dataclasses.replace(f)
+        turned.__dict__["known"] = f.known + turn * np.eye(len(f.known))[2]
+        fits.append(turned)
+    answer = mixture(Hypotheses(tuple(fits), both.weights))
+    assert abs(answer.pose.heading) == pytest.approx(math.pi, abs=1e-6)
+    assert answer.covariance[2, 2] == pytest.approx(0.1**2, rel=0.1)
+
+
+def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
+    beyond, runs = 0, 80
+    rng = np.random.default_rng(5)
+    for seed in range(runs):
+        size = rng.uniform(0.03, 0.1, 2) * rng.choice([-1, 1], 2)
+        faults = dict(zip(rng.choice(8, 2, replace=False).tolist(), size.tolist(), strict=True))
+        home, known = problem(faults, seed=seed)
+        answer = mixture(search(known))
+        off = np.array(answer.pose) - np.array(between(home, Pose(0.0, 0.0, 0.0)))
+        off[2] = wrap(off[2])
+        beyond += off @ np.linalg.solve(answer.covariance, off) > 16.0
+    assert beyond <= 0.1 * runs
+
+
+def test_an_iteration_that_did_not_come_to_rest_does_not_compete():
+    home, known = problem({})
+    rest = fit(known, np.array(home), np.ones(8, bool))
+    astray = dataclasses.replace(rest, right=np.arange(8) != 3, step=np.full(3, 0.9))
+    astray.__dict__["evidence"] = rest.evidence + 50.0
+    found = {f.right.tobytes(): f for f in (rest, astray)}
+    together = moved._weigh(known, found)
+    assert together.best is rest
+    assert all(f.settled for f in together.fits)
+    assert moved._weigh(known, {b"": astray}).best is astray  # better than nothing
+
+
+def test_what_was_known_of_home_is_known_still_when_a_landmark_comes(monkeypatch):
+    _, known = problem({1: 0.3, 6: -0.4})
+    first = [*range(4, 8), *range(3)]  # not yet landmark 3
+    columns = np.r_[0:4, [4 + 2 * i + k for i in first for k in range(2)]]
+    fewer = dataclasses.replace(
+        known,
+        mean=known.mean[columns],
+        covariance=known.covariance[np.ix_(columns, columns)],
+        bearings=known.bearings[first],
+        sigmas=known.sigmas[first],
+    )
+    before = search(fewer)
+    assert set(np.array(first)[~before.best.right]) == {1, 6}
+    again = renamed(before, [str(i) for i in first], [str(i) for i in range(8)])
+    assert not again[0][1][3]
+    monkeypatch.setattr(moved, "starts", lambda problem: [])
+    assert search(known) is None
+    found = search(known, again)
+    assert set(np.flatnonzero(~found.best.right)) == {1, 6}
+
+
+def driven(rng, target, straight):
+    """Cameras on a way of two metres, straight at a target or past it, and bearings of it."""
+    heading = math.atan2(target[1], target[0]) + (0.0 if straight else 1.2)
+    along = np.linspace(0.0, 2.0, 30)
+    cameras = np.stack([along * math.cos(heading), along * math.sin(heading), np.zeros(30)], axis=1)
+    lines = np.arctan2(target[1] - cameras[:, 1], target[0] - cameras[:, 0])
+    return cameras, lines + 0.01 * rng.normal(size=30)
+
+
+def test_a_landmark_driven_straight_at_stands_on_a_ray_at_any_distance():
+    rng = np.random.default_rng(0)
+    target = np.array([4.0, 3.0])
+    sigmas, still = np.full(30, 0.01), np.diag([1e-4, 1e-4, 1e-5])
+    ray = glimpse(*driven(rng, target, True), sigmas, still, 3.0)
+    lines = np.arctan2(*(ray.places - 2.0 * target / 5.0).T[::-1])
+    assert lines == pytest.approx(math.atan2(3.0, 4.0), abs=0.01)
+    assert ray.weights.max() < 0.1
+    past = glimpse(*driven(rng, target, False), sigmas, still, 3.0)
+    likely = past.places[np.argmax(past.weights)]
+    assert np.hypot(*(likely - target)) < 0.4
+    assert past.weights.max() > 0.3
+    cameras, bearings = driven(rng, target, True)
+    assert glimpse(cameras, rng.uniform(-3, 3, 30), sigmas, still, 3.0) is None
+    assert glimpse(cameras[:5], bearings[:5], sigmas[:5], still, 3.0) is None
+
+
+@pytest.mark.parametrize("fault", [0.0, 0.3])
+def test_a_landmark_too_far_to_be_mapped_is_judged_by_its_direction(fault):
+    rig = Rig({**ring(7), "tower": (90.0, 40.0)}, seed=3, faults={"tower": fault})
+    rig.drive(30)
+    assert "tower" not in rig.localizer.mapper.landmarks.mapped
+    (tower,) = [m for m in rig.localizer.landmarks() if m.landmark == "tower"]
+    assert tower.moved is (fault > 0)
+    assert rig.moved() == ({"tower"} if fault else set())
