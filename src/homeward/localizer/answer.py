@@ -12,6 +12,10 @@ from homeward.frames import Pose
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
 
+MEDIAN_STEPS = 10
+AT_POINT = 0.01
+"""Nearer to a point than this the median is on it [standard deviations]."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -61,22 +65,39 @@ def in_home_frame(fit: HomeFit) -> Answer:
 
 
 def mixture(hypotheses: Hypotheses) -> Answer:
-    """Return the mean and covariance of the pose under all hypotheses together."""
+    """Return the median pose of all hypotheses, and the covariance of all of them around it."""
     answers = [in_home_frame(fit) for fit in hypotheses.fits]
     best, weights = answers[0].pose, hypotheses.weights
     off = np.array([a.pose for a in answers]) - np.array(best)
     off[:, 2] = wrap(off[:, 2])
-    mean = weights @ off
-    off -= mean
     within = np.tensordot(weights, np.array([a.covariance for a in answers]), axes=1)
+    middle = _median(off, weights, within)
+    off -= middle
     covariance = within + (weights * off.T) @ off
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     sagitta = largest / (2.0 * landmark_distance(hypotheses.best, hypotheses.best.home))
-    pose = Pose(best.x + mean[0], best.y + mean[1], _wrap(best.heading + mean[2]))
+    pose = Pose(best.x + middle[0], best.y + middle[1], _wrap(best.heading + middle[2]))
     covariance[[0, 1], [0, 1]] += sagitta**2
     return Answer(pose, covariance)
+
+
+def _median(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the geometric median of points (k, 3), distances in deviations (Weiszfeld, 1937).
+
+    Unlike the mean it does not follow an improbable point far away: a point of more than half of
+    the weight is the median. Where none has so much it lies between them.
+    """
+    information = np.linalg.inv(covariance)
+    if weights[0] > 0.5:
+        return np.asarray(points[0])
+    middle = weights @ points
+    for _ in range(MEDIAN_STEPS):
+        off = points - middle
+        pull = weights / np.sqrt(((off @ information) * off).sum(axis=1) + AT_POINT**2)
+        middle = pull @ points / pull.sum()
+    return np.asarray(middle)
 
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:

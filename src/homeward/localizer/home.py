@@ -3,7 +3,7 @@
 Everything here is Gaussian around one point: the map's marginal (newest pose, camera yaw, the
 landmarks that home saw), the home bearings of the chosen set, and a start prior where there is one.
 The evidence of a set is the integral over all unknowns, home included (Laplace), so that sets of
-different size compare fairly; a wrong bearing is uniform on the circle.
+different size compare fairly; for wrong bearings see `faults`.
 """
 
 from __future__ import annotations

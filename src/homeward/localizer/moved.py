@@ -34,7 +34,7 @@ NEIGHBOURS = 3
 """So many sets that differ from the best one by the most doubtful flips are weighed with it."""
 DOUBTFUL = 4.0
 """Only flips whose log odds are smaller are doubtful [1]."""
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE = 1e-3
 """A hypothesis less probable than this is dropped."""
 
 
@@ -106,10 +106,12 @@ def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]
 def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return the same sets, flipped where that is better, after the map has changed a little."""
     found: dict[bytes, HomeFit] = {}
+    lead: HomeFit | None = None
     for hypothesis in hypotheses.fits:
-        again = fit(problem, hypothesis.home, hypothesis.right, steps=3)
+        again = _fit_beside(lead, problem, hypothesis.home, hypothesis.right)
         if again is None:
             continue
+        lead = lead or again
         found[again.right.tobytes()] = again
         flip = _best_flip(problem, again)
         if flip is not None:
@@ -230,6 +232,14 @@ def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) ->
         right = best.right.copy()
         right[i] ^= True
         if abs(best.odds[i]) < DOUBTFUL and right.tobytes() not in found:
-            tried = fit(problem, best.home, right)
+            tried = _fit_beside(best, problem, best.home, right)
             if tried is not None and tried.settled:
                 yield tried
+
+
+def _fit_beside(
+    lead: HomeFit | None, problem: HomeProblem, home: np.ndarray, right: np.ndarray
+) -> HomeFit | None:
+    """Fit home from `home` (3,), with no new linearisation if it is where another fit has it."""
+    quick = None if lead is None or right.sum() < problem.fewest else solved(lead.linear, right)
+    return quick if quick is not None and quick.settled else fit(problem, home, right, steps=3)
