@@ -14,6 +14,7 @@ from homeward.simulation.simulate import Ending, simulate
 from homeward.simulation.trajectories import (
     LOOKAHEAD,
     SEARCH_RADIUS,
+    SLOWEST,
     TURN_ACCELERATION,
     advance,
     make_control,
@@ -128,3 +129,21 @@ def test_homing_by_an_estimate_goes_on_to_the_nearest_point_and_stops_only_when_
     assert unsure.v / unsure.omega == pytest.approx(SEARCH_RADIUS)
     by_truth = make_control(load_scenario("paper-homing"), start)
     assert by_truth.twist(0.0, Pose(0.04, 0.0, math.pi)) is None
+
+
+def test_a_robot_told_to_slow_down_comes_to_home_itself():
+    plain = {"estimator": "truth", "seed": 2}
+    slow = {"trajectory.slowing": 2.0, "trajectory.stop_radius": 0.005}
+    simulation = simulate(load_scenario("paper-homing", plain | slow))
+    assert simulation.ending is Ending.DONE
+    assert simulation.final_distance < 0.005
+    control = make_control(load_scenario("paper-homing", slow), Pose(1.0, 0.0, math.pi))
+    speeds = [control.twist(t, Pose(d, 0.0, math.pi)).v for t, d in enumerate([1.0, 0.1, 0.006])]
+    assert speeds == pytest.approx([0.125, 0.05, SLOWEST * 0.125])
+
+
+def test_a_slow_robot_stops_at_the_first_sure_pose_within_its_radius():
+    changes = {"estimator": "ekf", "trajectory.slowing": 2.0}
+    control = make_control(load_scenario("paper-homing", changes), Pose(1.0, 0.0, math.pi))
+    assert control.twist(0.0, Pose(0.04, 0.0, math.pi), sure=False) is not None
+    assert control.twist(0.1, Pose(0.04, 0.0, math.pi)) is None

@@ -230,7 +230,10 @@ class Homing(Trajectory):
     kind: Literal["homing"] = "homing"
     stop_radius: Positive = STOP_RADIUS
     """The drive ends where the robot believes itself within this distance of home [m], and, steered
-    by an estimator, surely so and as near as it gets."""
+    by an estimator, surely so and, at constant speed, as near as it gets."""
+    slowing: NonNegative = 0.0
+    """Near home the speed is at most the distance divided by this [s]; 0: constant, as the paper
+    has it."""
 
 
 class Circle(Trajectory):

@@ -8,13 +8,15 @@ from typing import Protocol, assert_never
 import numpy as np
 
 from homeward.control import Twist, arrived, homing
-from homeward.frames import Pose, bearing, between, to_polar
+from homeward.frames import Polar, Pose, bearing, between, to_polar
 from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m], for the parallax."""
 PAST_NEAREST = 0.005
 """So much farther from home than at its nearest, an estimated pose has passed it [m]."""
+SLOWEST = 0.03
+"""Near home the speed falls to no less than this share of it."""
 LOOKAHEAD = 0.4
 """The point on the line that the robot steers at is so far ahead [m]."""
 TURN_ACCELERATION = 1.0
@@ -57,7 +59,8 @@ class HomingControl:
     """The paper's homing law, until the robot believes itself at home.
 
     A pose that is estimated is off by something like the stop radius: with one the robot goes on
-    inside that radius for as long as it gets nearer, and it stops only when it is sure.
+    inside that radius for as long as it gets nearer, unless it has slowed down, and it stops only
+    when it is sure.
     """
 
     def __init__(self, trajectory: Homing, exact: bool) -> None:
@@ -73,11 +76,18 @@ class HomingControl:
             self._nearest = math.inf
         elif not sure:
             return _search_arc(self._trajectory.speed)
-        elif self._exact or self._nearest + PAST_NEAREST < polar.R:
+        elif self._exact or self._trajectory.slowing or self._nearest + PAST_NEAREST < polar.R:
             return None
         else:
             self._nearest = min(self._nearest, float(polar.R))
-        return Twist(*map(float, homing(polar, self._trajectory.speed)))
+        return Twist(*map(float, homing(polar, self._speed(polar))))
+
+    def _speed(self, polar: Polar) -> float:
+        """Return how fast to drive: slowly near home, if so told, for the law turns at 1 rad/s."""
+        speed, slowing = self._trajectory.speed, self._trajectory.slowing
+        if not slowing:
+            return speed
+        return max(min(speed, float(polar.R) / slowing), SLOWEST * speed)
 
 
 class CircleControl:

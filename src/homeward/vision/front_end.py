@@ -58,6 +58,11 @@ class Glance:
     """What the frame was found to be like, in words."""
 
 
+def home_name(row: int) -> str:
+    """Return what the landmark is called that is feature number `row` of the home image."""
+    return f"h{row}"
+
+
 @dataclass
 class FrontEnd:
     """Panoramas of one drive to bearings of landmarks.
@@ -191,7 +196,8 @@ class FrontEnd:
         return order[np.argsort(rank, kind="stable")][: self.most]
 
     def _name(self, landmark: int) -> str:
-        return f"h{landmark}" if landmark < len(self.home) else f"k{landmark - len(self.home)}"
+        known = landmark < len(self.home)
+        return home_name(landmark) if known else f"k{landmark - len(self.home)}"
 
     def _words(self, compared: dict[int, Comparison], fits: list[int]) -> str:
         if 0 in fits:

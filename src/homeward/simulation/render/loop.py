@@ -17,6 +17,7 @@ from homeward.simulation.render.eye import Eye
 from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
 from homeward.vision.features import View, look
 from homeward.vision.front_end import FrontEnd
+from homeward.vision.home_sight import HomeSight
 from homeward.vision.opencv import opencv
 
 LEAST_TILT = 0.002
@@ -100,7 +101,8 @@ class ImageLoop:
         InputError
             When the robot runs into something.
         """
-        log = Log(estimator)
+        sight = None if estimator is None else HomeSight(estimator, self.drive.settings)
+        log = Log(sight)
 
         def see(t: float, robot: Pose) -> None:
             self._taken += 1
@@ -109,6 +111,8 @@ class ImageLoop:
                 keep(t, robot, picture)
             if self.front_end is not None:
                 seen = self.front_end.see(grey(picture))
+                if sight is not None:
+                    sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)
 
         ending, pose = drive_course(self.eye.scenario, log, see, progress)

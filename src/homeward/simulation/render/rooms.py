@@ -26,6 +26,10 @@ HOME_FREE = 0.6
 """Home is so far from every wall [m]."""
 SPEED = 0.15
 """[m/s]"""
+SLOWING = 2.0
+"""The robot comes to home with this time constant [s] ..."""
+STOP_RADIUS = 0.005
+"""... and is there within this distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def room(
         odometry=OdometryErrors(
             speed_sigma=0.005, turn_sigma=0.005, speed_scale_sigma=0.005, turn_scale_sigma=0.01
         ),
-        trajectory=Homing(speed=SPEED, duration=120.0),
+        trajectory=Homing(speed=SPEED, duration=120.0, slowing=SLOWING, stop_radius=STOP_RADIUS),
     )
 
 

@@ -1,0 +1,146 @@
+"""The pose from home's own picture: its features, on home's sight lines, seen again from here.
+
+A feature of the home image lies on the ray along which home saw it; how far away is what a map
+tells, or a guess. The pose follows by resection. Seen from home itself, features lie where home saw
+them, however far away they are: near home the map's errors cancel, which they do not in a pose
+within the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Polar, Pose, from_polar
+
+DISTANCES = 60
+"""Places tried along the direction from home."""
+REACH = 2.0
+"""They go as far as so many median distances of the landmarks."""
+BLUR = 0.01
+"""So much is added to the bearings' sigma while places are tried [rad]."""
+STEPS = 10
+SETTLED = 1e-5
+"""A step smaller than this ends the iteration [m or rad]."""
+HEAVY = 3.0
+"""Residuals of more sigmas lose their weight (Geman and McClure)."""
+AGREES = 3.0
+"""A landmark agrees whose residual is within so many sigmas."""
+LEAST_NEAR = 0.05
+"""No landmark is taken to be nearer to the camera than this [m]."""
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Landmarks on home's sight lines, and where they are seen now. All arrays have n rows."""
+
+    home: np.ndarray
+    """Bearing from home [rad]."""
+    now: np.ndarray
+    """Bearing from here [rad]."""
+    sigma: np.ndarray
+    """Of the difference of the two [rad]."""
+    distance: np.ndarray
+    """From home [m]."""
+    distance_sigma: np.ndarray
+    """[m]"""
+
+    def __len__(self) -> int:
+        return self.home.size
+
+
+@dataclass(frozen=True)
+class Direction:
+    """What two pictures alone tell of where the second was taken."""
+
+    theta: float
+    """Direction from home [rad]."""
+    alpha: float
+    """Heading [rad]."""
+    covariance: np.ndarray
+    """(2, 2), of both."""
+
+
+@dataclass(frozen=True)
+class Resection:
+    """Where the camera is, in the frame of home's."""
+
+    pose: Pose
+    covariance: np.ndarray
+    """(3, 3), of x [m], y [m], heading [rad]."""
+    agrees: np.ndarray
+    """(n,) bool, which landmarks agree with that."""
+
+
+def resect(anchors: Anchors, seen: Direction) -> Resection | None:
+    """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
+
+    The latter holds direction and heading where the map is poor; near home it fades away by its
+    own covariance. Errors of the map's distances are mostly alike for all landmarks: in the
+    covariance they are one factor of the distance from home.
+
+    Returns
+    -------
+    Resection or None
+        None where they do not fix a pose.
+    """
+    if len(anchors) < 3:
+        return None
+    x = _begin(anchors, seen)
+    across, across_information = _direction(seen, max(float(np.hypot(*x[:2])), LEAST_NEAR))
+    for _ in range(STEPS):
+        residual, jacobian, variance = _predict(anchors, x)
+        weight = (1.0 + residual**2 / variance / HEAVY**2) ** -2 / variance
+        off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
+        information = (jacobian.T * weight) @ jacobian + across.T @ across_information @ across
+        slope = (jacobian.T * weight) @ residual + across.T @ across_information @ off
+        try:
+            step = np.linalg.solve(information, slope)
+        except np.linalg.LinAlgError:
+            return None
+        x = x + step
+        if np.abs(step).max() < SETTLED:
+            break
+    if not np.isfinite(x).all():
+        return None
+    residual, _, variance = _predict(anchors, x)
+    scale = float(np.median(anchors.distance_sigma / anchors.distance))
+    out = np.array([x[0], x[1], 0.0])
+    covariance = np.linalg.inv(information) + scale**2 * out[:, None] * out
+    pose = Pose(float(x[0]), float(x[1]), float(wrap(x[2])))
+    return Resection(pose, covariance, residual**2 <= AGREES**2 * variance)
+
+
+def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return what takes a pose to (off the line from home [m], heading), and its information."""
+    across = np.array([[-np.sin(seen.theta), np.cos(seen.theta), 0.0], [0.0, 0.0, 1.0]])
+    lever = np.diag([distance, 1.0])
+    return across, np.linalg.inv(lever @ seen.covariance @ lever)
+
+
+def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
+    """Return the best of some places (x, y, heading) in a direction from home."""
+    furthest = REACH * float(np.median(anchors.distance))
+    places = [
+        np.array(from_polar(Polar(R, seen.theta, seen.alpha)))
+        for R in np.linspace(0.0, furthest, DISTANCES)
+    ]
+    costs = []
+    for place in places:
+        residual, _, variance = _predict(anchors, place)
+        costs.append(np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum())
+    return places[int(np.argmin(costs))]
+
+
+def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (n,) [rad], derivatives (n, 3) and variances (n,) of bearings from `x`."""
+    ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
+    d = anchors.distance[:, None] * ray - x[:2]
+    square = np.maximum((d**2).sum(axis=1), LEAST_NEAR**2)
+    residual = wrap(anchors.now + x[2] - np.arctan2(d[:, 1], d[:, 0]))
+    jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
+    by_distance = (d[:, 0] * ray[:, 1] - d[:, 1] * ray[:, 0]) / square
+    variance = anchors.sigma**2 + (by_distance * anchors.distance_sigma) ** 2
+    return np.asarray(residual), jacobian, variance

@@ -1,0 +1,275 @@
+"""An estimator that looks at home's picture, too: the direction home at first, the pose near home.
+
+Two panoramas tell heading and direction from home at once, where a map takes a while to be made;
+and near home they tell the pose better than the map does (see `homeward.vision.approach`). Poses
+from single pictures are joined over odometry by covariance intersection (Julier and Uhlmann, "A
+non-divergent estimation algorithm in the presence of unknown correlations", ACC 1997), for one
+picture errs as the next. What home's picture contradicts is not called sure, whatever the map says.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.dead_reckoning import dead_reckoning
+from homeward.drives.drive import DriveSettings, Odometry
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
+from homeward.frames import (
+    Polar,
+    Pose,
+    between,
+    compose,
+    from_polar,
+    inverse,
+    polar_covariance_to_pose,
+)
+from homeward.vision.approach import Anchors, Direction, Resection, resect
+from homeward.vision.compare import Comparison
+from homeward.vision.front_end import home_name
+
+FEWEST_ANCHORS = 6
+"""Landmarks of home, seen again, that a pose needs ..."""
+FEWEST_MAPPED = 4
+"""... and so many of them must be in the map."""
+AGREEING = 0.7
+"""Such a share of those in the map must agree with a pose from home's picture."""
+GUESSED = 0.5
+"""A landmark that is not in the map is as far as the others, give or take this share."""
+HOLD_S = 2.0
+"""What home's picture told is forgotten after this time [s]."""
+UNKNOWN_DISTANCE = 1.0
+"""Where only the direction is known, the distance is said to be this, give or take as much [m]."""
+SLIP, TURN_SLIP = 0.05, 0.05
+"""Odometry between pictures is off by such shares of the way and of the turn."""
+CONTRADICTS = 4.0
+"""So many sigmas apart, the map and home's picture contradict each other."""
+NEAR_HOME, REFUSALS = 0.3, 3
+"""So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
+
+LASTING, LASTING_SHARE = 12, 0.4
+"""A landmark is only called moved if seen so often, and in such a share of the frames since."""
+FEWEST_MOVED_M = 0.2
+"""... and so far across the line from home [m]; by less, features slide along edges."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fix:
+    """What home's picture told, of the robot's centre in the home frame."""
+
+    t: float
+    """When [s]."""
+    pose: Pose
+    covariance: np.ndarray
+    """(3, 3), of x [m], y [m], heading [rad]."""
+    whole: bool
+    """Whether it tells the distance from home, too."""
+    sure: bool
+    """Whether enough landmarks agree with it."""
+    against: bool
+    """Whether the map contradicts home's picture."""
+    reason: str
+    """In words."""
+
+
+class HomeSight:
+    """Another estimator with an eye on home's picture, itself an `Estimator`.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Maps the landmarks.
+    drive : DriveSettings
+        Where the camera is on the robot, now and at home.
+    """
+
+    def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
+        self._inner = estimator
+        self.name, self.notes, self.counts = estimator.name, estimator.notes, estimator.counts
+        settings = drive or DriveSettings()
+        self._home_mount, self._mount = settings.home_mount.pose, settings.sensor.pose
+        self._twists: list[tuple[float, float, float]] = []
+        """(t, v, omega) since the last fix, and the one that held then."""
+        self._fix: Fix | None = None
+        self._refused = 0
+        """How often in a row home's picture was not recognised."""
+        self._frames = 0
+        self._seen: dict[str, tuple[int, int]] = {}
+        """How often each landmark was seen, and after how many frames first."""
+
+    def odometry(self, t: float, v: float, omega: float) -> None:
+        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        self._inner.odometry(t, v, omega)
+        if all(map(math.isfinite, (t, v, omega))) and (
+            not self._twists or t >= self._twists[-1][0]
+        ):
+            self._twists.append((t, v, omega))
+
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Estimate:
+        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
+        self._frames += 1
+        for name in sightings:
+            times, first = self._seen.get(name, (0, self._frames - 1))
+            self._seen[name] = times + 1, first
+        innovations = self._inner.bearings(t, sightings, sigmas).innovations
+        return dataclasses.replace(self.estimate(t), innovations=innovations)
+
+    def home(self, t: float, seen: Comparison | None) -> None:
+        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried."""
+        if seen is None:
+            return
+        self._refused = 0 if seen.accepted else self._refused + 1
+        if not seen.accepted:
+            return
+        fix = self._whole(t, seen) or self._direction(t, seen)
+        if fix is not None:
+            self._fix = fix
+            self._twists = self._twists[-1:]
+
+    def estimate(self, t: float) -> Estimate:
+        """Predict to `t` [s], not before the last sample, and change nothing."""
+        mapped, fix = self._inner.estimate(t), self._carried(t)
+        if fix is None or not (fix.whole or fix.against or not _agree(mapped, fix)):
+            return self._unless_refused(mapped)
+        status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
+        return Estimate(t, status, fix.reason, fix.pose, fix.covariance)
+
+    def landmarks(self) -> list[LandmarkEstimate]:
+        """Everything known of each landmark; none is called moved that may be a wrong match."""
+        return [self._reconsidered(landmark) for landmark in self._inner.landmarks()]
+
+    def _reconsidered(self, found: LandmarkEstimate) -> LandmarkEstimate:
+        """Withhold the verdict that a landmark was moved, where a wrong match explains it as well.
+
+        Most features whose home bearing is wrong were mistaken for another of home's. Such matches
+        come and go, or slide along an edge; a thing that was moved is seen again and again, and
+        stands well away from where it stood.
+        """
+        if not found.moved or math.isfinite(found.moved_at):
+            return found
+        times, first = self._seen.get(found.landmark, (0, self._frames))
+        turned = wrap(found.home_bearing_estimated - found.home_bearing_stored)
+        away = found.distance * abs(float(turned))
+        lasting = times >= LASTING and times >= LASTING_SHARE * (self._frames - first)
+        if lasting and away >= FEWEST_MOVED_M:
+            return found
+        return dataclasses.replace(found, moved=None, moved_probability=math.nan)
+
+    def _unless_refused(self, mapped: Estimate) -> Estimate:
+        """Return what the map says; unsure where home's picture should be seen, but is not."""
+        polar = mapped.polar
+        if polar is None or polar.R > NEAR_HOME or self._refused < REFUSALS:
+            return mapped
+        words = "the map says home, but home's picture is not recognised"
+        return dataclasses.replace(mapped, status=Status.UNVERIFIED, reason=words)
+
+    def _whole(self, t: float, seen: Comparison) -> Fix | None:
+        """Return the pose from landmarks of home; None where too few are seen, or in the map."""
+        anchors, mapped = self._anchors(seen)
+        if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
+            return None
+        found = resect(anchors, Direction(seen.direction, seen.heading, seen.covariance))
+        if found is None:
+            return None
+        agreeing, of = int(found.agrees[mapped].sum()), int(mapped.sum())
+        words = f"{agreeing} of {of} mapped landmarks agree with home's picture"
+        if agreeing < AGREEING * of:
+            there = found if not seen.knows_direction else _far(seen, UNKNOWN_DISTANCE)
+            return Fix(t, *self._of_robot(there), False, False, True, f"only {words}")
+        fix = Fix(t, *self._of_robot(found), True, True, False, words)
+        before = self._carried(t)
+        return _joined(before, fix) if before is not None and before.whole else fix
+
+    def _direction(self, t: float, seen: Comparison) -> Fix | None:
+        """Return heading and direction from home, the distance being the map's or a guess."""
+        if not seen.knows_direction:
+            return None
+        polar = self._inner.estimate(t).polar
+        there = _far(seen, UNKNOWN_DISTANCE if polar is None else float(polar.R))
+        words = "home's picture tells the direction home, not how far it is"
+        return Fix(t, *self._of_robot(there), False, False, False, words)
+
+    def _anchors(self, seen: Comparison) -> tuple[Anchors, np.ndarray]:
+        """Return home's landmarks that are seen now, and which of them the map places."""
+        pairs, rows = seen.pairs[seen.agrees], seen.home_row[seen.agrees]
+        known = {m.landmark: m for m in self._inner.landmarks() if m.moved is False}
+        distance, sigma = np.full((2, len(rows)), np.nan)
+        for i, row in enumerate(rows.tolist()):
+            landmark = known.get(home_name(row))
+            if landmark is not None and math.isfinite(landmark.distance):
+                at = between(self._home_mount, Pose(landmark.x, landmark.y, 0.0))
+                distance[i], sigma[i] = math.hypot(at.x, at.y), landmark.sigma_distance
+        mapped = np.isfinite(distance)
+        if mapped.any():
+            distance[~mapped] = np.median(distance[mapped])
+            sigma[~mapped] = GUESSED * distance[~mapped]
+        bearing_sigma = np.hypot(pairs.home_sigma, pairs.now_sigma)
+        return Anchors(pairs.home[:, 0], pairs.now[:, 0], bearing_sigma, distance, sigma), mapped
+
+    def _of_robot(self, camera: Resection) -> tuple[Pose, np.ndarray]:
+        """Return pose and covariance of the robot's centre, from the camera's."""
+        off = inverse(self._mount)
+        robot = compose(compose(self._home_mount, camera.pose), off)
+        c, s = math.cos(self._home_mount.heading), math.sin(self._home_mount.heading)
+        arm = compose(Pose(0.0, 0.0, self._home_mount.heading + camera.pose.heading), off)
+        jacobian = np.array([[c, -s, -arm.y], [s, c, arm.x], [0.0, 0.0, 1.0]])
+        return robot, jacobian @ camera.covariance @ jacobian.T
+
+    def _carried(self, t: float) -> Fix | None:
+        """Return the last fix, moved on to `t` by odometry; None where it is too old."""
+        fix = self._fix
+        if fix is None or not t - fix.t <= HOLD_S:
+            return None
+        if not self._twists:
+            return fix
+        times, v, omega = np.array(self._twists).T
+        ends = dead_reckoning(Odometry(times, v, omega), np.array([fix.t, t]))
+        start, end = (Pose(*(float(c[k]) for c in ends)) for k in (0, 1))
+        motion = between(start, end)
+        x, y, heading = compose(fix.pose, motion)
+        way = math.hypot(motion.x, motion.y)
+        jacobian = np.eye(3)
+        jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
+        noise = np.diag([(SLIP * way) ** 2, (SLIP * way) ** 2, (TURN_SLIP * motion.heading) ** 2])
+        covariance = jacobian @ fix.covariance @ jacobian.T + noise
+        return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
+
+
+def _far(seen: Comparison, distance: float) -> Resection:
+    """Return the camera's pose at a distance from home that nobody knows [m]."""
+    there = Polar(distance, seen.direction, seen.heading)
+    covariance = np.zeros((3, 3))
+    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, seen.covariance
+    spread = polar_covariance_to_pose(there, covariance)
+    return Resection(from_polar(there), spread, seen.agrees)
+
+
+def _joined(before: Fix, now: Fix) -> Fix:
+    """Return the covariance intersection of two fixes; the later one alone where they differ."""
+    innovation = np.array(now.pose) - np.array(before.pose)
+    innovation[2] = wrap(innovation[2])
+    if (
+        innovation @ np.linalg.solve(before.covariance + now.covariance, innovation)
+        > CONTRADICTS**2
+    ):
+        return now
+    of_now = 0.5 * np.linalg.inv(now.covariance)
+    covariance = np.linalg.inv(of_now + 0.5 * np.linalg.inv(before.covariance))
+    x, y, heading = np.array(before.pose) + covariance @ of_now @ innovation
+    pose = Pose(float(x), float(y), float(wrap(heading)))
+    return dataclasses.replace(now, pose=pose, covariance=covariance)
+
+
+def _agree(mapped: Estimate, fix: Fix) -> bool:
+    """Say whether the map's pose lies in the direction that home's picture tells."""
+    if mapped.pose is None or mapped.covariance is None:
+        return False
+    off = np.array(mapped.pose) - np.array(fix.pose)
+    off[2] = wrap(off[2])
+    return bool(off @ np.linalg.solve(mapped.covariance + fix.covariance, off) <= CONTRADICTS**2)

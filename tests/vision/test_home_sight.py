@@ -1,0 +1,225 @@
+"""The pose from home's picture: exact at home whatever the map says, and unsure when unsure."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from homeward.angles import wrap
+from homeward.drives.drive import DriveSettings, Mount, Sensor
+from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
+from homeward.frames import Pose, between, compose, to_polar
+from homeward.vision.acceptance import Verdict
+from homeward.vision.approach import Anchors, Direction, _predict, resect
+from homeward.vision.compare import Comparison
+from homeward.vision.epipolar import Motion, Pairs
+from homeward.vision.home_sight import HOLD_S, HomeSight
+
+WIDE = np.diag([10.0, 10.0])
+SIGMA = 0.002
+
+
+def scene(n=24, seed=0):
+    """Return landmarks all round, (n, 2) in the frame of home's camera [m]."""
+    rng = np.random.default_rng(seed)
+    azimuth, distance = rng.uniform(-math.pi, math.pi, n), rng.uniform(1.0, 5.0, n)
+    return distance[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+
+
+def bearings(points, camera):
+    """Return the bearings (n,) of points from a camera's pose [rad]."""
+    d = points - [camera.x, camera.y]
+    return np.asarray(wrap(np.arctan2(d[:, 1], d[:, 0]) - camera.heading))
+
+
+def anchors(points, camera, scale=1.0, share=0.05):
+    """Return what is seen from a camera's pose, the map being too large by a factor."""
+    home = bearings(points, Pose(0.0, 0.0, 0.0))
+    distance = scale * np.hypot(*points.T)
+    spread = np.full(len(points), SIGMA)
+    return Anchors(home, bearings(points, camera), spread, distance, share * distance)
+
+
+def guess(camera, covariance=WIDE):
+    polar = to_polar(camera)
+    return Direction(float(polar.theta), float(polar.alpha), covariance)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_bearings_give_the_pose_back(seed):
+    rng = np.random.default_rng(seed)
+    camera = Pose(*rng.uniform(-0.6, 0.6, 2).tolist(), rng.uniform(-3, 3))
+    found = resect(anchors(scene(seed=seed), camera), guess(camera))
+    np.testing.assert_allclose(found.pose, camera, atol=1e-5)
+    assert found.agrees.all()
+
+
+def test_the_jacobian_is_the_derivative():
+    seen, x, step = anchors(scene(), Pose(0.5, -0.3, 0.7)), np.array([0.4, -0.2, 0.6]), 1e-6
+    jacobian = _predict(seen, x)[1]
+    for k in range(3):
+        ahead, behind = (_predict(seen, x + s * step * np.eye(3)[k])[0] for s in (1, -1))
+        # The residual is measured minus predicted.
+        np.testing.assert_allclose(-(ahead - behind) / (2 * step), jacobian[:, k], atol=1e-6)
+
+
+def test_at_home_the_map_may_be_wrong_and_away_from_home_it_may_not():
+    points = scene()
+    at_home, away = Pose(0.0, 0.0, 0.4), Pose(0.8, 0.3, 0.4)
+    found = resect(anchors(points, at_home, scale=1.4), guess(at_home))
+    np.testing.assert_allclose(found.pose, at_home, atol=1e-6)
+    far = resect(anchors(points, away, scale=1.4, share=0.3), guess(away))
+    error = np.array(far.pose[:2]) - away[:2]
+    assert np.hypot(*error) > 0.1
+    # The error is the map's scale, and is within what the covariance says of that.
+    assert error @ np.linalg.solve(far.covariance[:2, :2], error) < 9.0
+
+
+def test_wrong_matches_are_outvoted_and_told():
+    camera = Pose(0.5, -0.4, 1.0)
+    seen = anchors(scene(), camera)
+    now = seen.now.copy()
+    now[:7] += np.linspace(0.1, 0.9, 7)
+    found = resect(replace(seen, now=now), guess(camera, np.diag([0.01, 0.01]) ** 2))
+    np.testing.assert_allclose(found.pose[:2], camera[:2], atol=0.01)
+    np.testing.assert_array_equal(found.agrees, np.arange(24) >= 7)
+
+
+def test_two_landmarks_fix_nothing():
+    camera = Pose(0.5, -0.4, 1.0)
+    assert resect(anchors(scene(n=2), camera), guess(camera)) is None
+
+
+class Map:
+    """An estimator that says what it is told to."""
+
+    name, notes = "map", ()
+
+    def __init__(self, points, pose=None, status=Status.LOCALISED):
+        self.counts = Counts()
+        self.pose, self.status = pose, status
+        self.found = [
+            LandmarkEstimate(f"h{i}", x, y, math.hypot(x, y), 0.05, moved=False)
+            for i, (x, y) in enumerate(points.tolist())
+        ]
+
+    def odometry(self, t, v, omega):
+        pass
+
+    def bearings(self, t, sightings, sigmas=None):
+        return self.estimate(t)
+
+    def estimate(self, t):
+        covariance = None if self.pose is None else 1e-4 * np.eye(3)
+        return Estimate(t, self.status, "as told", self.pose, covariance)
+
+    def landmarks(self):
+        return self.found
+
+
+def compared(points, camera, accepted=True, direction_sigma=0.01):
+    """Return how a picture from a camera's pose compares with home's, every feature matched."""
+    n, polar = len(points), to_polar(camera)
+    angles = [bearings(points, p) for p in (Pose(0.0, 0.0, 0.0), camera)]
+    flat, spread = np.zeros(n), np.full(n, SIGMA)
+    rows = np.arange(n)
+    return Comparison(
+        Verdict(accepted, "", -10.0),
+        Pairs(*(np.column_stack([a, flat]) for a in angles), spread, spread, flat),
+        rows,
+        rows,
+        np.full(n, accepted),
+        np.zeros(n, bool),
+        Motion(float(polar.theta), float(polar.alpha)),
+        np.diag([direction_sigma, 0.005]) ** 2 if accepted else np.full((2, 2), np.inf),
+    )
+
+
+def test_near_home_its_picture_is_believed_and_not_a_pose_in_the_map():
+    points, camera = scene(), Pose(0.02, -0.03, 0.5)
+    sight = HomeSight(Map(points, pose=Pose(0.08, 0.05, 0.47)))
+    sight.home(1.0, compared(points, camera, direction_sigma=0.5))
+    said = sight.estimate(1.0)
+    assert said.status is Status.LOCALISED
+    np.testing.assert_allclose(said.pose, camera, atol=1e-4)
+
+
+def test_a_map_that_home_s_picture_contradicts_is_not_called_sure():
+    points, camera = scene(), Pose(0.8, -0.3, 0.5)
+    # The same bearings from home, but at distances that have nothing to do with it.
+    ray = points / np.hypot(*points.T)[:, None]
+    wrong = np.random.default_rng(5).uniform(0.5, 6.0, len(points))[:, None] * ray
+    sight = HomeSight(Map(wrong, pose=Pose(0.0, 0.01, 0.5)))
+    sight.home(1.0, compared(points, camera))
+    said = sight.estimate(1.0)
+    assert said.status is Status.UNVERIFIED
+    assert "agree" in said.reason
+
+
+def test_home_must_be_recognised_where_the_map_says_home():
+    points = scene()
+    near, far = (HomeSight(Map(points, pose=Pose(x, 0.0, 0.0))) for x in (0.1, 2.0))
+    for t in range(4):
+        for sight in (near, far):
+            sight.home(float(t), compared(points, Pose(0.1, 0.0, 0.0), accepted=False))
+    assert near.estimate(4.0).status is Status.UNVERIFIED
+    assert "not recognised" in near.estimate(4.0).reason
+    assert far.estimate(4.0).status is Status.LOCALISED
+
+
+def test_the_direction_is_told_before_there_is_a_map_and_kept_by_odometry():
+    points, camera = scene(), Pose(1.5, 1.0, 2.0)
+    sight = HomeSight(Map(points[:0], status=Status.MAPPING))
+    assert sight.estimate(0.0).pose is None
+    sight.odometry(0.0, 0.0, 0.5)
+    sight.home(0.5, compared(points, camera))
+    told = sight.estimate(0.5)
+    assert told.status is Status.UNVERIFIED
+    assert (to_polar(told.pose).theta, told.pose.heading) == pytest.approx(to_polar(camera)[1:])
+    assert told.covariance[0, 0] + told.covariance[1, 1] > 0.9  # the distance is a guess
+    assert sight.estimate(0.9).pose.heading == pytest.approx(2.0 + 0.4 * 0.5)
+    sight.odometry(1.0, 0.2, 0.0)
+    after = sight.estimate(1.3).pose
+    assert math.hypot(after.x - told.pose.x, after.y - told.pose.y) == pytest.approx(0.06)
+    assert sight.estimate(0.5 + HOLD_S + 0.1).pose is None
+
+
+def test_the_robot_s_centre_is_told_not_the_camera_s():
+    mount, home_mount = Sensor(x=0.3, y=-0.1, yaw=0.4), Mount(x=-0.2, y=0.1, yaw=-0.7)
+    robot, seen_at_home = Pose(0.5, 0.2, 0.9), home_mount.pose
+    camera = between(seen_at_home, compose(robot, mount.pose))
+    points = scene()
+    placed = [compose(seen_at_home, Pose(x, y, 0.0))[:2] for x, y in points.tolist()]
+    settings = DriveSettings(sensor=mount, home_sensor=home_mount)
+    sight = HomeSight(Map(np.array(placed)), settings)
+    sight.home(0.0, compared(points, camera))
+    np.testing.assert_allclose(sight.estimate(0.0).pose, robot, atol=1e-3)
+
+
+def test_one_picture_after_the_other_does_not_make_the_pose_ever_surer():
+    points, camera = scene(), Pose(0.1, 0.0, 0.0)
+    sight = HomeSight(Map(points))
+    sigmas = []
+    for k in range(20):
+        sight.home(0.1 * k, compared(points, camera, direction_sigma=0.1))
+        sigmas.append(sight.estimate(0.1 * k).sigmas[:2].max())
+    assert sigmas[-1] == pytest.approx(sigmas[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sightings", "frames", "off", "verdict"),
+    [(40, 50, 0.3, True), (5, 50, 0.3, None), (15, 60, 0.3, None), (40, 50, 0.02, None)],
+)
+def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, verdict):
+    still = LandmarkEstimate("h1", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
+    gone = replace(still, landmark="h0", home_bearing_stored=off, moved_probability=1.0, moved=True)
+    inner = Map(scene(n=1))
+    inner.found = [gone, still]
+    sight = HomeSight(inner)
+    for k in range(frames):
+        sight.bearings(0.2 * k, {"h0": 0.1} if k < sightings else {"h1": 0.2})
+    first, second = sight.landmarks()
+    assert first.moved is verdict
+    assert math.isnan(first.moved_probability) == (verdict is None)
+    assert second == still
