@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, Sightings
-from homeward.estimator import Estimate, Estimator
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate
 from homeward.frames import Pose
 from homeward.simulation.course import Ending, course_settings, drive_course
 from homeward.simulation.log import Log
@@ -42,6 +42,8 @@ class ImageDrive:
     """True pose in the home frame where the drive ended."""
     estimates: list[Estimate]
     """What the estimator answered to each image in which something was found."""
+    landmarks: list[LandmarkEstimate]
+    """What it knew of each landmark at the end."""
 
     @property
     def final_distance(self) -> float:
@@ -117,7 +119,8 @@ class ImageLoop:
 
         ending, pose = drive_course(self.eye.scenario, log, see, progress)
         drive = log.fill(self.drive)
-        return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates)
+        known = [] if sight is None else sight.landmarks()
+        return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates, known)
 
 
 def panorama_of(eye: Eye) -> Panorama:
