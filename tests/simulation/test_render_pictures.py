@@ -9,6 +9,7 @@ import pytest
 import yaml
 from rooms import scenario
 
+from homeward.control import Twist
 from homeward.drives.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
@@ -21,6 +22,7 @@ from homeward.simulation.render.scene import build_scene, place_on_path
 from homeward.simulation.render.settings import Mover, RenderScenario
 from homeward.simulation.render.surfaces import footprint
 from homeward.simulation.render.textures import KINDS, LEVELS, PAD, Texture, build_atlas, paint
+from homeward.simulation.trajectories import SEARCH_RADIUS, advance
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 HERE = Pose(0.5, 0.3, 1.0)
@@ -170,6 +172,11 @@ def test_rooms_hold_what_they_say_and_leave_the_way_free(name, seed):
             for stand in (box, box.stood or box):
                 assert not inside(footprint(stand.at, stand.yaw, box.size[:2]), x, y)
                 assert math.hypot(stand.at[0] - x, stand.at[1] - y) > 0.6
+    for turned in np.linspace(0, 2 * math.pi, 30):
+        on_arc = advance(start, Twist(0.1, 0.1 / SEARCH_RADIUS), turned * SEARCH_RADIUS / 0.1)
+        for box in made.boxes.values():
+            size = (box.size[0] + 0.3, box.size[1] + 0.3)
+            assert not inside(footprint(box.at, box.yaw, size), on_arc.x, on_arc.y)
 
 
 def test_furnishing_twice_changes_nothing():

@@ -9,16 +9,19 @@ import numpy as np
 
 from homeward.drives.drive import Strict
 from homeward.errors import InputError
-from homeward.frames import compose
+from homeward.frames import Pose, compose
 from homeward.simulation.render.outline import distance_to, inside
 from homeward.simulation.render.settings import Box, Mover, Place, Poster, RenderScenario, Stand
 from homeward.simulation.render.surfaces import footprint
+from homeward.simulation.trajectories import SEARCH_RADIUS
 from homeward.simulation.world import Stream, generator
 
 TRIES = 500
 """What finds no free place in so many draws has none."""
 CLEAR = 0.6
 """Boxes by chance keep so far from the way between start, way points and home [m]."""
+ARC_CLEAR = SEARCH_RADIUS + 0.2
+"""... and so far from the middle of the arc that a robot without a pose drives at first [m]."""
 GAP = 0.03
 """Between a box and its wall, and between boxes [m]."""
 
@@ -67,6 +70,7 @@ class _Room:
         start = compose(home, scenario.start.in_home_frame(home))
         points = scenario.trajectory.points if scenario.trajectory.kind == "waypoints" else ()
         self.way = np.array([(start.x, start.y), *points, (home.x, home.y)], float)
+        self.arc = compose(start, Pose(0.0, SEARCH_RADIUS, 0.0))
 
     def wall(self, rng: np.random.Generator) -> int:
         """Draw a wall, the longer the likelier."""
@@ -76,6 +80,10 @@ class _Room:
         """Say whether a footprint (4, 2) stands within the walls."""
         fine = np.concatenate([base + f * (np.roll(base, -1, 0) - base) for f in (0, 0.25, 0.5)])
         return all(inside(self.corners, x, y) for x, y in fine)
+
+    def clear_of_arc(self, at: Place, radius: float) -> bool:
+        """Say whether a disc [m] leaves the first arc free."""
+        return math.hypot(at[0] - self.arc.x, at[1] - self.arc.y) > radius + ARC_CLEAR
 
     def clear_of_way(self, at: Place, radius: float) -> bool:
         """Say whether a disc [m] leaves the way free."""
@@ -116,7 +124,8 @@ def _box(rng: np.random.Generator, room: _Room, others: dict[str, Box]) -> Box:
         place = (round(float(at[0]), 3), round(float(at[1]), 3))
         yaw = math.atan2(room.along[wall, 1], room.along[wall, 0]) + rng.normal(0, 0.03)
         fits = room.holds(footprint(place, yaw, size[:2])) and _apart(place, size, others)
-        if fits and room.clear_of_way(place, _radius(size)):
+        clear = room.clear_of_way(place, _radius(size)) and room.clear_of_arc(place, _radius(size))
+        if fits and clear:
             texture = str(rng.choice(["cardboard", "painted"]))
             values = [round(v, 3) for v in size]
             return Box(at=place, yaw=round(yaw, 4), size=tuple(values), texture=texture)
