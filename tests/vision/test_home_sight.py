@@ -14,7 +14,7 @@ from homeward.vision.acceptance import Verdict
 from homeward.vision.approach import Anchors, Direction, _predict, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.epipolar import Motion, Pairs
-from homeward.vision.home_sight import HOLD_S, HomeSight
+from homeward.vision.home_sight import DIRECTION_HOLD_S, HOLD_S, HomeSight
 
 WIDE = np.diag([10.0, 10.0])
 SIGMA = 0.002
@@ -182,7 +182,16 @@ def test_the_direction_is_told_before_there_is_a_map_and_kept_by_odometry():
     sight.odometry(1.0, 0.2, 0.0)
     after = sight.estimate(1.3).pose
     assert math.hypot(after.x - told.pose.x, after.y - told.pose.y) == pytest.approx(0.06)
-    assert sight.estimate(0.5 + HOLD_S + 0.1).pose is None
+    assert sight.estimate(0.4 + DIRECTION_HOLD_S).pose is not None
+    assert sight.estimate(0.6 + DIRECTION_HOLD_S).pose is None
+
+
+def test_a_pose_from_home_s_picture_gives_way_to_the_map_when_home_is_out_of_sight():
+    points, camera, mapped = scene(), Pose(0.4, 0.1, 0.5), Pose(0.5, 0.1, 0.5)
+    sight = HomeSight(Map(points, pose=mapped))
+    sight.home(1.0, compared(points, camera))
+    assert sight.estimate(0.9 + HOLD_S).pose[0] == pytest.approx(0.4, abs=0.01)
+    assert sight.estimate(1.1 + HOLD_S).pose == mapped
 
 
 def test_the_robot_s_centre_is_told_not_the_camera_s():

@@ -24,6 +24,8 @@ FEWEST_SHARED = 25
 """And at least so many features."""
 LOST_FRAMES = 3
 """After so many frames that fit nothing, the chain begins anew."""
+HOME_EVERY = 2
+"""Where home is out of sight, it is looked for in every so-manieth frame."""
 MOST_KEYFRAMES = 200
 """Older ones, but for home, are forgotten."""
 SECTORS = 24
@@ -128,7 +130,7 @@ class FrontEnd:
         last = len(self._keyframes) - 1
         self._turn += 1
         chosen = {last}
-        if self._home_seen or self._turn % 4 == 0:
+        if self._home_seen or self._turn % HOME_EVERY == 0:
             chosen.add(0)
         if self._lost:
             chosen |= {0, self._turn % (last + 1)}

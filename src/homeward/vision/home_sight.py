@@ -40,9 +40,10 @@ AGREEING = 0.7
 """Such a share of those in the map must agree with a pose from home's picture."""
 GUESSED = 0.5
 """A landmark that is not in the map is as far as the others, give or take this share."""
-HOLD_S = 2.0
-"""What home's picture told is forgotten after this time [s]."""
-UNKNOWN_DISTANCE = 1.0
+HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
+"""A pose that home's picture told is forgotten after this time [s], for the map knows more then; so
+is a direction later, for where the map knows nothing it is all there is."""
+UNKNOWN_DISTANCE = 3.0
 """Where only the direction is known, the distance is said to be this, give or take as much [m]."""
 SLIP, TURN_SLIP = 0.05, 0.05
 """Odometry between pictures is off by such shares of the way and of the turn."""
@@ -224,7 +225,7 @@ class HomeSight:
     def _carried(self, t: float) -> Fix | None:
         """Return the last fix, moved on to `t` by odometry; None where it is too old."""
         fix = self._fix
-        if fix is None or not t - fix.t <= HOLD_S:
+        if fix is None or not t - fix.t <= (HOLD_S if fix.whole else DIRECTION_HOLD_S):
             return None
         if not self._twists:
             return fix
