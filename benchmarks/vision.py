@@ -1,8 +1,8 @@
 """The camera front-end on images: direction home, honest uncertainty, false accepts, speed.
 
 `python -m benchmarks.vision [--part antworld|chain|route|speed|rooms|strangers ...]` prints the
-figures of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in HOMEWARD_DATA, else
-in ../shared/data; rooms are rendered here.
+figures of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in
+HOMEWARD_DATA, else in ../shared/data; rooms are rendered here.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ CONTRADICTS = 4.0
 NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
 
-LASTING, LASTING_SHARE = 12, 0.4
+LASTING, LASTING_SHARE = 8, 0.3
 """A landmark is only called moved if seen so often, and in such a share of the frames since."""
 FEWEST_MOVED_M = 0.2
 """... and so far across the line from home [m]; by less, features slide along edges."""
