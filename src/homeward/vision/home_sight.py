@@ -105,10 +105,11 @@ class HomeSight:
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
-        if all(map(math.isfinite, (t, v, omega))) and (
-            not self._twists or t >= self._twists[-1][0]
-        ):
-            self._twists.append((t, v, omega))
+        if not all(map(math.isfinite, (t, v, omega))) or (self._twists and t < self._twists[-1][0]):
+            return
+        if self._fix is None or t - self._fix.t > DIRECTION_HOLD_S:
+            self._twists.clear()
+        self._twists.append((t, v, omega))
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
