@@ -167,7 +167,7 @@ def _textured(
         samples.append(_looked_up(atlas.image, x, y).astype(np.float32))
         size *= np.float32(0.5)
     samples[1] -= samples[0]
-    samples[1] *= _grey(np.clip(level - fine, 0.0, 1.0).astype(np.float32))
+    samples[1] *= _grey(np.clip(level - fine.astype(np.float32), 0.0, 1.0))
     return np.asarray(samples[0] + samples[1])
 
 
@@ -200,8 +200,9 @@ def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     cv2 = opencv()
     # OpenCV wants a sheet, and no side of it longer than 2^15.
     n = x.size
-    x, y = (np.resize(v, (-(-n // SHEET), SHEET)) for v in (x, y))
-    found = np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    sheet = np.zeros((2, -(-n // SHEET), SHEET), np.float32)
+    sheet.reshape(2, -1)[:, :n] = x, y
+    found = np.asarray(cv2.remap(image, *sheet, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
     return np.asarray(found.reshape(-1, *image.shape[2:])[:n])
 
 

@@ -83,6 +83,13 @@ class _Projected:
     corners: np.ndarray
     """(m, 4, 3), in the camera's frame [m]."""
 
+    def limits(self, dtype: type[np.floating]) -> list[list[float]]:
+        """Return shift, least and greatest tile coordinates of each, six numbers of a type."""
+        numbers: list[list[float]] = (
+            np.hstack([self.shift, self.low, self.high]).astype(dtype).tolist()
+        )
+        return numbers
+
 
 def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
     """Find what any rays meet.
@@ -98,8 +105,10 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
     """
     hits = _nothing(directions.shape[:-1], np.float64)
     projected = _project(surfaces, view)
-    for k in range(projected.index.size):
-        _meet(hits, projected, k, np.moveaxis(directions @ projected.matrix[k].T, -1, 0))
+    limits = projected.limits(np.float64)
+    for k, index in enumerate(projected.index.tolist()):
+        q = np.moveaxis(directions @ projected.matrix[k].T, -1, 0)
+        _meet(hits, index, limits[k], q)
     return hits
 
 
@@ -134,14 +143,22 @@ def cast(
     flat = np.stack([np.cos(azimuth), np.sin(azimuth)])
     rise = np.tan(elevation)
     projected = _project(surfaces, view)
-    windows = _windows(projected, azimuth, elevation)
-    for k in range(projected.index.size):
-        by_column = (projected.matrix[k, :, :2] @ flat).astype(dtype)
-        by_row = np.outer(projected.matrix[k, :, 2], rise).astype(dtype)
+    windows, limits = _windows(projected, azimuth, elevation), projected.limits(dtype)
+    by_column = (projected.matrix[:, :, :2] @ flat).astype(dtype)
+    by_row = (projected.matrix[:, :, 2:] * rise).astype(dtype)
+    # A level camera sees walls at distances that hang on the column alone, and floors on the row:
+    # what hangs on one of them stays a line.
+    flat_too = np.any(projected.matrix[:, :, :2] != 0, axis=2).tolist()
+    rise_too = (projected.matrix[:, :, 2] != 0).tolist()
+    for k, index in enumerate(projected.index.tolist()):
         rows, *columns = windows[k]
         for part in columns:
-            q = _sums(projected.matrix[k], by_column[:, None, part], by_row[:, rows, None])
-            _meet(hits.window(rows, part), projected, k, q)
+            across, down = by_column[k, :, None, part], by_row[k, :, rows, None]
+            q = [
+                across[i] + down[i] if c and r else across[i] if c else down[i]
+                for i, (c, r) in enumerate(zip(flat_too[k], rise_too[k], strict=True))
+            ]
+            _meet(hits.window(rows, part), index, limits[k], q)
     return hits
 
 
@@ -166,29 +183,16 @@ def _nothing(shape: tuple[int, ...], dtype: type[np.floating]) -> Hits:
     )
 
 
-def _sums(matrix: np.ndarray, by_column: np.ndarray, by_row: np.ndarray) -> list[np.ndarray]:
-    """Return M d by column and row; what hangs on one of them alone stays a line.
+def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarray]) -> None:
+    """Keep those hits on a rectangle that are nearer than what was met before.
 
-    A level camera sees walls at distances that hang on the column alone, and floors on the row.
+    `q` are three arrays that broadcast to the shape of the hits, `limits` as in `_Projected`.
     """
-    flat, rise = np.any(matrix[:, :2] != 0, axis=1), matrix[:, 2] != 0
-    return [
-        by_column[i] + by_row[i] if flat[i] and rise[i] else by_column[i] if flat[i] else by_row[i]
-        for i in range(3)
-    ]
-
-
-def _meet(hits: Hits, projected: _Projected, k: int, q: Sequence[np.ndarray]) -> None:
-    """Keep those hits on rectangle k that are nearer than what was met before.
-
-    `q` are three arrays that broadcast to the shape of the hits.
-    """
-    number = hits.distance.dtype.type
-    distance = np.reciprocal(np.maximum(q[0], number(TINY)))
+    shift_s, shift_t, s0, t0, s1, t1 = limits
+    distance = np.reciprocal(np.maximum(q[0], hits.distance.dtype.type(TINY)))
     s, t = q[1] * distance, q[2] * distance
-    s += number(projected.shift[k, 0])
-    t += number(projected.shift[k, 1])
-    (s0, t0), (s1, t1) = projected.low[k].astype(number), projected.high[k].astype(number)
+    s += shift_s
+    t += shift_t
     met = distance < hits.distance
     met &= t >= t0
     met &= t <= t1
@@ -197,7 +201,7 @@ def _meet(hits: Hits, projected: _Projected, k: int, q: Sequence[np.ndarray]) ->
     np.copyto(hits.distance, distance, where=met)
     np.copyto(hits.across, s, where=met)
     np.copyto(hits.along, t, where=met)
-    np.copyto(hits.surface, projected.index[k], where=met)
+    np.copyto(hits.surface, index, where=met)
 
 
 def _project(surfaces: Surfaces, view: Viewpoint) -> _Projected:

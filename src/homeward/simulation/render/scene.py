@@ -65,9 +65,10 @@ class Scene:
         for name, box in self.scenario.boxes.items():
             stand = box.where(self.at_home)
             size = (box.size[0] + 2 * margin, box.size[1] + 2 * margin)
-            if box.base < self.scenario.camera.above_floor + margin and inside(
-                footprint(stand.at, stand.yaw, size), x, y
-            ):
+            if math.dist(stand.at, (x, y)) > 0.5 * math.hypot(*size):
+                continue
+            below = box.base < self.scenario.camera.above_floor + margin
+            if below and inside(footprint(stand.at, stand.yaw, size), x, y):
                 return name
         return None
 

@@ -66,7 +66,7 @@ def rectangle(
     corner: np.ndarray, right: np.ndarray, up: np.ndarray, skin: Skin, thing: int
 ) -> Surfaces:
     """Return one rectangle."""
-    sides = np.array([np.linalg.norm(right), np.linalg.norm(up)])
+    sides = np.array([math.hypot(*right), math.hypot(*up)])
     tiles = np.ones(2) if skin.tile is None else sides / skin.tile
     return Surfaces(
         np.array([corner], float),
