@@ -122,14 +122,8 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
 
     Each keyframe is kept with the way that odometry told from it to the one before. Where no
     keyframe nearer home tells a direction, that way is driven, turned by what the image says of the
-    heading.
-
-    Returns
-    -------
-    distance : float
-        From home at the end [m].
-    taken, blind : int
-        Steps, and how many of them were driven as remembered.
+    heading. Returned are the distance from home at the end [m], the steps taken, and how many of
+    them were driven as remembered.
     """
     rng = np.random.default_rng(seed)
     row, start = int(rng.integers(0, 31)), int(rng.integers(0, 16))
