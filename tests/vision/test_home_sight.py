@@ -206,14 +206,22 @@ def test_the_robot_s_centre_is_told_not_the_camera_s():
     np.testing.assert_allclose(sight.estimate(0.0).pose, robot, atol=1e-3)
 
 
-def test_one_picture_after_the_other_does_not_make_the_pose_ever_surer():
-    points, camera = scene(), Pose(0.1, 0.0, 0.0)
-    sight = HomeSight(Map(points))
-    sigmas = []
-    for k in range(20):
-        sight.home(0.1 * k, compared(points, camera, direction_sigma=0.1))
-        sigmas.append(sight.estimate(0.1 * k).sigmas[:2].max())
-    assert sigmas[-1] == pytest.approx(sigmas[0], rel=1e-3)
+def test_landmarks_that_no_map_knows_help_at_home_and_harm_nowhere():
+    """Near ones are guessed to be as far as the others: that must count for little."""
+    points = scene(n=30)
+    points[10:] *= 0.3
+    for camera in (Pose(0.002, 0.001, 0.5), Pose(0.1, 0.05, 0.5)):
+        sight = HomeSight(Map(points[:10]))
+        sight.home(0.0, compared(points, camera, direction_sigma=0.3))
+        np.testing.assert_allclose(sight.estimate(0.0).pose[:2], camera[:2], atol=4e-3)
+
+
+def test_a_wrong_direction_near_home_is_outvoted():
+    """Two pictures taken a centimetre apart tell a direction, and believe in it too much."""
+    camera = Pose(0.01, 0.0, 0.5)
+    wrong = Direction(1.0, 0.5, np.diag([math.radians(2.0), math.radians(0.05)]) ** 2)
+    found = resect(anchors(scene(n=80), camera), wrong)
+    np.testing.assert_allclose(found.pose[:2], camera[:2], atol=4e-3)
 
 
 @pytest.mark.parametrize(

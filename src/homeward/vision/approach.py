@@ -28,6 +28,9 @@ HEAVY = 3.0
 """Residuals of more sigmas lose their weight (Geman and McClure)."""
 AGREES = 3.0
 """A landmark agrees whose residual is within so many sigmas."""
+DIRECTION_FROM = 0.3
+"""Nearer to home than this [m] a direction told by two pictures is off by more than they know, and
+counts as if it were told from there."""
 LEAST_NEAR = 0.05
 """No landmark is taken to be nearer to the camera than this [m]."""
 
@@ -89,7 +92,7 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
     if len(anchors) < 3:
         return None
     x = _begin(anchors, seen)
-    across, across_information = _direction(seen, max(float(np.hypot(*x[:2])), LEAST_NEAR))
+    across, across_information = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
     for _ in range(STEPS):
         residual, jacobian, variance = _predict(anchors, x)
         weight = (1.0 + residual**2 / variance / HEAVY**2) ** -2 / variance

@@ -1,10 +1,10 @@
 """An estimator that looks at home's picture, too: the direction home at first, the pose near home.
 
 Two panoramas tell heading and direction from home at once, where a map takes a while to be made;
-and near home they tell the pose better than the map does (see `homeward.vision.approach`). Poses
-from single pictures are joined over odometry by covariance intersection (Julier and Uhlmann, "A
-non-divergent estimation algorithm in the presence of unknown correlations", ACC 1997), for one
-picture errs as the next. What home's picture contradicts is not called sure, whatever the map says.
+and near home they tell the pose better than the map does (see `homeward.vision.approach`). Each
+picture stands for itself, odometry leads from one to the next: what errs in them errs alike, and
+falls with the distance from home, so that to join them would only keep old errors. What home's
+picture contradicts is not called sure, whatever the map says.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ FEWEST_MAPPED = 4
 """... and so many of them must be in the map."""
 AGREEING = 0.7
 """Such a share of those in the map must agree with a pose from home's picture."""
-GUESSED = 0.5
-"""A landmark that is not in the map is as far as the others, give or take this share."""
+GUESSED = 4.0
+"""A landmark that is not in the map is as far as the others, give or take so many times that."""
 HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
 """A pose that home's picture told is forgotten after this time [s], for the map knows more then; so
 is a direction later, for where the map knows nothing it is all there is."""
@@ -184,9 +184,7 @@ class HomeSight:
         if agreeing < AGREEING * of:
             there = found if not seen.knows_direction else _far(seen, UNKNOWN_DISTANCE)
             return Fix(t, *self._of_robot(there), False, False, True, f"only {words}")
-        fix = Fix(t, *self._of_robot(found), True, True, False, words)
-        before = self._carried(t)
-        return _joined(before, fix) if before is not None and before.whole else fix
+        return Fix(t, *self._of_robot(found), True, True, False, words)
 
     def _direction(self, t: float, seen: Comparison) -> Fix | None:
         """Return heading and direction from home, the distance being the map's or a guess."""
@@ -250,22 +248,6 @@ def _far(seen: Comparison, distance: float) -> Resection:
     covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, seen.covariance
     spread = polar_covariance_to_pose(there, covariance)
     return Resection(from_polar(there), spread, seen.agrees)
-
-
-def _joined(before: Fix, now: Fix) -> Fix:
-    """Return the covariance intersection of two fixes; the later one alone where they differ."""
-    innovation = np.array(now.pose) - np.array(before.pose)
-    innovation[2] = wrap(innovation[2])
-    if (
-        innovation @ np.linalg.solve(before.covariance + now.covariance, innovation)
-        > CONTRADICTS**2
-    ):
-        return now
-    of_now = 0.5 * np.linalg.inv(now.covariance)
-    covariance = np.linalg.inv(of_now + 0.5 * np.linalg.inv(before.covariance))
-    x, y, heading = np.array(before.pose) + covariance @ of_now @ innovation
-    pose = Pose(float(x), float(y), float(wrap(heading)))
-    return dataclasses.replace(now, pose=pose, covariance=covariance)
 
 
 def _agree(mapped: Estimate, fix: Fix) -> bool:
