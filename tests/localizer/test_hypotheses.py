@@ -11,7 +11,13 @@ from test_parts import problem
 from homeward.angles import TWO_PI, wrap
 from homeward.frames import Pose, between
 from homeward.localizer import moved
-from homeward.localizer.answer import _median, in_home_frame, landmark_distance, mixture
+from homeward.localizer.answer import (
+    _median,
+    answer_of,
+    in_home_frame,
+    landmark_distance,
+    others_of,
+)
 from homeward.localizer.faults import log_odds, log_right, log_wrong
 from homeward.localizer.fitting import fit
 from homeward.localizer.glimpses import glimpse
@@ -73,7 +79,7 @@ def test_the_answer_is_the_leading_pose_with_the_second_moment_of_all_around_it(
             for a, w in zip(parts, both.weights, strict=True)
         ]
     )
-    answer = mixture(both)
+    answer = answer_of(both.best, others_of(both))
     assert np.array(answer.pose) == pytest.approx(np.array(parts[0].pose))
     off = samples - np.array(answer.pose)
     around = off.T @ off / len(off)
@@ -109,7 +115,8 @@ def test_headings_on_both_sides_of_half_a_turn_meet_there():
         turn = wrap(math.pi + off - f.pose[2] + f.home[2])
         turned.__dict__["known"] = f.known + turn * np.eye(len(f.known))[2]
         fits.append(turned)
-    answer = mixture(Hypotheses(tuple(fits), both.weights))
+    other = Hypotheses(tuple(fits), both.weights)
+    answer = answer_of(other.best, others_of(other))
     assert abs(answer.pose.heading) == pytest.approx(math.pi, abs=1e-6)
     assert answer.covariance[2, 2] == pytest.approx(0.1**2, rel=0.1)
 
@@ -121,7 +128,8 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
         size = rng.uniform(0.03, 0.1, 2) * rng.choice([-1, 1], 2)
         faults = dict(zip(rng.choice(8, 2, replace=False).tolist(), size.tolist(), strict=True))
         home, known = problem(faults, seed=seed)
-        answer = mixture(search(known))
+        found = search(known)
+        answer = answer_of(found.best, others_of(found))
         off = np.array(answer.pose) - np.array(between(home, Pose(0.0, 0.0, 0.0)))
         off[2] = wrap(off[2])
         beyond += off @ np.linalg.solve(answer.covariance, off) > 16.0

@@ -64,23 +64,38 @@ def in_home_frame(fit: HomeFit) -> Answer:
     return Answer(Pose(px, py, _wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
 
 
-def mixture(hypotheses: Hypotheses) -> Answer:
-    """Return the median pose of all hypotheses, and the covariance of all of them around it."""
-    answers = [in_home_frame(fit) for fit in hypotheses.fits]
-    best, weights = answers[0].pose, hypotheses.weights
-    off = np.array([a.pose for a in answers]) - np.array(best)
+@dataclass(frozen=True)
+class Others:
+    """What the other hypotheses change in the best one's answer."""
+
+    shift: np.ndarray
+    """(3,): of the pose [m, m, rad]."""
+    covariance: np.ndarray
+    """(3, 3): added to its covariance."""
+
+
+def others_of(hypotheses: Hypotheses) -> Others:
+    """Return what makes the best hypothesis' answer that of all: their median, their covariance."""
+    answers, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
+    off = np.array([a.pose for a in answers]) - np.array(answers[0].pose)
     off[:, 2] = wrap(off[:, 2])
     within = np.tensordot(weights, np.array([a.covariance for a in answers]), axes=1)
     middle = _median(off, weights, within)
     off -= middle
-    covariance = within + (weights * off.T) @ off
+    return Others(middle, within + (weights * off.T) @ off - answers[0].covariance)
+
+
+def answer_of(best: HomeFit, others: Others) -> Answer:
+    """Return the answer of all hypotheses."""
+    alone = in_home_frame(best)
+    covariance = alone.covariance + others.covariance
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
-    sagitta = largest / (2.0 * landmark_distance(hypotheses.best, hypotheses.best.home))
-    pose = Pose(best.x + middle[0], best.y + middle[1], _wrap(best.heading + middle[2]))
+    sagitta = largest / (2.0 * landmark_distance(best, best.home))
     covariance[[0, 1], [0, 1]] += sagitta**2
-    return Answer(pose, covariance)
+    x, y, heading = np.add(alone.pose, others.shift).tolist()
+    return Answer(Pose(x, y, _wrap(heading)), covariance)
 
 
 def _median(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -89,10 +104,9 @@ def _median(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> 
     Unlike the mean it does not follow an improbable point far away: a point of more than half of
     the weight is the median. Where none has so much it lies between them.
     """
-    information = np.linalg.inv(covariance)
     if weights[0] > 0.5:
         return np.asarray(points[0])
-    middle = weights @ points
+    information, middle = np.linalg.inv(covariance), weights @ points
     for _ in range(MEDIAN_STEPS):
         off = points - middle
         pull = weights / np.sqrt(((off @ information) * off).sum(axis=1) + AT_POINT**2)

@@ -1,9 +1,8 @@
 """A home bearing is right or wrong: how probable each of the two is, given how far it is off.
 
 A right one is off by its noise alone. By how much a wrong one is off nobody knows: a landmark may
-have been pushed a little or carried across the room, so every order of magnitude is as probable
-(a log-uniform scale), up to anywhere on the circle. That is a mixture of Gaussians of fixed scales
-and of the uniform density, so that adding the prediction's own variance is exact.
+have been pushed a little or carried across the room. So its density is half a Gaussian, half
+uniform on the circle; adding the prediction's own variance to it is exact.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ import numpy as np
 
 from homeward.angles import TWO_PI
 
-SCALES = (0.5,)
-"""Of wrong bearings, half a decade apart [rad]; they and the uniform density weigh alike."""
+SCALE = 0.5
+"""Of the Gaussian of wrong bearings [rad]."""
 UNIFORM_FROM = 2.0
 """A bearing predicted with a larger standard deviation may be anywhere on the circle [rad]."""
 
@@ -29,9 +28,8 @@ def log_right(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 def log_wrong(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the log density of being `off` [rad], of wrong ones predicted with `variance`."""
-    parts = [log_right(off, variance + scale**2) for scale in SCALES]
-    parts.append(np.full_like(parts[0], -math.log(TWO_PI)))
-    return np.asarray(np.logaddexp.reduce(parts, axis=0) - math.log(len(parts)))
+    pushed, anywhere = log_right(off, variance + SCALE**2), -math.log(TWO_PI)
+    return np.asarray(np.logaddexp(pushed, anywhere) - math.log(2.0))
 
 
 def log_odds(off: np.ndarray, variance: np.ndarray, moved_prior: float) -> np.ndarray:

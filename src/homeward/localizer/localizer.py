@@ -12,7 +12,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.frames import Pose
-from homeward.localizer.answer import Answer, landmark_distance, mixture
+from homeward.localizer.answer import Answer, Others, answer_of, landmark_distance, others_of
 from homeward.localizer.clock import Clock
 from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
@@ -88,6 +88,7 @@ class Localizer:
         """Keyframe at which other places for home were last looked for."""
         self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
         """At the newest keyframe, the speed taken at its word."""
+        self._others = Others(np.zeros(3), np.zeros((3, 3)))
         self._rivals = 0.0
         self._fixed = False
         self._clock = Clock()
@@ -178,9 +179,10 @@ class Localizer:
             self._prior = None
         names = self._mapper.landmarks.seen_from(self._home)
         problem = self._problem(names, self._mapper.marginal)
-        now, before = self._hypotheses, self._seen_from_home
-        if now is None or names != before:
-            now = search(problem, renamed(now, before, names) if now else [])
+        now = old = self._hypotheses
+        if now is None or names != self._seen_from_home:
+            also = renamed(now, self._seen_from_home, names) if now else []
+            now = search(problem, also)
             self._starts.clear()
             self._seen_from_home = names
         else:
@@ -191,7 +193,9 @@ class Localizer:
         if now is None:
             self._fixed = False
             return
-        self._answer = mixture(now)
+        if old is None or now.weights is not old.weights:  # not only carried on
+            self._others = others_of(now)
+        self._answer = answer_of(now.best, self._others)
         coasting = self._t - self._last_accepted > NO_BEARINGS_S
         if not self._fixed or (self._mapper.solved and not coasting):
             self._fixed = self._is_fixed(now)

@@ -34,6 +34,8 @@ NEIGHBOURS = 3
 """So many sets that differ from the best one by the most doubtful flips are weighed with it."""
 DOUBTFUL = 4.0
 """Only flips whose log odds are smaller are doubtful [1]."""
+PROBABLE = 0.05
+"""Only more probable sets are flipped further as the map changes."""
 NEGLIGIBLE = 1e-3
 """A hypothesis less probable than this is dropped."""
 
@@ -107,13 +109,13 @@ def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return the same sets, flipped where that is better, after the map has changed a little."""
     found: dict[bytes, HomeFit] = {}
     lead: HomeFit | None = None
-    for hypothesis in hypotheses.fits:
+    for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
         again = _fit_beside(lead, problem, hypothesis.home, hypothesis.right)
         if again is None:
             continue
         lead = lead or again
         found[again.right.tobytes()] = again
-        flip = _best_flip(problem, again)
+        flip = _best_flip(problem, again) if weight > PROBABLE else None
         if flip is not None:
             _climb(problem, again.home, flip, found)
     return _weigh(problem, found) if found else None
@@ -131,16 +133,23 @@ def renamed(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) ->
 def challenged(problem: HomeProblem, hypotheses: Hypotheses, start: Start) -> Hypotheses:
     """Return the sets with those among them that are climbed to from another home and set."""
     found = {f.right.tobytes(): f for f in hypotheses.fits}
+    known = set(found)
     _climb(problem, *start, found)
-    return _weigh(problem, found) if len(found) > len(hypotheses.fits) else hypotheses
+    weighed = _weigh(problem, found)
+    if known.issuperset(f.right.tobytes() for f in weighed.fits):
+        return hypotheses
+    return follow(problem, weighed) or hypotheses
 
 
 def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Return the same sets as probable as before, after the map has changed by next to nothing."""
-    again = [carried(f, problem) for f in hypotheses.fits]
-    if None not in again:
-        return Hypotheses(tuple(f for f in again if f is not None), hypotheses.weights)
-    return follow(problem, hypotheses)
+    """Return them after the map has changed by next to nothing: the best one is carried on alone.
+
+    The others stay what they were when last followed, and as probable.
+    """
+    best = carried(hypotheses.best, problem)
+    if best is None:
+        return follow(problem, hypotheses)
+    return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights)
 
 
 def starts(problem: HomeProblem) -> list[Start]:
@@ -241,5 +250,8 @@ def _fit_beside(
     lead: HomeFit | None, problem: HomeProblem, home: np.ndarray, right: np.ndarray
 ) -> HomeFit | None:
     """Fit home from `home` (3,), with no new linearisation if it is where another fit has it."""
-    quick = None if lead is None or right.sum() < problem.fewest else solved(lead.linear, right)
-    return quick if quick is not None and quick.settled else fit(problem, home, right, steps=3)
+    if lead is not None and right.sum() >= problem.fewest:
+        quick = solved(lead.linear, right, lead.doubt)
+        if quick is not None and quick.settled:
+            return quick
+    return fit(problem, home, right, steps=3)
