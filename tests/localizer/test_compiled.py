@@ -1,19 +1,24 @@
 """The compiled loops say what NumPy says, and without a compiler NumPy says it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from homeward.drives.drive import OdometryNoise
 from homeward.localizer import (
+    answer,
     chain,
     compiled,
     fitting,
+    home,
     linear,
     linearise,
     marginal,
     preintegration,
     sightings,
 )
+from homeward.localizer.answer import in_home_frame
 from homeward.localizer.fitting import solved
 from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
@@ -24,7 +29,7 @@ from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
-ROOMS = (chain, fitting, linear, linearise, marginal, preintegration, sightings)
+ROOMS = (answer, chain, fitting, home, linear, linearise, marginal, preintegration, sightings)
 
 pytestmark = pytest.mark.skipif(
     compiled.compiled() is None, reason="no C compiler, nothing to compare"
@@ -185,6 +190,11 @@ def test_home_is_solved_for(both, prior):
         native, plain = both(solved, around[0], right)
         for field in ("step", "precision", "information", "log_volume", "home", "covariance"):
             assert np.allclose(getattr(native, field), getattr(plain, field)), field
+        for part, other in zip(*both(lambda f: replace(f).innovations, native), strict=True):
+            assert np.allclose(part, other)
+        ours, theirs = both(in_home_frame, native)
+        assert np.allclose(ours.pose, theirs.pose)
+        assert np.allclose(ours.covariance, theirs.covariance)
         inside = native.precision[right][:, right]
         assert np.allclose(inside @ around[0].spread[right][:, right], np.eye(right.sum()))
         assert not native.precision[~right].any()

@@ -111,10 +111,9 @@ def test_headings_on_both_sides_of_half_a_turn_meet_there():
     both = two_hypotheses((0.5, 0.5))
     fits = []
     for f, off in zip(both.fits, (0.1, -0.1), strict=True):
-        turned = dataclasses.replace(f)
-        turn = wrap(math.pi + off - f.pose[2] + f.home[2])
-        turned.__dict__["known"] = f.known + turn * np.eye(len(f.known))[2]
-        fits.append(turned)
+        turn = np.array([0.0, 0.0, wrap(math.pi + off - f.pose[2] + f.home[2])])
+        turned = dataclasses.replace(f.linear, at=f.linear.at - turn)
+        fits.append(dataclasses.replace(f, linear=turned))
     other = Hypotheses(tuple(fits), both.weights)
     answer = answer_of(other.best, others_of(other))
     assert abs(answer.pose.heading) == pytest.approx(math.pi, abs=1e-6)

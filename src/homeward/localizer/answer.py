@@ -9,6 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
+from homeward.localizer.compiled import address, compiled
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
 
@@ -52,6 +53,15 @@ class Answer:
 
 def in_home_frame(fit: HomeFit) -> Answer:
     """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
+    native, linear, problem = compiled(), fit.linear, fit.problem
+    if native is not None:
+        q, size = linear.correlated.shape
+        pose, covariance = np.empty(3), np.empty((3, 3))
+        known = (problem.mean, problem.covariance, linear.correlated, fit.precision)
+        told = (linear.by_home, linear.residual, fit.step, fit.home, fit.spread, np.empty(4 * q))
+        native.from_home(q, size, *map(address, (*known, *told, pose, covariance)))
+        x, y, heading = pose.tolist()
+        return Answer(Pose(x, y, _wrap(heading)), covariance)
     home_x, home_y, home_heading = fit.home.tolist()
     x, y, heading = fit.pose.tolist()
     c, s = math.cos(home_heading), math.sin(home_heading)
@@ -116,7 +126,7 @@ def _median(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> 
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:
     """Return the median distance of home's landmarks from a place [m]; infinite without any."""
-    d = fit.landmarks - place[:2]
+    d = fit.problem.landmarks - place[:2]
     squares = sorted((d * d).sum(axis=1).tolist())
     return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
 

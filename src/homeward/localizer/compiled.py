@@ -29,10 +29,12 @@ FUNCTIONS = {
     "correct": "ii" + 5 * "a",
     "spread_home": "ii" + 5 * "a",
     "solve_home": "i" + 9 * "a",
+    "innovate": "i" + 10 * "a",
+    "from_home": "ii" + 12 * "a",
     "integrate": "iaaaddddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, addresses of arrays."""
-MAY_FAIL = ("add_sightings", "eliminate", "predict", "correct", "solve_home")
+MAY_FAIL = ("add_sightings", "eliminate", "predict", "correct", "solve_home", "innovate")
 """Those that return 0, or 1 where an index is out of range or a matrix not positive definite."""
 _TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
 

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
+from homeward.localizer.compiled import address, compiled
 from homeward.localizer.faults import log_odds, log_wrong
 from homeward.localizer.linear import Linear, linearised
 from homeward.localizer.problem import HEAD, HomeProblem
@@ -121,7 +122,15 @@ class HomeFit:
     @cached_property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
         """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
-        linear, out = self.linear, ~self.right
+        linear, out, q = self.linear, ~self.right, self.right.size
+        native = compiled()
+        if native is not None:
+            innovation, variance = np.empty(q), np.empty(q)
+            given = (self.right.astype(float), linear.spread, self.precision, linear.by_home)
+            told = (linear.residual, self.information, self.step, np.empty(4 * q))
+            if native.innovate(q, *map(address, (*given, *told, innovation, variance))):
+                raise np.linalg.LinAlgError("home is not fixed")
+            return innovation, variance
         spread = np.linalg.inv(self.information)
         lever = self.precision @ linear.by_home
         rest = self.precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
