@@ -17,10 +17,10 @@ from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.search import search
 
-LARGEST_DIRECTION_SIGMA = np.radians(12.0)
-"""With a larger one [rad] the direction counts as not known."""
-
-
+LARGEST_DIRECTION_SIGMA = np.radians(30.0)
+"""With a larger one [rad] the direction counts as not known ..."""
+LEAST_PARALLAX = 5.0
+"""... and with less parallax [1]: two images from one place have up to three, by noise."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 
@@ -47,6 +47,8 @@ class Comparison:
     """None when not even a guess could be made; not to be used unless `accepted`."""
     covariance: np.ndarray
     """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
+    parallax: float
+    """See `Fit`; zero where there is none."""
 
     @property
     def accepted(self) -> bool:
@@ -76,7 +78,8 @@ class Comparison:
     @property
     def knows_direction(self) -> bool:
         """Whether the direction is known, not only the heading: too near to home, it is not."""
-        return self.accepted and self.direction_sigma < LARGEST_DIRECTION_SIGMA
+        known = self.parallax > LEAST_PARALLAX and self.direction_sigma < LARGEST_DIRECTION_SIGMA
+        return self.accepted and known
 
     @property
     def homewards(self) -> float:
@@ -119,6 +122,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         covariance=np.full((2, 2), np.inf)
         if fit is None or not verdict.accepted
         else covariance(fit, pairs, camera.tilt_sigma)[:2, :2],
+        parallax=0.0 if fit is None else fit.parallax,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,9 @@ class Fit:
     """MSAC cost over all matches, prior included."""
     information: np.ndarray
     """(5, 5): of the motion, were all errors independent and as large as assumed."""
+    parallax: float
+    """How much more the matches have shifted along their ways than noise alone makes them seem to
+    [1, of squares]: one for two images from the same place, and up to three as theta fits noise."""
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
@@ -110,29 +114,28 @@ def squares(found: Residuals) -> np.ndarray:
 def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray) -> Fit:
     inlier = squares(found) <= INLIER**2
     root = np.sqrt(_weight(found) * inlier)
-    rows = found.jacobian * root[:, None] * _beyond_noise(x, pairs, found.jacobian, root**2)
+    by_theta, by_vertical = (
+        _beyond_noise(found.jacobian[:, column], noise, root**2)
+        for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True)
+    )
+    # Near home there is no parallax, but noise looks like it, and seems to tell a direction.
+    factor = np.ones(5)
+    for column, ratio in ((0, by_theta), (4, by_vertical)):
+        factor[column] = math.sqrt(max(0.0, 1.0 - 2.0 / max(ratio, 1e-12)))
+    rows = found.jacobian * root[:, None] * factor
     return Fit(
         motion=Motion(*x.tolist()),
         inlier=inlier,
         cost=total,
         information=rows.T @ rows + prior,
+        parallax=by_theta,
     )
 
 
-def _beyond_noise(
-    x: np.ndarray, pairs: Pairs, jacobian: np.ndarray, weight: np.ndarray
-) -> np.ndarray:
-    """Return the factor, (5,), for each column of the Jacobian that leaves out what noise made.
-
-    Near home there is no parallax, but noise looks like it, and seems to tell a direction.
-    """
-    factor = np.ones(5)
-    for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True):
-        ratio = np.minimum(jacobian[:, column] ** 2 / noise, MOST_RATIO)
-        mean = float(weight @ ratio) / max(float(weight.sum()), 1e-12)
-        # About one for mere noise, and somewhat more since theta is where noise fits best.
-        factor[column] = np.sqrt(max(0.0, 1.0 - 2.0 / max(mean, 1e-12)))
-    return factor
+def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> float:
+    """Return the mean of a column of the Jacobian, squared, over what noise alone makes of it."""
+    ratio = np.minimum(jacobian**2 / noise, MOST_RATIO)
+    return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
 
 
 def _weight(found: Residuals) -> np.ndarray:
