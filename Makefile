@@ -32,7 +32,7 @@ bench: install
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
-	$(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)
@@ -40,6 +40,8 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.render --pairs 60 --homings 50 --width 1024)
 
 clean:
 	rm -rf $(VENV) out build dist src/*.egg-info

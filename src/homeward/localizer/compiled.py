@@ -63,7 +63,7 @@ def _load() -> tuple[ctypes.CDLL | None, str | None]:
     try:
         functions = load(source).functions
     except NativeError as error:
-        return None, f"No compiled code ({error}): NumPy does it, at a third of the speed."
+        return None, f"No compiled code ({error}): NumPy does it, which takes half as long again."
     for name, kinds in FUNCTIONS.items():
         function = getattr(functions, name)
         function.argtypes = tuple(_TYPES[kind] for kind in kinds)

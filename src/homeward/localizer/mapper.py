@@ -13,6 +13,7 @@ from homeward.estimator import Counts, Innovation
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
+from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
 from homeward.localizer.preintegration import Motion, noise_rates
 from homeward.localizer.settings import LocalizerSettings
@@ -33,13 +34,6 @@ HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
 DRIFT_S, DRIFT_SHARE = 600.0, 0.2
 """The calibration drifts by this share of its a-priori deviation in this time [s]."""
-SIGMA_FLOOR = 1.0
-"""The bearing noise is not believed to be less than this share of its default [1]."""
-RESIDUALS = 40
-"""So many residuals are needed to judge the bearing noise."""
-MAD_TO_SIGMA = 1.4826
-FOLLOW = 0.9
-"""So much of the believed bearing noise is kept from keyframe to keyframe [1]."""
 
 
 class Mapper:
@@ -58,8 +52,7 @@ class Mapper:
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings, counts: Counts) -> None:
         self._settings, self._counts = settings, counts
         self._mount = np.array(drive.sensor.pose)
-        self._given_sigma = drive.sensor.bearing_sigma
-        self._sigma = self._given_sigma or settings.bearing_sigma
+        self._noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
         sigmas = calibration_sigmas(drive, settings)
         self._new_window = partial(Window, sigmas, (DRIFT_SHARE * sigmas) ** 2 / DRIFT_S)
@@ -108,7 +101,7 @@ class Mapper:
         """Take sightings; return their innovations, and whether there is a new solution."""
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        deviations = np.array([sigmas.get(n, self._sigma) for n in names])
+        deviations = np.array([sigmas.get(n, self._noise.sigma) for n in names])
         motion = self._odometry.advance(t, self.window.calibration)
         if self.lost.since is None and hopeless(motion):
             self._lose(t)
@@ -250,7 +243,7 @@ class Mapper:
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
         self._forget()
-        self._scale_sigma(since)
+        self._noise.follow(self.window, since)
 
     def _forget(self) -> None:
         """Close the oldest keyframes that are not needed any more."""
@@ -265,14 +258,6 @@ class Mapper:
         if count > 0:
             window.forget(count)
             self.landmarks.forget(window.first)
-
-    def _scale_sigma(self, keyframes: int) -> None:
-        """Follow the bearing noise by the residuals, after so many keyframes, if nobody gave it."""
-        if self._given_sigma is not None or len(self.window.sightings) < RESIDUALS:
-            return
-        now = MAD_TO_SIGMA * float(np.median(np.abs(self.window.residuals())))
-        now = max(now, SIGMA_FLOOR * self._settings.bearing_sigma)
-        self._sigma += (1.0 - FOLLOW**keyframes) * (now - self._sigma)
 
     def _lose(self, t: float) -> None:
         """Begin to look for the robot in its map, from where it is at `t` [s]."""
