@@ -153,16 +153,13 @@ class Landmarks:
         waiting = self._waiting.pop(name)
         rows = np.array(waiting.rows)
         found = self._triangulate(window, rows)
-        if found is None:
+        known = name in self.mapped
+        if found is None or (known and not self._has_moved(window, name, rows[found[1]])):
             waiting.due = MORE * len(rows)
             self._waiting[name] = waiting  # behind the others
             return False
         position, agree = found
-        if name in self.mapped:
-            if agree.sum() < ESTABLISHED or self._is_another(window, name, rows[agree]):
-                waiting.due = MORE * len(rows)
-                self._waiting[name] = waiting
-                return False
+        if known:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
         rows = rows[agree]
@@ -193,6 +190,10 @@ class Landmarks:
         if base < BASE * math.sqrt(sum(window.shift_variances[since:])):
             return None
         return triangulate(eyes, rows[:, BEARING], _line_sigmas(window, rows), self._parallax)
+
+    def _has_moved(self, window: Window, name: str, rows: np.ndarray) -> bool:
+        """Return whether sightings that agree on another place show that a landmark is there."""
+        return len(rows) >= ESTABLISHED and not self._is_another(window, name, rows)
 
     def _is_another(self, window: Window, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings under a name are explained by another landmark of the map."""
