@@ -10,9 +10,11 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import matplotlib
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -78,6 +80,13 @@ def png(figure: Figure, dpi: float = 150) -> bytes:
     with style():
         figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
     return out.getvalue()
+
+
+def drawn(folder: Path, name: str, caption: str, figure: Figure) -> tuple[str, Markup]:
+    """Write a figure as a PNG file into a folder; return its caption, and its SVG for a page."""
+    (folder / f"{name}.png").write_bytes(png(figure))
+    # matplotlib has escaped every text in it.
+    return caption, Markup(svg(figure, caption))
 
 
 def svg(figure: Figure, label: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
-from homeward.report.canvas import png, svg
+from homeward.report.canvas import drawn
 from homeward.report.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.output import whole_folder
 from homeward.report.template import render
@@ -39,14 +39,11 @@ def write_layouts(directory: Path, study: LayoutStudy) -> None:
         When the folder holds something else, or cannot be written.
     """
     with whole_folder(directory, MARKER) as scratch:
-        drawn = []
-        for name, (caption, draw) in FIGURES.items():
-            figure = draw(study)
-            (scratch / f"{name}.png").write_bytes(png(figure))
-            # matplotlib has escaped every text in it.
-            drawn.append((caption, Markup(svg(figure, caption))))
+        pictures = [
+            drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()
+        ]
         (scratch / DATA).write_text(_every_run(study), encoding="utf-8")
-        (scratch / PAGE).write_text(_page(study, drawn), encoding="utf-8")
+        (scratch / PAGE).write_text(_page(study, pictures), encoding="utf-8")
 
 
 def error_table(study: LayoutStudy) -> list[list[str]]:
@@ -157,12 +154,12 @@ def headline(study: LayoutStudy) -> str:
     )
 
 
-def _page(study: LayoutStudy, drawn: list[tuple[str, Markup]]) -> str:
+def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
     settings = study.settings.model_dump(mode="json")
     return render(
         "layouts.html.j2",
         headline=headline(study),
-        figures=drawn,
+        figures=pictures,
         printed=[
             (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED
         ],

@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 from markupsafe import Markup
 
-from homeward.report.canvas import png, svg
+from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
 from homeward.report.paper_figures import QUANTITIES, figures_of
 from homeward.report.template import render
@@ -36,12 +36,10 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
     """
     settings = result.settings.model_dump(mode="json")
     with whole_folder(directory, SETTINGS_FILE) as scratch:
-        figures = []
-        for name, (caption, draw) in figures_of(result).items():
-            figure = draw(result)
-            (scratch / f"{name}.png").write_bytes(png(figure))
-            # matplotlib has escaped every text in it.
-            figures.append((caption, Markup(svg(figure, caption))))
+        figures = [
+            drawn(scratch, name, caption, draw(result))
+            for name, (caption, draw) in figures_of(result).items()
+        ]
         (scratch / "rmse.csv").write_text(_every_run(result), encoding="utf-8")
         (scratch / PAGE).write_text(_page(result, figures), encoding="utf-8")
         text = yaml.safe_dump({**settings, "versions": versions()}, sort_keys=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 from markupsafe import Markup
 
-from homeward.report.canvas import png, svg
+from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
 from homeward.report.study_figures import MOST_PANELS, MOST_ROWS, figures
 from homeward.report.template import render
@@ -28,13 +28,12 @@ def write_study(directory: Path, results: Results) -> None:
         When the folder holds something else, or cannot be written.
     """
     with whole_folder(directory, MARKER) as scratch:
-        drawn = []
-        for name, caption, figure in figures(results):
-            (scratch / f"{_file(name)}.png").write_bytes(png(figure))
-            # matplotlib has escaped every text in it.
-            drawn.append((caption, Markup(svg(figure, caption))))
+        pictures = [
+            drawn(scratch, _file(name), caption, figure)
+            for name, caption, figure in figures(results)
+        ]
         write_netcdf(results, scratch / DATA)
-        (scratch / PAGE).write_text(_page(results, drawn), encoding="utf-8")
+        (scratch / PAGE).write_text(_page(results, pictures), encoding="utf-8")
 
 
 def headline(results: Results) -> str:
@@ -49,7 +48,7 @@ def headline(results: Results) -> str:
     )
 
 
-def _page(results: Results, drawn: list[tuple[str, Markup]]) -> str:
+def _page(results: Results, pictures: list[tuple[str, Markup]]) -> str:
     plan, rows = results.plan, table(results)
     cut = []
     if len(plan.cases) > MOST_PANELS:
@@ -65,7 +64,7 @@ def _page(results: Results, drawn: list[tuple[str, Markup]]) -> str:
         home_radius=plan.study.home_radius,
         head=rows[0],
         rows=rows[1:],
-        figures=drawn,
+        figures=pictures,
         cut=listing(cut) if cut else "",
         failures=failures(results),
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
