@@ -10,16 +10,17 @@ from homeward.localizer import (
     answer,
     chain,
     compiled,
+    doubt,
     fitting,
-    home,
     linear,
     linearise,
     marginal,
     preintegration,
     sightings,
+    verdict,
 )
 from homeward.localizer.answer import in_home_frame
-from homeward.localizer.fitting import solved
+from homeward.localizer.fitting import fit, solved
 from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
@@ -29,7 +30,8 @@ from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
-ROOMS = (answer, chain, fitting, home, linear, linearise, marginal, preintegration, sightings)
+LOOPS = (chain, linearise, marginal, preintegration, sightings)
+HOME = (answer, doubt, fitting, linear, verdict)
 
 pytestmark = pytest.mark.skipif(
     compiled.compiled() is None, reason="no C compiler, nothing to compare"
@@ -43,7 +45,7 @@ def both(monkeypatch):
     def call(function, *arguments):
         native = function(*arguments)
         with monkeypatch.context() as patch:
-            for room in ROOMS:
+            for room in (*LOOPS, *HOME):
                 patch.setattr(room, "compiled", lambda: None)
             return native, function(*arguments)
 
@@ -190,14 +192,29 @@ def test_home_is_solved_for(both, prior):
         native, plain = both(solved, around[0], right)
         for field in ("step", "precision", "information", "log_volume", "home", "covariance"):
             assert np.allclose(getattr(native, field), getattr(plain, field)), field
-        for part, other in zip(*both(lambda f: replace(f).innovations, native), strict=True):
-            assert np.allclose(part, other)
+        for field in ("innovation", "variance", "odds", "evidence"):
+            ours, theirs = (getattr(v, field) for v in both(lambda f: replace(f).verdict, native))
+            assert np.allclose(ours, theirs), field
+        assert np.allclose(*both(lambda f: replace(f).doubt, native), rtol=1e-8)
         ours, theirs = both(in_home_frame, native)
         assert np.allclose(ours.pose, theirs.pose)
         assert np.allclose(ours.covariance, theirs.covariance)
         inside = native.precision[right][:, right]
         assert np.allclose(inside @ around[0].spread[right][:, right], np.eye(right.sum()))
         assert not native.precision[~right].any()
+
+
+@pytest.mark.parametrize("steps", [1, 3, 20])
+@pytest.mark.parametrize("prior", [None, np.array([0.1, -0.1, 0.2])])
+def test_home_is_iterated_to(both, prior, steps):
+    problem = a_home(np.random.default_rng(6), prior=prior)
+    right = np.array([1, 1, 1, 0, 1, 1], bool)
+    native, plain = both(fit, problem, np.array([0.4, -0.3, 0.3]), right, steps)
+    for field in ("home", "step", "known", "information", "evidence", "covariance"):
+        assert np.allclose(getattr(native, field), getattr(plain, field)), field
+    if steps == 20:
+        assert np.abs(native.step).max() < fitting.SETTLED
+    assert both(fit, problem, np.zeros(3), np.zeros(6, bool))[0] is None or prior is not None
 
 
 def test_bearings_without_spread_fix_no_home(both):

@@ -16,7 +16,7 @@ import numpy as np
 from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.library import load
 
-SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "motion.c")
+SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "verdict.c", "motion.c")
 """Of one program, in this order."""
 FUNCTIONS = {
     "residuals": "i" + 6 * "a",
@@ -27,14 +27,19 @@ FUNCTIONS = {
     "move_on": "i" + 6 * "a",
     "predict": "ii" + 7 * "a",
     "correct": "ii" + 5 * "a",
-    "spread_home": "ii" + 5 * "a",
-    "solve_home": "i" + 9 * "a",
-    "innovate": "i" + 10 * "a",
+    "spread_home": 4 * "a",
+    "solve_home": 6 * "a" + "d" + 4 * "a",
+    "fit_home": "aidd" + 13 * "a",
+    "judge_home": "add" + 8 * "a" + "d" + 5 * "a",
+    "bend_home": 7 * "a",
     "from_home": "ii" + 12 * "a",
     "integrate": "iaaaddddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, addresses of arrays."""
-MAY_FAIL = ("add_sightings", "eliminate", "predict", "correct", "solve_home", "innovate")
+MAY_FAIL = (
+    *("add_sightings", "eliminate", "predict", "correct"),
+    *("solve_home", "fit_home", "judge_home"),
+)
 """Those that return 0, or 1 where an index is out of range or a matrix not positive definite."""
 _TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from ctypes import addressof
+
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.localizer.compiled import address, compiled
 from homeward.localizer.home import HomeFit
 from homeward.localizer.linear import Linear, linearised
@@ -34,13 +35,32 @@ def fit(
     """
     if right.sum() < problem.fewest:
         return None
-    known, now = problem.mean, None
-    for _ in range(steps):
-        now = solved(linearised(problem, home, known), right)
-        if now is None or np.abs(now.step).max() < SETTLED:
-            break
-        home, known = now.home, now.known
+    now = _iterated(problem, home, right, steps)
     return now if now is not None and problem.is_near(now.home) else None
+
+
+def _iterated(
+    problem: HomeProblem, home: np.ndarray, right: np.ndarray, steps: int
+) -> HomeFit | None:
+    """Return where the iteration ends; None when the set does not fix home."""
+    native, q, size = compiled(), right.size, problem.mean.size
+    if native is None:
+        known, now = problem.mean, None
+        for _ in range(steps):
+            now = solved(linearised(problem, home, known), right)
+            if now is None or np.abs(now.step).max() < SETTLED:
+                break
+            home, known = now.home, now.known
+        return now
+    at, room = home.astype(float), (np.empty(size), np.empty(q))
+    linear = Linear.room(problem, at)
+    arrays = (linear.residual, linear.by_place, linear.by_home, linear.correlated, linear.spread)
+    found = information, precision, step, log_volume = _room(q)
+    given = (right.astype(float), at, *room, *arrays, *found)
+    settings = (steps, LONGEST_STEP_M, SETTLED)
+    if native.fit_home(addressof(problem.in_c), *settings, *map(address, given)):
+        return None
+    return HomeFit(linear, right, step, precision, information, float(log_volume[0]))
 
 
 def carried(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
@@ -60,51 +80,46 @@ def solved(linear: Linear, right: np.ndarray, doubt: np.ndarray | None = None) -
     doubt : ndarray, shape (3, 3), optional
         See `HomeFit.doubt`; worked out when asked for unless it is known.
     """
-    problem, q = linear.problem, right.size
-    information, slope = problem.vague.copy(), np.zeros(3)
-    if problem.prior is not None and problem.prior_information is not None:
-        offset = problem.prior - linear.at
-        offset[2] = wrap(offset[2])
-        information, slope = (
-            information + problem.prior_information,
-            (problem.prior_information @ offset),
-        )
-    precision, step, log_volume = np.empty((q, q)), np.empty(3), np.empty(1)
-    native = compiled()
+    problem, native = linear.problem, compiled()
+    found = information, precision, step, log_volume = _room(right.size)
     if native is None:
         try:
-            _solve(linear, right, information, slope, precision, step, log_volume)
+            _solve(linear, right, *found)
         except np.linalg.LinAlgError:
             return None
     else:
-        given = (right.astype(float), linear.spread, linear.by_home, linear.residual)
-        found = (information, slope, precision, step, log_volume)
-        if native.solve_home(q, *map(address, (*given, *found))):
+        given = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
+        told = (*map(address, given), LONGEST_STEP_M, *map(address, found))
+        if native.solve_home(addressof(problem.in_c), *told):
             return None
-    if not np.isfinite(step).all():
-        return None
-    step *= min(1.0, LONGEST_STEP_M / max(float(np.abs(step).max()), 1e-12))
     return HomeFit(linear, right, step, precision, information, float(log_volume[0]), doubt)
+
+
+def _room(q: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return room for information on home, precision and step, and the log volume."""
+    return np.empty((3, 3)), np.empty((q, q)), np.empty(3), np.empty(1)
 
 
 def _solve(
     linear: Linear,
     right: np.ndarray,
     information: np.ndarray,
-    slope: np.ndarray,
     precision: np.ndarray,
     step: np.ndarray,
     log_volume: np.ndarray,
 ) -> None:
-    """Fill in precision, step and volume; add to information and slope."""
-    of_set = np.ix_(right, right)
+    """Fill in what `solved` needs."""
+    problem, of_set = linear.problem, np.ix_(right, right)
     root = np.linalg.cholesky(linear.spread[of_set])
     inverse = np.linalg.inv(root)
     precision[:] = 0.0
     precision[of_set] = inverse.T @ inverse
     log_volume[0] = 2.0 * np.log(root.diagonal()).sum()
     weighted = linear.by_home.T @ precision
-    information += weighted @ linear.by_home
-    slope += weighted @ linear.residual
+    information[:] = problem.before + weighted @ linear.by_home
+    slope = problem.before @ problem.off_prior(linear.at) + weighted @ linear.residual
     np.linalg.cholesky(information)
     step[:] = np.linalg.solve(information, slope)
+    if not np.isfinite(step).all():
+        raise np.linalg.LinAlgError("home is not finite")
+    step *= min(1.0, LONGEST_STEP_M / max(float(np.abs(step).max()), 1e-12))

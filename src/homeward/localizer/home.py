@@ -2,28 +2,24 @@
 
 Everything here is Gaussian around one point: the map's marginal (newest pose, camera yaw, the
 landmarks that home saw), the home bearings of the chosen set, and a start prior where there is one.
-The evidence of a set is the integral over all unknowns, home included (Laplace), so that sets of
-different size compare fairly; for wrong bearings see `faults`.
+What it says of the home bearings and of the set is in `verdict`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from homeward.angles import TWO_PI, wrap
-from homeward.localizer.compiled import address, compiled
-from homeward.localizer.faults import log_odds, log_wrong
+from homeward.localizer.doubt import doubt
+from homeward.localizer.faults import log_odds
 from homeward.localizer.linear import Linear, linearised
 from homeward.localizer.problem import HEAD, HomeProblem
+from homeward.localizer.verdict import Verdict, judged
 
 UNSETTLED = 0.5
 """A last step longer than this says that the fit has not come to rest [standard deviations]."""
-LEAST_SHARE = 0.002
-"""So much of the information on home is left at least when errors of the map are taken out [1]."""
 
 
 @dataclass(frozen=True)
@@ -104,56 +100,25 @@ class HomeFit:
         return np.asarray(self.linear.correlated[:, :3].T @ self.precision)
 
     @cached_property
+    def verdict(self) -> Verdict:
+        """What it says of each home bearing and of the set."""
+        solution = (self.step, self.precision, self.information, self.log_volume)
+        return judged(self.linear, self.right, *solution)
+
+    @cached_property
     def evidence(self) -> float:
         """Log of the evidence of the set, up to a constant that all sets share."""
-        problem, n, q = self.problem, int(self.right.sum()), self.right.size
-        residual = self.linear.residual
-        square = residual @ self.precision @ residual - self.step @ self.information @ self.step
-        if problem.prior is not None:
-            offset = self._off_prior()
-            square += offset @ problem.prior_information @ offset
-        log_density = -0.5 * (self.log_volume + n * math.log(TWO_PI))
-        log_volume = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(self.information)[1])
-        p = problem.moved_prior
-        labels = n * math.log(1.0 - p) + (q - n) * math.log(p)
-        wrong = log_wrong(*self.innovations)[~self.right].sum()
-        return float(-0.5 * square + log_density + log_volume + labels + wrong)
+        return self.verdict.evidence
 
-    @cached_property
+    @property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
         """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
-        linear, out, q = self.linear, ~self.right, self.right.size
-        native = compiled()
-        if native is not None:
-            innovation, variance = np.empty(q), np.empty(q)
-            given = (self.right.astype(float), linear.spread, self.precision, linear.by_home)
-            told = (linear.residual, self.information, self.step, np.empty(4 * q))
-            if native.innovate(q, *map(address, (*given, *told, innovation, variance))):
-                raise np.linalg.LinAlgError("home is not fixed")
-            return innovation, variance
-        spread = np.linalg.inv(self.information)
-        lever = self.precision @ linear.by_home
-        rest = self.precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
-        rest = np.maximum(rest, 1e-9)
-        innovation, variance = self._weighted / rest, 1.0 / rest
-        if out.any():
-            between, by_home = linear.spread[out], linear.by_home[out]
-            innovation[out] = wrap(
-                linear.residual[out] - by_home @ self.step - between @ self._weighted
-            )
-            gain = between @ self.precision
-            lever = by_home - gain @ linear.by_home
-            variance[out] = (
-                linear.spread.diagonal()[out]
-                - (gain * between).sum(axis=1)
-                + ((lever @ spread) * lever).sum(axis=1)
-            )
-        return innovation, variance
+        return self.verdict.innovation, self.verdict.variance
 
-    @cached_property
+    @property
     def odds(self) -> np.ndarray:
         """(q,): log odds of right against wrong, the rest of the set given."""
-        return log_odds(*self.innovations, self.problem.moved_prior)
+        return self.verdict.odds
 
     def odds_of(
         self, places: np.ndarray, covariances: np.ndarray, bearing: float, sigma: float
@@ -187,47 +152,9 @@ class HomeFit:
         left = self.linear.residual - self.linear.by_home @ self.step
         return np.asarray(self.precision @ left)
 
-    def _off_prior(self) -> np.ndarray:
-        """Return how far the start prior's home is from where home was linearised, (3,)."""
-        offset = np.zeros(3) if self.problem.prior is None else self.problem.prior - self.linear.at
-        offset[2] = wrap(offset[2])
-        return offset
-
     @cached_property
     def doubt(self) -> np.ndarray:
-        """(3, 3): covariance of home beyond what the information on it says.
-
-        Where home lies on the circle through the landmarks its position is not fixed at all; but
-        the landmarks as mapped are never quite on the circle, and so seem to fix it. What their
-        errors add to the information in the mean is taken out, down to a share of `LEAST_SHARE`.
-        """
+        """(3, 3): covariance of home beyond what the information on it says; see `doubt`."""
         if self.known_doubt is not None:
             return self.known_doubt
-        d = self.landmarks[self.right] - self.linear.at[:2]
-        square = np.maximum((d**2).sum(axis=1), 1e-4)
-        a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
-        curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
-        errors = self._own_errors(d) / self.linear.spread.diagonal()[self.right, None, None]
-        chance = np.zeros((3, 3))
-        chance[:2, :2] = (curvature @ errors @ curvature).sum(axis=0)
-        root = np.linalg.cholesky(self.information)
-        inverse = np.linalg.inv(root)
-        shares, axes = np.linalg.eigh(inverse @ chance @ inverse.T)
-        kept = root @ axes
-        left = (kept * np.maximum(1.0 - shares, LEAST_SHARE)) @ kept.T + self.problem.vague
-        return np.asarray(np.linalg.inv(left) - inverse.T @ inverse)
-
-    def _own_errors(self, d: np.ndarray) -> np.ndarray:
-        """Return the covariances (r, 2, 2) of landmarks seen from home at `d` (r, 2).
-
-        What moves or turns all of them alike moves home with them, and is left out.
-        """
-        rigid = np.zeros((len(d), 2, 3))
-        rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
-        rigid[:, 0, 2], rigid[:, 1, 2] = -d[:, 1], d[:, 0]
-        basis = np.linalg.qr(rigid.reshape(-1, 3))[0]
-        own = np.eye(len(basis)) - basis @ basis.T
-        of_set = np.repeat(np.concatenate([np.zeros(HEAD // 2, bool), self.right]), 2)
-        errors = own @ self.problem.covariance[of_set][:, of_set] @ own
-        each = np.arange(len(d))
-        return np.asarray(errors.reshape(len(d), 2, len(d), 2)[each, :, each])
+        return doubt(self.linear, self.right, self.known, self.information)

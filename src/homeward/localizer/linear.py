@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from ctypes import addressof
 from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.compiled import address, compiled
-from homeward.localizer.problem import HEAD, HomeProblem
+from homeward.localizer.problem import HEAD, YAW, HomeProblem
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,8 @@ class Linear:
     """(3,): the home that they are linear around."""
     residual: np.ndarray
     """(q,): measured minus expected there, the map at its mean [rad]."""
-    by_known: np.ndarray
-    """(q, 4 + 2 q): Jacobian of the expected home bearings by what is known ..."""
+    by_place: np.ndarray
+    """(q, 2): Jacobian of each expected home bearing by its landmark's place ..."""
     by_home: np.ndarray
     """(q, 3): ... and by home."""
     correlated: np.ndarray
@@ -30,15 +31,21 @@ class Linear:
     spread: np.ndarray
     """(q, q): of the residuals, were home known."""
 
+    @staticmethod
+    def room(problem: HomeProblem, at: np.ndarray) -> Linear:
+        """Return room for what a compiled function fills in."""
+        q, size = problem.bearings.size, problem.mean.size
+        jacobians = np.empty((q, 2)), np.empty((q, 3))
+        return Linear(problem, at, np.empty(q), *jacobians, np.empty((q, size)), np.empty((q, q)))
+
     def carried(self, problem: HomeProblem) -> Linear:
         """Return them around the same point after what is known has changed a little."""
-        residual = self.residual - self.by_known @ (problem.mean - self.problem.mean)
-        return _linear(problem, self.at, residual, self.by_known, self.by_home)
+        change = expected_change(problem, self.by_place, problem.mean - self.problem.mean)
+        return _linear(problem, self.at, self.residual - change, self.by_place, self.by_home)
 
 
 def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Linear:
     """Return the home bearings around `home` (3,) and what is known (4 + 2 q,)."""
-    q = problem.bearings.size
     c, s = math.cos(home[2]), math.sin(home[2])
     mx, my, yaw = problem.mount
     ox, oy = c * mx - s * my, s * mx + c * my
@@ -46,33 +53,40 @@ def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Lin
     dx, dy = points[:, 0] - home[0] - ox, points[:, 1] - home[1] - oy
     square = np.maximum(dx * dx + dy * dy, 1e-4)
     gx, gy = -dy / square, dx / square
-    unknown_yaw = known[3] if problem.same_camera else 0.0
+    unknown_yaw = known[YAW] if problem.same_camera else 0.0
     residual = wrap(problem.bearings - np.arctan2(dy, dx) + home[2] + yaw + unknown_yaw)
     by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
-    by_known = np.zeros((q, problem.mean.size))
-    if problem.same_camera:
-        by_known[:, 3] = -1.0
-    rows = np.arange(q)
-    by_known[rows, HEAD + 2 * rows], by_known[rows, HEAD + 1 + 2 * rows] = gx, gy
-    residual = residual + by_known @ (known - problem.mean)
-    return _linear(problem, home, residual, by_known, by_home)
+    by_place = np.stack([gx, gy], axis=1)
+    residual = residual + expected_change(problem, by_place, known - problem.mean)
+    return _linear(problem, home, residual, by_place, by_home)
+
+
+def expected_change(problem: HomeProblem, by_place: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return how home bearings, expected (q,), change with what is known (4 + 2 q,)."""
+    moved = (by_place * change[HEAD:].reshape(-1, 2)).sum(axis=1)
+    return np.asarray(moved - change[YAW] if problem.same_camera else moved)
 
 
 def _linear(
     problem: HomeProblem,
     home: np.ndarray,
     residual: np.ndarray,
-    by_known: np.ndarray,
+    by_place: np.ndarray,
     by_home: np.ndarray,
 ) -> Linear:
     """Return it with the covariances that follow."""
-    q, size = by_known.shape
-    correlated, spread = np.empty((q, size)), np.empty((q, q))
+    q, known = len(by_place), problem.covariance
+    correlated, spread = np.empty((q, len(known))), np.empty((q, q))
     native = compiled()
     if native is None:
-        correlated[:] = by_known @ problem.covariance
-        spread[:] = correlated @ by_known.T + np.diag(problem.sigmas**2)
+        gx, gy = by_place.T
+        correlated[:] = gx[:, None] * known[HEAD::2] + gy[:, None] * known[HEAD + 1 :: 2]
+        if problem.same_camera:
+            correlated -= known[YAW]
+        spread[:] = correlated[:, HEAD::2] * gx + correlated[:, HEAD + 1 :: 2] * gy
+        if problem.same_camera:
+            spread -= correlated[:, YAW, None]
+        spread[np.arange(q), np.arange(q)] += problem.sigmas**2
     else:
-        given = (problem.covariance, by_known, problem.sigmas)
-        native.spread_home(q, size, *map(address, (*given, correlated, spread)))
-    return Linear(problem, home, residual, by_known, by_home, correlated, spread)
+        native.spread_home(addressof(problem.in_c), *map(address, (by_place, correlated, spread)))
+    return Linear(problem, home, residual, by_place, by_home, correlated, spread)

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, inverse, polar_covariance_to_pose
+from homeward.localizer.compiled import address
 from homeward.localizer.resection import REACH
 
 HEAD = 4
-"""The unknowns begin with the newest pose (3) and the camera's yaw (1)."""
+"""What is known begins with the newest pose (3) and the camera's yaw (1)."""
+YAW = 3
+
+
+class ProblemInC(ctypes.Structure):
+    """What the compiled functions take as a problem."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("q", "size", "same_camera", "has_prior")),
+        ("moved_prior", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("mean", "covariance", "bearings", "sigmas")),
+        *((name, ctypes.c_void_p) for name in ("mount", "before", "prior")),
+    )
 
 
 @dataclass(frozen=True)
@@ -49,12 +64,19 @@ class HomeProblem:
         landmarks = self.landmarks
         return float((landmarks.max(axis=0) - landmarks.min(axis=0)).max())
 
+    @cached_property
+    def centre(self) -> tuple[float, float]:
+        """Mean of the landmarks' positions [m]."""
+        x, y = self.landmarks.mean(axis=0).tolist()
+        return x, y
+
     def is_near(self, home: np.ndarray) -> bool:
         """Return whether a home (3,) lies within sight of its landmarks, for all one can say."""
         if self.prior is not None or not self.bearings.size:
             return True
-        off = np.abs(home[:2] - self.landmarks.mean(axis=0)).max()
-        return bool(off < REACH * self.extent)
+        x, y = self.centre
+        off = max(abs(float(home[0]) - x), abs(float(home[1]) - y))
+        return off < REACH * self.extent
 
     @cached_property
     def vague(self) -> np.ndarray:
@@ -63,6 +85,27 @@ class HomeProblem:
             return np.zeros((3, 3))
         near = (0.5 * REACH * max(self.extent, 1e-3)) ** -2
         return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
+
+    @cached_property
+    def before(self) -> np.ndarray:
+        """(3, 3): information on home before any home bearing is taken."""
+        prior = self.prior_information
+        return self.vague if prior is None else prior
+
+    def off_prior(self, home: np.ndarray) -> np.ndarray:
+        """Return how far the start prior's home is from another one (3,); zeros without a prior."""
+        offset = np.zeros(3) if self.prior is None else self.prior - home
+        offset[2] = wrap(offset[2])
+        return offset
+
+    @cached_property
+    def in_c(self) -> ProblemInC:
+        """The problem for compiled functions; its arrays are this problem's own."""
+        given = (self.mean, self.covariance, self.bearings, self.sigmas, self.mount, self.before)
+        prior = None if self.prior is None else address(self.prior)
+        flags = (self.same_camera, self.prior is not None)
+        sizes = (self.bearings.size, self.mean.size)
+        return ProblemInC(*sizes, *flags, self.moved_prior, *map(address, given), prior)
 
     @property
     def fewest(self) -> int:

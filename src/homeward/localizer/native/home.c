@@ -1,32 +1,62 @@
-/* Home, where its bearings are linear. */
+/* Home, fitted to a set of home bearings; `right` (q; 0 or 1) marks the set. */
 
-/* Covariance of q expected home bearings with what is known (q, size), and of their residuals. */
-void spread_home(long q, long size, const double *covariance, const double *by_known,
-                 const double *sigmas, double *correlated, double *spread) {
+#define KNOWN_YAW 3              /* the camera's, among what is known */
+#define PLACES 4                 /* the landmarks', from here on */
+
+/* What is known when home is to be found; see HomeProblem. */
+typedef struct {
+  long q, size, same_camera, has_prior;
+  double moved_prior;
+  const double *mean, *covariance, *bearings, *sigmas, *mount, *before, *prior;
+} Problem;
+
+/* Covariance of the q expected home bearings with what is known (q, size), and of their residuals,
+ * for their Jacobian by their landmarks' places (q, 2). */
+void spread_home(const Problem *p, const double *by_place, double *correlated, double *spread) {
+  const long q = p->q, size = p->size;
   for (long i = 0; i < q; i++) {
+    const double gx = by_place[2 * i], gy = by_place[2 * i + 1];
+    const double *x = p->covariance + size * (PLACES + 2 * i), *y = x + size;
+    const double *yaw = p->covariance + size * KNOWN_YAW;
     double *with = correlated + size * i;
-    for (long k = 0; k < size; k++) with[k] = 0.0;
-    for (long l = 0; l < size; l++) {
-      const double by = by_known[size * i + l];
-      if (by != 0.0)
-        for (long k = 0; k < size; k++) with[k] += by * covariance[size * l + k];
-    }
+    for (long k = 0; k < size; k++)
+      with[k] = gx * x[k] + gy * y[k] - (p->same_camera ? yaw[k] : 0.0);
   }
   for (long i = 0; i < q; i++)
     for (long j = 0; j <= i; j++) {
-      double sum = i == j ? sigmas[i] * sigmas[i] : 0.0;
-      for (long k = 0; k < size; k++) sum += correlated[size * i + k] * by_known[size * j + k];
-      spread[q * i + j] = spread[q * j + i] = sum;
+      const double *with = correlated + size * i, *place = with + PLACES + 2 * j;
+      spread[q * i + j] = spread[q * j + i] =
+          (i == j ? p->sigmas[i] * p->sigmas[i] : 0.0) + place[0] * by_place[2 * j] +
+          place[1] * by_place[2 * j + 1] - (p->same_camera ? with[KNOWN_YAW] : 0.0);
     }
 }
 
-/* Home where the bearings are linear, for the set `right` (q; 0 or 1). `information` (3, 3) and
- * `slope` (3) come as the prior's and leave as everybody's; out: the inverse of the set's spread,
- * zero outside of it (q, q), the step of home (3) and the log determinant of the set's spread. 1 if
- * the set does not fix home. */
-int solve_home(long q, const double *right, const double *spread, const double *by_home,
-               const double *residual, double *information, double *slope, double *precision,
-               double *step, double *log_volume) {
+/* Home bearings, linear around a home (3) and what is known (size): residuals with what is known at
+ * its mean (q), and Jacobians of the expected ones by the landmarks (q, 2) and by home (q, 3). */
+static void linearise(const Problem *p, const double *home, const double *known, double *residual,
+                      double *by_place, double *by_home) {
+  const double c = cos(home[2]), s = sin(home[2]), *mount = p->mount;
+  const double ox = c * mount[0] - s * mount[1], oy = s * mount[0] + c * mount[1];
+  for (long i = 0; i < p->q; i++) {
+    const double *point = known + PLACES + 2 * i, *mean = p->mean + PLACES + 2 * i;
+    const double dx = point[0] - home[0] - ox, dy = point[1] - home[1] - oy;
+    const double square = fmax(dx * dx + dy * dy, 1e-4), gx = -dy / square, gy = dx / square;
+    const double yaw = mount[2] + (p->same_camera ? known[KNOWN_YAW] : 0.0);
+    by_place[2 * i] = gx;
+    by_place[2 * i + 1] = gy;
+    by_home[3 * i] = -gx;
+    by_home[3 * i + 1] = -gy;
+    by_home[3 * i + 2] = gx * oy - gy * ox - 1.0;
+    residual[i] = wrapped(p->bearings[i] - atan2(dy, dx) + home[2] + yaw);
+    residual[i] += gx * (point[0] - mean[0]) + gy * (point[1] - mean[1]);
+    if (p->same_camera) residual[i] -= known[KNOWN_YAW] - p->mean[KNOWN_YAW];
+  }
+}
+
+/* Inverse of the spread (q, q) of a set, zero outside of it, and the log of its determinant. 1 if
+ * it is not positive definite. */
+static int invert_set(long q, const double *right, const double *spread, double *precision,
+                      double *log_volume) {
   /* Outside of the set the matrix is a unit matrix, and its inverse is cleared in the end. */
   double *lower = precision;
   for (long i = 0; i < q; i++)
@@ -56,7 +86,30 @@ int solve_home(long q, const double *right, const double *spread, const double *
   }
   for (long i = 0; i < q; i++)
     for (long j = 0; j < i; j++) precision[q * i + j] = precision[q * j + i];
+  return 0;
+}
 
+/* How far the start prior's home is from another one (3); nowhere without a prior. */
+static void off_prior(const Problem *p, const double *home, double *offset) {
+  for (int k = 0; k < 3; k++) offset[k] = p->has_prior ? p->prior[k] - home[k] : 0.0;
+  offset[2] = wrapped(offset[2]);
+}
+
+/* Home where the bearings are linear around `at` (3), for a set: the inverse of the set's spread
+ * (q, q), the log of its determinant, the information on home (3, 3), and the step to it (3), no
+ * component of which is longer than `longest`. 1 if the set does not fix home. */
+int solve_home(const Problem *p, const double *at, const double *right, const double *spread,
+               const double *by_home, const double *residual, double longest, double *information,
+               double *precision, double *step, double *log_volume) {
+  const long q = p->q;
+  double offset[3], slope[3], inverse[9];
+  if (invert_set(q, right, spread, precision, log_volume)) return 1;
+  off_prior(p, at, offset);
+  for (int k = 0; k < 3; k++) {
+    const double *by = p->before + 3 * k;
+    slope[k] = by[0] * offset[0] + by[1] * offset[1] + by[2] * offset[2];
+    for (int l = 0; l < 3; l++) information[3 * k + l] = by[l];
+  }
   for (long i = 0; i < q; i++) {
     double weighted[3] = {0.0, 0.0, 0.0};
     for (long j = 0; j < q; j++)
@@ -66,12 +119,15 @@ int solve_home(long q, const double *right, const double *spread, const double *
       slope[k] += weighted[k] * residual[i];
     }
   }
-  double inverse[9];
   if (invert(information, inverse)) return 1;
+  double most = 1e-12;
   for (int k = 0; k < 3; k++) {
     const double *row = inverse + 3 * k;
     step[k] = row[0] * slope[0] + row[1] * slope[1] + row[2] * slope[2];
+    if (!isfinite(step[k])) return 1;
+    most = fmax(most, fabs(step[k]));
   }
+  for (int k = 0; k < 3; k++) step[k] *= fmin(1.0, longest / most);
   return 0;
 }
 
@@ -86,82 +142,33 @@ static void weigh(long q, const double *precision, const double *by_home, const 
   }
 }
 
-/* Home bearings (q) minus what everything else predicts, and the variance of that; `scratch` has
- * room for 4 q. 1 if home is not fixed. */
-int innovate(long q, const double *right, const double *spread, const double *precision,
-             const double *by_home, const double *residual, const double *information,
-             const double *step, double *scratch, double *innovation, double *variance) {
-  double inverse[9], *weighted = scratch, *lever = scratch + q;
-  if (invert(information, inverse)) return 1;
-  weigh(q, precision, by_home, residual, step, weighted);
-  for (long i = 0; i < q; i++)
-    for (int k = 0; k < 3; k++) {
-      lever[3 * i + k] = 0.0;
-      for (long j = 0; j < q; j++) lever[3 * i + k] += precision[q * i + j] * by_home[3 * j + k];
-    }
-  for (long i = 0; i < q; i++) {
-    const double *between = spread + q * i, *by = by_home + 3 * i;
-    double l[3], mean = 0.0, own = 0.0, shared = 0.0;
-    for (int k = 0; k < 3; k++) l[k] = right[i] ? lever[3 * i + k] : by[k];
-    if (!right[i]) {
-      mean = residual[i] - by[0] * step[0] - by[1] * step[1] - by[2] * step[2];
-      own = between[i];
-      for (long j = 0; j < q; j++) {
-        mean -= between[j] * weighted[j];
-        for (int k = 0; k < 3; k++) l[k] -= between[j] * lever[3 * j + k];
-        for (long m = 0; m < q; m++) own -= between[j] * precision[q * j + m] * between[m];
-      }
-    }
-    for (int k = 0; k < 3; k++)
-      for (int m = 0; m < 3; m++) shared += l[k] * inverse[3 * k + m] * l[m];
-    const double rest = fmax(precision[q * i + i] - shared, 1e-9);
-    innovation[i] = right[i] ? weighted[i] / rest : wrapped(mean);
-    variance[i] = right[i] ? 1.0 / rest : own + shared;
-  }
-  return 0;
+/* What is known (size) after the step of home; `weighted` has room for q. */
+static void learn(const Problem *p, const double *correlated, const double *precision,
+                  const double *by_home, const double *residual, const double *step,
+                  double *weighted, double *known) {
+  weigh(p->q, precision, by_home, residual, step, weighted);
+  memcpy(known, p->mean, p->size * sizeof(double));
+  for (long i = 0; i < p->q; i++)
+    for (long k = 0; k < p->size; k++) known[k] += weighted[i] * correlated[p->size * i + k];
 }
 
-/* The newest pose in the home frame (3), its heading not wrapped, and the covariance of that
- * (3, 3), where `home` (3) is `spread_of_home` (3, 3) uncertain; `scratch` has room for 4 q. */
-void from_home(long q, long size, const double *mean, const double *covariance,
-               const double *correlated, const double *precision, const double *by_home,
-               const double *residual, const double *step, const double *home,
-               const double *spread_of_home, double *scratch, double *pose, double *spread) {
-  double *weighted = scratch, *gain = scratch + q, at[3], by[3][3], own[3][3];
-  weigh(q, precision, by_home, residual, step, weighted);
-  memset(gain, 0, 3 * q * sizeof(double));
-  for (long i = 0; i < q; i++)
-    for (int a = 0; a < 3; a++)
-      for (long j = 0; j < q; j++)
-        gain[q * a + j] += correlated[size * i + a] * precision[q * i + j];
-  for (int a = 0; a < 3; a++) {
-    at[a] = mean[a];
-    for (long i = 0; i < q; i++) at[a] += weighted[i] * correlated[size * i + a];
-    for (int b = 0; b < 3; b++) {
-      by[a][b] = 0.0;
-      own[a][b] = covariance[size * a + b];
-      for (long i = 0; i < q; i++) {
-        by[a][b] += gain[q * a + i] * by_home[3 * i + b];
-        own[a][b] -= gain[q * a + i] * correlated[size * i + b];
-      }
-    }
+/* Gauss-Newton from a home (3): at most so many `steps`, none component of which is longer than
+ * `longest`, until none is longer than `settled`. `at` is where it begins, and then where the last
+ * linearisation is; `known` (size) and `weighted` (q) are room. 1 if the set does not fix home. */
+int fit_home(const Problem *p, long steps, double longest, double settled, const double *right,
+             double *at, double *known, double *weighted, double *residual, double *by_place,
+             double *by_home, double *correlated, double *spread, double *information,
+             double *precision, double *step, double *log_volume) {
+  memcpy(known, p->mean, p->size * sizeof(double));
+  for (long n = 0;; n++) {
+    linearise(p, at, known, residual, by_place, by_home);
+    spread_home(p, by_place, correlated, spread);
+    if (solve_home(p, at, right, spread, by_home, residual, longest, information, precision, step,
+                   log_volume))
+      return 1;
+    const double most = fmax(fabs(step[0]), fmax(fabs(step[1]), fabs(step[2])));
+    if (most < settled || n == steps - 1) return 0;
+    learn(p, correlated, precision, by_home, residual, step, weighted, known);
+    for (int k = 0; k < 3; k++) at[k] += step[k];
   }
-  const double c = cos(home[2]), s = sin(home[2]), dx = at[0] - home[0], dy = at[1] - home[1];
-  pose[0] = c * dx + s * dy;
-  pose[1] = c * dy - s * dx;
-  pose[2] = at[2] - home[2];
-  const double turn[3][3] = {{c, s, 0}, {-s, c, 0}, {0, 0, 1}};
-  double in_all[3][3] = {{-c, -s, pose[1]}, {s, -c, -pose[0]}, {0, 0, -1}};
-  for (int a = 0; a < 3; a++) /* home moves the pose with it */
-    for (int b = 0; b < 3; b++)
-      for (int k = 0; k < 3; k++) in_all[a][b] -= turn[a][k] * by[k][b];
-  for (int a = 0; a < 3; a++)
-    for (int b = 0; b <= a; b++) {
-      double sum = 0.0;
-      for (int k = 0; k < 3; k++)
-        for (int m = 0; m < 3; m++)
-          sum += in_all[a][k] * spread_of_home[3 * k + m] * in_all[b][m] +
-                 turn[a][k] * own[k][m] * turn[b][m];
-      spread[3 * a + b] = spread[3 * b + a] = sum;
-    }
 }

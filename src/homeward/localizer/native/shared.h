@@ -42,6 +42,11 @@ static int invert(const double *m, double *inverse) {
   return !(a > 0.0 && c > 0.0 && f > 0.0 && isfinite(inverse[0]) && isfinite(inverse[8]));
 }
 
+static double log_determinant(const double *m) {
+  return log(m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
+             m[2] * (m[3] * m[7] - m[4] * m[6]));
+}
+
 /* Lower Cholesky root in the place of a matrix (m, m); 0, or 1 if it is not positive definite. */
 static int root(long m, double *matrix) {
   for (long i = 0; i < m; i++)

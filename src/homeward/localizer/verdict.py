@@ -1,0 +1,102 @@
+"""What a fit of home says of each home bearing, and how probable its set of right ones is.
+
+The evidence of a set is the integral over all unknowns, home included (Laplace), so that sets of
+different size compare fairly; for wrong bearings see `faults`.
+"""
+
+from __future__ import annotations
+
+import math
+from ctypes import addressof
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import TWO_PI, wrap
+from homeward.localizer.compiled import address, compiled
+from homeward.localizer.faults import SCALE, UNIFORM_FROM, log_odds, log_wrong
+from homeward.localizer.linear import Linear
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """On home bearings and on a set of right ones."""
+
+    innovation: np.ndarray
+    """(q,): stored minus predicted by everything else [rad] ..."""
+    variance: np.ndarray
+    """(q,): ... and its variance."""
+    odds: np.ndarray
+    """(q,): log odds of right against wrong, the rest of the set given."""
+    evidence: float
+    """Log of the evidence of the set, up to a constant that all sets share."""
+
+
+def judged(
+    linear: Linear,
+    right: np.ndarray,
+    step: np.ndarray,
+    precision: np.ndarray,
+    information: np.ndarray,
+    log_volume: float,
+) -> Verdict:
+    """Return the verdict of a fit; see `HomeFit` for what it takes.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If home is not fixed.
+    """
+    native, problem, q = compiled(), linear.problem, right.size
+    if native is not None:
+        found = innovation, variance, odds, evidence = (*np.empty((3, q)), np.empty(1))
+        fit = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
+        given = (information, precision, step)
+        if native.judge_home(
+            addressof(problem.in_c),
+            SCALE,
+            UNIFORM_FROM,
+            *map(address, (*fit, *given)),
+            log_volume,
+            *map(address, (np.empty(4 * q), *found)),
+        ):
+            raise np.linalg.LinAlgError("home is not fixed")
+        return Verdict(innovation, variance, odds, float(evidence[0]))
+    innovation, variance = _innovations(linear, right, step, precision, information)
+    odds = log_odds(innovation, variance, problem.moved_prior)
+    n, p = int(right.sum()), problem.moved_prior
+    offset = problem.off_prior(linear.at)
+    square = linear.residual @ precision @ linear.residual - step @ information @ step
+    square += offset @ problem.before @ offset
+    log_density = -0.5 * (log_volume + n * math.log(TWO_PI))
+    log_home = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(information)[1])
+    labels = n * math.log(1.0 - p) + (q - n) * math.log(p)
+    wrong = log_wrong(innovation, variance)[~right].sum()
+    evidence = -0.5 * square + log_density + log_home + labels + wrong
+    return Verdict(innovation, variance, odds, float(evidence))
+
+
+def _innovations(
+    linear: Linear,
+    right: np.ndarray,
+    step: np.ndarray,
+    precision: np.ndarray,
+    information: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return stored minus predicted bearings, and the variances of that."""
+    weighted = precision @ (linear.residual - linear.by_home @ step)
+    out, spread = ~right, np.linalg.inv(information)
+    lever = precision @ linear.by_home
+    rest = precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
+    rest = np.maximum(rest, 1e-9)
+    innovation, variance = weighted / rest, 1.0 / rest
+    between, by_home = linear.spread[out], linear.by_home[out]
+    innovation[out] = wrap(linear.residual[out] - by_home @ step - between @ weighted)
+    gain = between @ precision
+    lever = by_home - gain @ linear.by_home
+    variance[out] = (
+        linear.spread.diagonal()[out]
+        - (gain * between).sum(axis=1)
+        + ((lever @ spread) * lever).sum(axis=1)
+    )
+    return innovation, variance
