@@ -1,5 +1,6 @@
 """The compiled loops say what NumPy says, and without a compiler NumPy says it."""
 
+import ctypes
 from dataclasses import replace
 
 import numpy as np
@@ -239,6 +240,17 @@ def test_preintegration(both, given):
         assert np.allclose(native[1], plain[1])
         for field in ("delta", "covariance", "jacobian", "path", "turned"):
             assert np.allclose(getattr(native[0], field), getattr(plain[0], field)), field
+
+
+def test_arguments_are_doubles_row_by_row_and_outlive_the_call():
+    integrate = compiled.compiled().integrate
+    for wrong in (np.zeros((4, 3), int), np.zeros((4, 6))[:, ::2]):
+        with pytest.raises(ctypes.ArgumentError):
+            integrate(1, wrong, *[np.zeros(15)] * 2, *[0.0] * 4, 1, *[np.zeros(15)] * 5)
+    fixed = np.arange(12.0)
+    fixed.flags.writeable = False
+    for array in (fixed, np.zeros((0, 3))):
+        assert compiled._Doubles.from_param(array).value == array.ctypes.data
 
 
 def test_without_a_compiler_the_user_is_told(monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
 
@@ -59,7 +59,7 @@ def in_home_frame(fit: HomeFit) -> Answer:
         pose, covariance = np.empty(3), np.empty((3, 3))
         known = (problem.mean, problem.covariance, linear.correlated, fit.precision)
         told = (linear.by_home, linear.residual, fit.step, fit.home, fit.spread, np.empty(4 * q))
-        native.from_home(q, size, *map(address, (*known, *told, pose, covariance)))
+        native.from_home(q, size, *known, *told, pose, covariance)
         x, y, heading = pose.tolist()
         return Answer(Pose(x, y, _wrap(heading)), covariance)
     home_x, home_y, home_heading = fit.home.tolist()

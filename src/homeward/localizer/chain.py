@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def eliminate(e: NormalEquations) -> Elimination:
     native = compiled()
     if native is None:
         _eliminate(own, e.next, rows, slope, inverse, gains)
-    elif native.eliminate(w, a, *map(address, (own, e.next, rows, slope, inverse, gains))):
+    elif native.eliminate(w, a, own, e.next, rows, slope, inverse, gains):
         raise np.linalg.LinAlgError("a pose is not fixed")
     flat = rows[:-1].reshape(-1, a).T
     eliminated = flat @ gains[:, :, 3:].reshape(-1, a + 1)
@@ -134,7 +134,7 @@ def _substitute(gains: np.ndarray, tail: np.ndarray) -> np.ndarray:
     poses[-1] = tail[:3]
     native = compiled()
     if native is not None:
-        native.substitute(len(poses), tail.size - 3, *map(address, (gains, tail, poses)))
+        native.substitute(len(poses), tail.size - 3, gains, tail, poses)
         return poses
     poses[:-1] = gains[:, :, -1] - gains[:, :, 3:-1] @ tail[3:]
     for k in range(len(gains) - 1, -1, -1):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from functools import lru_cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -27,21 +28,52 @@ FUNCTIONS = {
     "move_on": "i" + 6 * "a",
     "predict": "ii" + 7 * "a",
     "correct": "ii" + 5 * "a",
-    "spread_home": 4 * "a",
-    "solve_home": 6 * "a" + "d" + 4 * "a",
-    "fit_home": "aidd" + 13 * "a",
-    "judge_home": "add" + 8 * "a" + "d" + 5 * "a",
-    "bend_home": 7 * "a",
+    "spread_home": "s" + 3 * "a",
+    "solve_home": "s" + 5 * "a" + "d" + 4 * "a",
+    "fit_home": "sidd" + 13 * "a",
+    "judge_home": "sdd" + 8 * "a" + "d" + 5 * "a",
+    "doubt_home": "sd" + 8 * "a",
     "from_home": "ii" + 12 * "a",
     "integrate": "iaaaddddi" + 5 * "a",
 }
-"""What the functions take, in order: integers, doubles, addresses of arrays."""
+"""What the functions take, in order: integers, doubles, arrays of doubles, a structure."""
 MAY_FAIL = (
     *("add_sightings", "eliminate", "predict", "correct"),
-    *("solve_home", "fit_home", "judge_home"),
+    *("solve_home", "fit_home", "judge_home", "doubt_home"),
 )
 """Those that return 0, or 1 where an index is out of range or a matrix not positive definite."""
-_TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": ctypes.c_void_p}
+
+
+class _Doubles:
+    """An array of doubles as an argument, taken row by row."""
+
+    @staticmethod
+    def from_param(array: np.ndarray) -> Any:
+        """Return what is passed to a function; the call itself keeps the array alive."""
+        assert array.dtype == np.float64
+        try:
+            return ctypes.byref(ctypes.c_char.from_buffer(array.data))  # the quickest way
+        except (TypeError, ValueError):  # read-only or empty, or not contiguous: an error
+            return ctypes.c_void_p(address(array))
+
+
+class _Structure:
+    """A structure as an argument."""
+
+    @staticmethod
+    def from_param(structure: ctypes.Structure) -> Any:
+        """Return what is passed to a function."""
+        return ctypes.byref(structure)
+
+
+_TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": _Doubles, "s": _Structure}
+
+
+def address(array: np.ndarray) -> int:
+    """Return where an array of doubles begins, for a structure whose owner keeps it alive."""
+    assert array.dtype == np.float64
+    assert array.flags.c_contiguous
+    return int(array.ctypes.data)
 
 
 def compiled() -> ctypes.CDLL | None:
@@ -52,13 +84,6 @@ def compiled() -> ctypes.CDLL | None:
 def why_not() -> str | None:
     """Return why there is no compiled code, in words; None where there is."""
     return _load()[1]
-
-
-def address(array: np.ndarray) -> int:
-    """Return where an array of doubles begins, for a function that takes it row by row."""
-    assert array.dtype == np.float64
-    assert array.flags.c_contiguous
-    return int(array.__array_interface__["data"][0])
 
 
 @lru_cache(maxsize=1)

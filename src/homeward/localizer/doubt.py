@@ -7,12 +7,9 @@ the information in the mean is taken out again, down to a share of `LEAST_SHARE`
 
 from __future__ import annotations
 
-import math
-from ctypes import addressof
-
 import numpy as np
 
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.linear import Linear
 from homeward.localizer.problem import HEAD
 
@@ -35,8 +32,21 @@ def doubt(
         What is known, corrected by the set.
     information : ndarray, shape (3, 3)
         On home.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If home is not fixed.
     """
-    left = information + linear.problem.vague
+    native, problem, q = compiled(), linear.problem, right.size
+    if native is not None:
+        found = np.empty((3, 3))
+        of_set = (linear.at, right.astype(float), known, linear.spread)
+        told = (information, problem.vague, np.empty(14 * q), found)
+        if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *told):
+            raise np.linalg.LinAlgError("home is not fixed")
+        return found
+    left = information + problem.vague
     left[:2, :2] -= _by_chance(information, _bend(linear, right, known))
     return np.asarray(np.linalg.inv(left) - np.linalg.inv(information))
 
@@ -47,13 +57,9 @@ def _by_chance(information: np.ndarray, bend: np.ndarray) -> np.ndarray:
     In axes in which the information on the place, the heading being unknown, is a unit matrix, the
     shares that are there by chance are the eigenvalues of `bend`.
     """
-    place = (
-        information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / (information[2, 2])
-    )
-    (a, _), (b, d) = place.tolist()
-    a = math.sqrt(a)
-    b /= a
-    root = np.array([[a, 0.0], [b, math.sqrt(d - b * b)]])
+    by_heading = information[:2, 2]
+    place = information[:2, :2] - np.outer(by_heading, by_heading) / information[2, 2]
+    root = np.linalg.cholesky(place)
     inverse = np.linalg.inv(root)
     shares, axes = np.linalg.eigh(inverse @ bend @ inverse.T)
     kept = root @ axes
@@ -62,19 +68,12 @@ def _by_chance(information: np.ndarray, bend: np.ndarray) -> np.ndarray:
 
 def _bend(linear: Linear, right: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the information (2, 2) that the landmarks' own errors add by bending bearings."""
-    problem, q = linear.problem, right.size
-    native = compiled()
-    if native is not None:
-        found = np.empty((2, 2))
-        given = (linear.at, right.astype(float), known, linear.spread, np.empty(14 * q), found)
-        native.bend_home(addressof(problem.in_c), *map(address, given))
-        return found
     d = known[HEAD:].reshape(-1, 2)[right] - linear.at[:2]
     square = np.maximum((d**2).sum(axis=1), 1e-4)
     a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
     curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
     of_set = np.repeat(np.concatenate([np.zeros(HEAD // 2, bool), right]), 2)
-    errors = _own_errors(d, problem.covariance[of_set][:, of_set])
+    errors = _own_errors(d, linear.problem.covariance[of_set][:, of_set])
     weighed = errors / linear.spread.diagonal()[right, None, None]
     return np.asarray((curvature @ weighed @ curvature).sum(axis=0))
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from ctypes import addressof
-
 import numpy as np
 
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.home import HomeFit
 from homeward.localizer.linear import Linear, linearised
 from homeward.localizer.problem import HomeProblem
@@ -58,7 +56,7 @@ def _iterated(
     found = information, precision, step, log_volume = _room(q)
     given = (right.astype(float), at, *room, *arrays, *found)
     settings = (steps, LONGEST_STEP_M, SETTLED)
-    if native.fit_home(addressof(problem.in_c), *settings, *map(address, given)):
+    if native.fit_home(problem.in_c, *settings, *given):
         return None
     return HomeFit(linear, right, step, precision, information, float(log_volume[0]))
 
@@ -89,8 +87,7 @@ def solved(linear: Linear, right: np.ndarray, doubt: np.ndarray | None = None) -
             return None
     else:
         given = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
-        told = (*map(address, given), LONGEST_STEP_M, *map(address, found))
-        if native.solve_home(addressof(problem.in_c), *told):
+        if native.solve_home(problem.in_c, *given, LONGEST_STEP_M, *found):
             return None
     return HomeFit(linear, right, step, precision, information, float(log_volume[0]), doubt)
 

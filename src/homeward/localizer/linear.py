@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from ctypes import addressof
 from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.problem import HEAD, YAW, HomeProblem
 
 
@@ -88,5 +87,5 @@ def _linear(
             spread -= correlated[:, YAW, None]
         spread[np.arange(q), np.arange(q)] += problem.sigmas**2
     else:
-        native.spread_home(addressof(problem.in_c), *map(address, (by_place, correlated, spread)))
+        native.spread_home(problem.in_c, by_place, correlated, spread)
     return Linear(problem, home, residual, by_place, by_home, correlated, spread)

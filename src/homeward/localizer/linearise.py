@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.chain import NormalEquations
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.marginal import TRUSTED
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
@@ -38,7 +38,7 @@ def add_odometry(
     if native is not None:
         sums = (e.own, e.next, e.shared, e.common, e.slope, e.common_slope)
         told = (poses, _turns(poses), calibration, steps, *sums)
-        native.add_odometry(len(poses), len(e.common), *map(address, told))
+        native.add_odometry(len(poses), len(e.common), *told)
         return
     a, b = poses[:-1], poses[1:]
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -101,7 +101,7 @@ def add_sightings(
     if native is not None:
         sums = (e.own, e.shared, e.common, e.slope, e.common_slope)
         told = (poses, _turns(poses), calibration, positions, rows, *sums)
-        if native.add_sightings(w, n, m, first, TRUSTED, *map(address, told)):
+        if native.add_sightings(w, n, m, first, TRUSTED, *told):
             raise IndexError("a sighting from no pose, or of no landmark")
         return
     pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
 
@@ -66,7 +66,7 @@ class Marginal:
         native = compiled()
         if native is not None:
             told = (motion.delta, motion.covariance, motion.jacobian, calibration)
-            native.move_on(mean.size, *map(address, (*told, mean, covariance)))
+            native.move_on(mean.size, *told, mean, covariance)
             return Marginal(mean, covariance)
         x, y, psi = self.mean[:3].tolist()
         c, s = math.cos(psi), math.sin(psi)
@@ -99,7 +99,7 @@ class Marginal:
             correlated, spread = np.empty((m, size)), np.empty((m, m))
             found = (residual, jacobian, correlated, spread)
             told = (self.mean, self.covariance, rows, *found)
-            if native.predict(size, m, *map(address, told)):
+            if native.predict(size, m, *told):
                 raise IndexError("a sighting of no landmark")
             return Prediction(*found)
         number = rows[:, LANDMARK].astype(int)
@@ -131,7 +131,7 @@ class Marginal:
         native = compiled()
         if native is not None:
             told = (seen.residual.copy(), seen.correlated.copy(), spread, mean, covariance)
-            if native.correct(mean.size, len(spread), *map(address, told)):
+            if native.correct(mean.size, len(spread), *told):
                 raise np.linalg.LinAlgError("the sightings have no spread")
             return Marginal(mean, covariance)
         gain = np.linalg.solve(spread, seen.correlated)

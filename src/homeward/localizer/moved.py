@@ -63,7 +63,7 @@ class Hypotheses:
         if len(self.fits) == 1:
             return 0.0
         best = self.best
-        spread = np.linalg.inv(best.covariance[:3, :3] + 1e-12 * np.eye(3))
+        spread = np.linalg.inv(best.spread + 1e-12 * np.eye(3))
         total = 0.0
         for other, weight in zip(self.fits[1:], self.weights[1:], strict=True):
             d = other.home - best.home

@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 
 from homeward.drives.drive import OdometryNoise
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.settings import OdometryDefaults
 
 CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "camera_yaw")
@@ -123,7 +123,7 @@ def integrate(
         covariance, jacobian = np.empty((3, 3)), np.empty((3, len(CALIBRATION)))
         given, found = (pieces, calibration, rates), (delta, covariance, jacobian, lengths, by_bend)
         figures = (straightest, LOST_SPEED, LOST_TURN, BEND, BENDS)
-        native.integrate(len(pieces), *map(address, given), *figures, *map(address, found))
+        native.integrate(len(pieces), *given, *figures, *found)
         return Motion(delta, covariance, jacobian, *lengths.tolist()), by_bend
     lost, dt, v, omega = pieces.T
     moving = (v != 0.0) | (omega != 0.0)

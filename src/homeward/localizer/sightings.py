@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.preintegration import CALIBRATION, CAMERA_YAW, Motion
 
 NC = len(CALIBRATION)
@@ -116,7 +116,7 @@ def bearing_residuals(
     if native is not None:
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), 5 + NC))
         told = (poses, calibration, positions, rows, residual, jacobian)
-        native.residuals(len(rows), *map(address, told))
+        native.residuals(len(rows), *told)
         return residual, jacobian
     arms = _arms(rows, poses, calibration)
     sight = positions - poses[:, :2] - arms[:, :2]

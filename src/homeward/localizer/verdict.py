@@ -7,13 +7,12 @@ different size compare fairly; for wrong bearings see `faults`.
 from __future__ import annotations
 
 import math
-from ctypes import addressof
 from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
-from homeward.localizer.compiled import address, compiled
+from homeward.localizer.compiled import compiled
 from homeward.localizer.faults import SCALE, UNIFORM_FROM, log_odds, log_wrong
 from homeward.localizer.linear import Linear
 
@@ -52,14 +51,8 @@ def judged(
         found = innovation, variance, odds, evidence = (*np.empty((3, q)), np.empty(1))
         fit = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
         given = (information, precision, step)
-        if native.judge_home(
-            addressof(problem.in_c),
-            SCALE,
-            UNIFORM_FROM,
-            *map(address, (*fit, *given)),
-            log_volume,
-            *map(address, (np.empty(4 * q), *found)),
-        ):
+        told = (*given, log_volume, np.empty(4 * q), *found)
+        if native.judge_home(problem.in_c, SCALE, UNIFORM_FROM, *fit, *told):
             raise np.linalg.LinAlgError("home is not fixed")
         return Verdict(innovation, variance, odds, float(evidence[0]))
     innovation, variance = _innovations(linear, right, step, precision, information)

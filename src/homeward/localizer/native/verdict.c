@@ -102,8 +102,8 @@ static void rigid_basis(long q, const double *right, const double *d, double *ba
 /* Sum over a set, of landmarks corrected to `known` (size) and seen from `at` (3): how their own
  * errors, without what moves or turns all alike, bend their bearings' information (2, 2) on home's
  * place. `scratch` has room for 14 q. */
-void bend_home(const Problem *p, const double *at, const double *right, const double *known,
-               const double *spread, double *scratch, double *chance) {
+static void bend_home(const Problem *p, const double *at, const double *right, const double *known,
+                      const double *spread, double *scratch, double *chance) {
   const long q = p->q, size = p->size;
   double *d = scratch, *basis = d + 2 * q, *with = basis + 6 * q, inner[3][3] = {{0.0}};
   for (long i = 0; i < 2 * q; i++) d[i] = known[PLACES + i] - at[i % 2];
@@ -140,6 +140,44 @@ void bend_home(const Problem *p, const double *at, const double *right, const do
             chance[2 * u + v] +=
                 curvature[u][k] * own[k][l] * curvature[l][v] / spread[(q + 1) * i];
   }
+}
+
+/* How much of the information (3, 3) on home's place is there by chance (2, 2): `bend`, but of
+ * nothing more than a share of `most`. */
+static void by_chance(const double *information, const double *bend, double most, double *chance) {
+  const double *m = information, at = m[2] / m[8], along = m[5] / m[8];
+  const double a = sqrt(m[0] - at * m[2]), b = (m[1] - at * m[5]) / a;
+  const double d = sqrt(m[4] - along * m[5] - b * b), root[2][2] = {{a, 0.0}, {b, d}};
+  /* In axes in which that information is a unit matrix. */
+  const double under[2] = {(bend[2] - b * bend[0] / a) / d, (bend[3] - b * bend[1] / a) / d};
+  const double xx = bend[0] / (a * a), xy = under[0] / a, yy = (under[1] - b * xy) / d;
+  const double mean = 0.5 * (xx + yy), half = 0.5 * (xx - yy), off = hypot(half, xy);
+  const double first = fmin(mean + off, most), second = fmin(mean - off, most);
+  const double same = 0.5 * (first + second);
+  const double ratio = off > 0.0 ? 0.5 * (first - second) / off : 0.0;
+  const double kept[2][2] = {{same + ratio * half, ratio * xy}, {ratio * xy, same - ratio * half}};
+  memset(chance, 0, 4 * sizeof(double));
+  for (int i = 0; i < 2; i++)
+    for (int j = 0; j < 2; j++)
+      for (int k = 0; k < 2; k++)
+        for (int l = 0; l < 2; l++) chance[2 * i + j] += root[i][k] * kept[k][l] * root[j][l];
+}
+
+/* Covariance of home (3, 3) beyond the inverse of the information (3, 3) on it, of which a share of
+ * `most` may be there by chance, and `vague` (3, 3) is there always; else see bend_home. 1 if home
+ * is not fixed. */
+int doubt_home(const Problem *p, double most, const double *at, const double *right,
+               const double *known, const double *spread, const double *information,
+               const double *vague, double *scratch, double *doubt) {
+  double bend[4], chance[4], left[9], inverse[9];
+  bend_home(p, at, right, known, spread, scratch, bend);
+  by_chance(information, bend, most, chance);
+  for (int k = 0; k < 9; k++) left[k] = information[k] + vague[k];
+  for (int i = 0; i < 2; i++)
+    for (int j = 0; j < 2; j++) left[3 * i + j] -= chance[2 * i + j];
+  if (invert(left, doubt) || invert(information, inverse)) return 1;
+  for (int k = 0; k < 9; k++) doubt[k] -= inverse[k];
+  return 0;
 }
 
 /* The newest pose in the home frame (3), its heading not wrapped, and the covariance of that
