@@ -1,0 +1,24 @@
+"""What keeps the front-end quick."""
+
+import platform
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from homeward.vision import Equirectangular, look
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library's memory")
+def test_memory_is_not_taken_anew_for_every_image():
+    from resource import RUSAGE_SELF, getrusage
+
+    image = np.random.default_rng(0).integers(0, 256, (128, 512), dtype=np.uint8)
+    pages = []
+    for _ in range(4):
+        before = getrusage(RUSAGE_SELF).ru_minflt
+        look(image, Equirectangular())
+        pages.append(getrusage(RUSAGE_SELF).ru_minflt - before)
+    # Pyramids are some 20 MB.
+    assert min(pages) < 1000, pages
