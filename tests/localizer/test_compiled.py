@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from homeward.drives.drive import OdometryNoise
+from homeward.engine.native.program import Array
 from homeward.localizer import (
     answer,
     chain,
@@ -250,7 +251,7 @@ def test_arguments_are_doubles_row_by_row_and_outlive_the_call():
     fixed = np.arange(12.0)
     fixed.flags.writeable = False
     for array in (fixed, np.zeros((0, 3))):
-        assert compiled._Doubles.from_param(array).value == array.ctypes.data
+        assert Array(np.float64).from_param(array).value == array.ctypes.data
 
 
 def test_without_a_compiler_the_user_is_told(monkeypatch):

@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import ctypes
 from functools import lru_cache
-from importlib.resources import files
-from typing import Any
-
-import numpy as np
 
 from homeward.engine.native.compiler import NativeError
-from homeward.engine.native.library import load
+from homeward.engine.native.program import program
 
 SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "verdict.c", "motion.c")
 """Of one program, in this order."""
@@ -44,38 +40,6 @@ MAY_FAIL = (
 """Those that return 0, or 1 where an index is out of range or a matrix not positive definite."""
 
 
-class _Doubles:
-    """An array of doubles as an argument, taken row by row."""
-
-    @staticmethod
-    def from_param(array: np.ndarray) -> Any:
-        """Return what is passed to a function; the call itself keeps the array alive."""
-        assert array.dtype == np.float64
-        try:
-            return ctypes.byref(ctypes.c_char.from_buffer(array.data))  # the quickest way
-        except (TypeError, ValueError):  # read-only or empty, or not contiguous: an error
-            return ctypes.c_void_p(address(array))
-
-
-class _Structure:
-    """A structure as an argument."""
-
-    @staticmethod
-    def from_param(structure: ctypes.Structure) -> Any:
-        """Return what is passed to a function."""
-        return ctypes.byref(structure)
-
-
-_TYPES = {"i": ctypes.c_long, "d": ctypes.c_double, "a": _Doubles, "s": _Structure}
-
-
-def address(array: np.ndarray) -> int:
-    """Return where an array of doubles begins, for a structure whose owner keeps it alive."""
-    assert array.dtype == np.float64
-    assert array.flags.c_contiguous
-    return int(array.ctypes.data)
-
-
 def compiled() -> ctypes.CDLL | None:
     """Return the compiled functions; None where there is no compiler, or it fails."""
     return _load()[0]
@@ -88,14 +52,7 @@ def why_not() -> str | None:
 
 @lru_cache(maxsize=1)
 def _load() -> tuple[ctypes.CDLL | None, str | None]:
-    folder = files("homeward.localizer").joinpath("native")
-    source = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES)
     try:
-        functions = load(source).functions
+        return program("homeward.localizer", SOURCES, FUNCTIONS, MAY_FAIL), None
     except NativeError as error:
         return None, f"No compiled code ({error}): NumPy does it, which takes half as long again."
-    for name, kinds in FUNCTIONS.items():
-        function = getattr(functions, name)
-        function.argtypes = tuple(_TYPES[kind] for kind in kinds)
-        function.restype = ctypes.c_int if name in MAY_FAIL else None
-    return functions, None

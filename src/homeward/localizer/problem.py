@@ -11,8 +11,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
+from homeward.engine.native.program import address
 from homeward.frames import from_polar, inverse, polar_covariance_to_pose
-from homeward.localizer.compiled import address
 from homeward.localizer.resection import REACH
 
 HEAD = 4

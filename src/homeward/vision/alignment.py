@@ -10,10 +10,12 @@ off, and that an edge of something near before something far away is no place at
 
 from __future__ import annotations
 
+from ctypes import CDLL
 from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.vision.compiled import compiled
 from homeward.vision.picture import Picture
 
 HALF = 6
@@ -29,6 +31,8 @@ SHAPE = 0.3
 """How far the map may be from the features' own size and turn, as a standard deviation [1]."""
 LONGEST_STEP = 0.5
 """In radii, so that nothing jumps."""
+LEAST_AREA = 0.01
+"""To which one step may shrink a patch [1]."""
 LEAST_LIKENESS = 0.8
 """Correlation below which the two patches do not show the same."""
 LONGEST_SHIFT = 0.5
@@ -43,6 +47,10 @@ _across, _down = (
 _GRID = np.stack([_across, _down, np.ones_like(_across)])
 _ROOT = np.exp(-(_across**2 + _down**2) / (4 * WINDOW**2))
 _ROOT /= np.linalg.norm(_ROOT)
+_GRIDS = np.pad(np.stack([_across, _down, _ROOT]), [(0, 0), (0, -_ROOT.size % 16)])
+"""For compiled code, which sums up sixteen numbers at a time."""
+_PRIOR = np.array([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
+"""Information on a step: of the shift nothing is known beforehand."""
 
 
 @dataclass(frozen=True)
@@ -84,29 +92,69 @@ def align(
         And how far it is turned, clockwise [rad].
     """
     radius = np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times
-    patch, slopes = _template(home, at_home, radius)
-    prior = np.diag([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
-    information = slopes.swapaxes(1, 2) @ slopes + prior
-    start = _similarity(at_now, radius * growth, turn)
-    back, carried = np.linalg.inv(start[:, :, :2]), start
-    for _ in range(STEPS):
-        off = _normal(now.sample(carried @ _GRID, radius * growth / HALF))[0] - patch
-        gradient = (off[:, None, :] @ slopes)[:, 0]
-        gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) @ prior[2:, 2:]
-        step = np.linalg.solve(information, gradient[..., None])[..., 0]
-        carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
-    laid = _normal(now.sample(carried @ _GRID, radius * growth / HALF))[0]
-    likeness = (laid * patch).sum(axis=1)
+    reach = radius * growth
+    start = _similarity(at_now, reach, turn)
+    carried, likeness, spread = _lay(home, now, at_home, radius, start, reach)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
-    spread = np.linalg.eigvalsh(np.linalg.inv(information)[:, :2, :2])[:, 1]
-    noise = radius * growth * np.sqrt(left * spread)
     shift = np.hypot(*(carried[:, :, 2] - at_now).T)
     return Alignment(
         column=carried[:, 0, 2],
         row=carried[:, 1, 2],
-        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * noise),
-        found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * radius * growth),
+        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * reach * np.sqrt(left * spread)),
+        found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
     )
+
+
+def _lay(
+    home: Picture,
+    now: Picture,
+    at: np.ndarray,
+    radius: np.ndarray,
+    start: np.ndarray,
+    reach: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
+
+    That is how alike patches then are, (n,), and the larger variance of each place, (n,) [radii^2],
+    for noise of a variance of one in the grey values.
+    """
+    native = compiled()
+    if native is not None:
+        return _lay_compiled(native, home, now, at, radius, start, reach)
+    patch, slopes = _template(home, at, radius)
+    information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
+    back, carried = np.linalg.inv(start[:, :, :2]), start
+    for _ in range(STEPS):
+        off = _normal(now.sample(carried @ _GRID, reach / HALF))[0] - patch
+        gradient = (off[:, None, :] @ slopes)[:, 0]
+        gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
+        step = np.linalg.solve(information, gradient[..., None])[..., 0]
+        carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
+    laid = _normal(now.sample(carried @ _GRID, reach / HALF))[0]
+    spread = np.linalg.eigvalsh(np.linalg.inv(information)[:, :2, :2])[:, 1]
+    return carried, (laid * patch).sum(axis=1), spread
+
+
+def _lay_compiled(
+    native: CDLL,
+    home: Picture,
+    now: Picture,
+    at: np.ndarray,
+    radius: np.ndarray,
+    start: np.ndarray,
+    reach: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_lay` does, in compiled code."""
+    pictures = [(len(p.levels), p.table(), p.layout()) for p in (home, now)]
+    limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
+    told = [np.array(a, float, order="C") for a in (at, radius, reach, start)]
+    likeness, spread = np.empty((2, len(at)))
+    if native.lay(
+        *(len(at), _GRIDS.shape[1], STEPS, limits, _PRIOR, _GRIDS),
+        *(*pictures[0], *pictures[1], *told, likeness, spread),
+    ):
+        raise ValueError("patches that cannot be laid")
+    return told[-1], likeness, spread
 
 
 def _template(home: Picture, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,10 +186,13 @@ def _similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarr
 
 def _undone(step: np.ndarray) -> np.ndarray:
     """Return the inverse, (n, 3, 3), of the map that a step stands for."""
-    matrix = np.zeros((len(step), 3, 3)) + np.eye(3)
-    matrix[:, :2, :2] += step[:, 2:].reshape(-1, 2, 2)
-    matrix[:, :2, 2] = step[:, :2]
-    return np.asarray(np.linalg.inv(matrix))
+    x, y, a, b, c, d = (step + np.array([0, 0, 1, 0, 0, 1])).T
+    area = np.maximum(a * d - b * c, LEAST_AREA)
+    inverse = np.zeros((len(step), 3, 3))
+    inverse[:, 0] = np.column_stack([d, -b, b * y - d * x]) / area[:, None]
+    inverse[:, 1] = np.column_stack([-c, a, c * x - a * y]) / area[:, None]
+    inverse[:, 2, 2] = 1.0
+    return inverse
 
 
 def _normal(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

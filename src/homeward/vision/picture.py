@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.engine.native.program import address
 from homeward.vision.opencv import opencv
 
 LEVELS = 3
@@ -40,6 +41,15 @@ class Picture:
         for _ in range(LEVELS - 1):
             levels.append(cv2.pyrDown(levels[-1]))
         return cls(tuple(levels), times, width, around * times)
+
+    def table(self) -> np.ndarray:
+        """Return of each level address, height and width, (levels, 3) int64: for compiled code."""
+        rows = [(address(grey, np.float32), *grey.shape) for grey in self.levels]
+        return np.array(rows, np.int64)
+
+    def layout(self) -> np.ndarray:
+        """Return the numbers `times`, `width` and `margin`: for compiled code."""
+        return np.array([self.times, self.width, self.margin], float)
 
     def sample(self, points: np.ndarray, spacing: np.ndarray) -> np.ndarray:
         """Return grey values between pixels.

@@ -1,0 +1,80 @@
+"""The compiled loops say what NumPy says, and without a compiler NumPy says it."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from homeward.vision import Equirectangular, alignment, compare, compiled, look
+from homeward.vision.alignment import align
+from homeward.vision.picture import Picture
+
+ROOMS = (alignment,)
+
+pytestmark = pytest.mark.skipif(
+    compiled.compiled() is None, reason="no C compiler, nothing to compare"
+)
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """A function that calls another one compiled, then with NumPy, and returns both answers."""
+
+    def call(function, *arguments):
+        native = function(*arguments)
+        with monkeypatch.context() as patch:
+            for room in ROOMS:
+                patch.setattr(room, "compiled", lambda: None)
+            return native, function(*arguments)
+
+    return call
+
+
+def blots(rng, shape):
+    """A panorama of smooth blots."""
+    import cv2
+
+    noise = rng.normal(0, 600, shape).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 4.0, borderType=cv2.BORDER_REFLECT)
+    return np.clip(128 + smooth, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("shape", [(96, 256), (3, 5), (1, 4), (25, 120), (40, 700)])
+def test_patches_are_laid_alike(both, shape, times):
+    rng, n = np.random.default_rng(0), 60
+    home = blots(rng, shape)
+    now = np.roll(home, 3, axis=1)
+    at = rng.uniform(-0.5, 0.5, (n, 2)) * [shape[1], shape[0]] + np.array(shape[::-1]) / 2
+    size, growth, turn = rng.uniform(0.5, 12, n), rng.uniform(0.7, 1.4, n), rng.normal(0, 0.2, n)
+    there = at + rng.normal([3, 0], 0.5, (n, 2))
+    told = (Picture.of(home, times), Picture.of(now, times), at, there, size, growth, turn)
+    native, plain = both(align, *told)
+    # Where the two do not look alike, small differences grow from step to step.
+    assert np.mean(native.found == plain.found) > 0.98
+    same = native.found & plain.found
+    assert np.abs(native.column - plain.column)[same].max(initial=0) < 5e-3
+    assert np.abs(native.row - plain.row)[same].max(initial=0) < 5e-3
+    assert np.abs(native.sigma / plain.sigma - 1)[same].max(initial=0) < 5e-3
+    assert min(shape) < 25 or same.sum() > n / 2
+
+
+def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):
+    rng = np.random.default_rng(1)
+    picture = Picture.of(blots(rng, (50, 120)))
+    far = rng.choice([-1e9, -300.0, 0.0, 1e5, 1e12], (40, 2))
+    growth = rng.choice([1e-3, 1.0, 30.0], 40)
+    for laid in both(align, picture, picture, far, -far, np.full(40, 4.0), growth, far[:, 0]):
+        assert np.isfinite(laid.column).all()
+
+
+def test_comparisons_are_alike(both):
+    rng = np.random.default_rng(2)
+    image = blots(rng, (128, 512))
+    views = [look(np.roll(image, shift, axis=1), Equirectangular()) for shift in (0, 40)]
+    native, plain = both(compare, *views, Equirectangular())
+    assert native.accepted
+    assert plain.accepted
+    assert np.array_equal(native.agrees, plain.agrees)
+    assert native.heading == pytest.approx(plain.heading, abs=1e-4)
+    assert native.covariance == pytest.approx(plain.covariance, rel=0.02)
