@@ -5,11 +5,21 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from homeward.vision import Equirectangular, alignment, compare, compiled, look
+from homeward.vision import (
+    Equirectangular,
+    alignment,
+    compare,
+    compiled,
+    epipolar,
+    look,
+    refine,
+)
 from homeward.vision.alignment import align
+from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.picture import Picture
+from homeward.vision.refine import descend
 
-ROOMS = (alignment,)
+ROOMS = (alignment, epipolar, refine)
 
 pytestmark = pytest.mark.skipif(
     compiled.compiled() is None, reason="no C compiler, nothing to compare"
@@ -66,6 +76,48 @@ def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):
     growth = rng.choice([1e-3, 1.0, 30.0], 40)
     for laid in both(align, picture, picture, far, -far, np.full(40, 4.0), growth, far[:, 0]):
         assert np.isfinite(laid.column).all()
+
+
+def matches(rng, n):
+    """Matches, most of them possible for a small motion."""
+    home = np.column_stack([rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.3, n)])
+    now = home + rng.normal(0, 0.05, (n, 2))
+    sigmas = rng.uniform(0.001, 0.01, (2, n))
+    return Pairs(home, now, *sigmas, rng.normal(0, 0.3, n))
+
+
+@pytest.mark.parametrize("looseness", [0.0, 0.02])
+@pytest.mark.parametrize(("m", "n"), [(1, 1), (30, 60), (2, 0)])
+def test_residuals_are_alike(both, m, n, looseness):
+    rng = np.random.default_rng(n)
+    motions = rng.normal(0, 1, (m, 5)) * [3, 0.5, 0.05, 0.05, 0.05]
+    native, plain = both(residuals, motions, matches(rng, n), looseness)
+    assert np.allclose(native.value, plain.value, rtol=1e-9, atol=1e-9)
+    assert np.allclose(native.jacobian, plain.jacobian, rtol=1e-9, atol=1e-9)
+    assert np.array_equal(native.possible, plain.possible)
+    assert n < 60 or 0.1 < native.possible.mean() < 0.9
+
+
+def test_motions_are_fitted_alike(both):
+    rng, m, n = np.random.default_rng(0), 40, 50
+    starts = rng.normal(0, 1, (m, 5)) * [3, 0.5, 0.05, 0.05, 0.05]
+    kept = rng.random((m, n)) < 0.7
+    pairs = matches(rng, n)
+    for counts in (kept, 1.0):
+        native, plain = both(descend, starts, pairs, 0.02, counts)
+        # Some steps are hardly determined, and there rounding grows.
+        assert np.median(np.abs(native - plain).max(axis=1)) < 1e-12
+        assert np.abs(native - plain).max() < 1e-3
+
+
+def test_motions_without_matches_stay_where_they_are(both):
+    starts = np.array([[1.0, 2.0, 0.0, 0.0, 0.0]])
+    none = matches(np.random.default_rng(0), 0)
+    for fitted in both(descend, starts, none, 0.02):
+        assert np.allclose(fitted, starts)
+    some = matches(np.random.default_rng(0), 5)
+    for fitted in both(descend, starts, some, 0.02, np.zeros((1, 5))):
+        assert np.allclose(fitted, starts)
 
 
 def test_comparisons_are_alike(both):

@@ -96,11 +96,12 @@ def align(
     start = _similarity(at_now, reach, turn)
     carried, likeness, spread = _lay(home, now, at_home, radius, start, reach)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
+    noise = reach * np.sqrt(left * np.linalg.eigvalsh(spread)[:, 1])
     shift = np.hypot(*(carried[:, :, 2] - at_now).T)
     return Alignment(
         column=carried[:, 0, 2],
         row=carried[:, 1, 2],
-        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * reach * np.sqrt(left * spread)),
+        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * noise),
         found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
     )
 
@@ -115,8 +116,8 @@ def _lay(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
 
-    That is how alike patches then are, (n,), and the larger variance of each place, (n,) [radii^2],
-    for noise of a variance of one in the grey values.
+    That is how alike patches then are, (n,), and the covariance of places, (n, 2, 2) [radii^2], for
+    noise of a variance of one in the grey values.
     """
     native = compiled()
     if native is not None:
@@ -131,8 +132,7 @@ def _lay(
         step = np.linalg.solve(information, gradient[..., None])[..., 0]
         carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
     laid = _normal(now.sample(carried @ _GRID, reach / HALF))[0]
-    spread = np.linalg.eigvalsh(np.linalg.inv(information)[:, :2, :2])[:, 1]
-    return carried, (laid * patch).sum(axis=1), spread
+    return carried, (laid * patch).sum(axis=1), np.linalg.inv(information)[:, :2, :2]
 
 
 def _lay_compiled(
@@ -148,7 +148,7 @@ def _lay_compiled(
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (home, now)]
     limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
     told = [np.array(a, float, order="C") for a in (at, radius, reach, start)]
-    likeness, spread = np.empty((2, len(at)))
+    likeness, spread = np.empty(len(at)), np.empty((len(at), 2, 2))
     if native.lay(
         *(len(at), _GRIDS.shape[1], STEPS, limits, _PRIOR, _GRIDS),
         *(*pictures[0], *pictures[1], *told, likeness, spread),

@@ -12,11 +12,15 @@ from functools import lru_cache
 from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.program import program
 
-SOURCES = ("shared.h", "lay.c")
+SOURCES = ("shared.h", "lay.c", "fit.c")
 """Of one program, in this order."""
-FUNCTIONS = {"lay": "iii" + "aaf" + 2 * "ila" + 6 * "a"}
+FUNCTIONS = {
+    "lay": "iii" + "aaf" + 2 * "ila" + 6 * "a",
+    "residuals": "iiaadaaab",
+    "descend": "iii" + 5 * "a" + "dda",
+}
 """What the functions take, in order: see `program`."""
-MAY_FAIL = ("lay",)
+MAY_FAIL = ("lay", "descend")
 """Those that return 0, or 1 where a matrix is not positive definite."""
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.vision.camera import unit_vectors
+from homeward.vision.compiled import compiled
 
 
 class Motion(NamedTuple):
@@ -70,6 +71,12 @@ class Pairs:
         """Derivatives of `now_vectors` by azimuth and elevation."""
         return tangents(*self.now.T)
 
+    @cached_property
+    def table(self) -> np.ndarray:
+        """All of it, (n, 21): for compiled code."""
+        vectors = self.home_vectors, self.now_vectors, *self.home_tangents, *self.now_tangents
+        return np.column_stack([*vectors, self.home_sigma, self.now_sigma, self.growth])
+
     def __getitem__(self, rows: np.ndarray) -> Pairs:
         return Pairs(
             self.home[rows],
@@ -110,6 +117,8 @@ MOST_PARALLAX = np.radians(60.0)
 """From directions that differ by more than this [rad], nothing looks the same."""
 GROWTH = 0.5
 """How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
+LIMITS = np.array([IN_FRONT_SIGMAS, np.cos(MOST_PARALLAX), GROWTH])
+"""For compiled code."""
 
 
 def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Residuals:
@@ -124,7 +133,14 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     looseness : float
         A further error of each direction [rad].
     """
-    theta, alpha, roll, pitch, rise = np.atleast_2d(motions).T[..., None]
+    native = compiled()
+    if native is not None:
+        m, n = len(motions), len(pairs)
+        found = Residuals(np.empty((m, n)), np.empty((m, n, 5)), np.empty((m, n), bool))
+        told = np.array(motions, float, order="C")
+        native.residuals(m, n, told, pairs.table, looseness, LIMITS, *found)
+        return found
+    theta, alpha, roll, pitch, rise = motions.T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
     x1, x2 = _parts(pairs.home_vectors), _parts(pairs.now_vectors)
     leaned, by_roll, by_pitch = _leaned(x2, roll, pitch)

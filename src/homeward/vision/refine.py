@@ -8,11 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.epipolar import Motion, Pairs, Residuals, derivative_noise, residuals
+from homeward.vision.compiled import compiled
+from homeward.vision.epipolar import (
+    LIMITS,
+    Motion,
+    Pairs,
+    Residuals,
+    derivative_noise,
+    residuals,
+)
 
 LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
 """Of the matches, step by step, as a share of the tilt that is allowed for: a first guess fits far
 worse than places are known, and matches that strict would hold it where it is."""
+LONGEST_STEP = 0.3
+"""Where home is near, theta is hardly determined: no wild turns on the way [rad]."""
 SCALE = 3.0
 """Of the robust loss [standard deviations]."""
 INLIER = 3.0
@@ -81,7 +91,21 @@ def descend(
     counts : ndarray, shape (m, n), or 1
         What each match counts for in each of the fits.
     """
-    x, prior = np.array(starts), prior_information(tilt_sigma)
+    x, prior = np.array(starts, float, order="C"), prior_information(tilt_sigma)
+    if not _descended(x, pairs, tilt_sigma, counts, prior):
+        x = _steps(np.array(starts), pairs, tilt_sigma, counts, prior)
+    x[:, :2] = wrap(x[:, :2])
+    return x
+
+
+def _steps(
+    x: np.ndarray,
+    pairs: Pairs,
+    tilt_sigma: float,
+    counts: np.ndarray | float,
+    prior: np.ndarray,
+) -> np.ndarray:
+    """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
     for looseness in LOOSENESS:
         found = residuals(x, pairs, looseness * tilt_sigma)
         weight = _weight(found) * counts
@@ -89,10 +113,25 @@ def descend(
         normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
         gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
         step = np.linalg.solve(normal, gradient[..., None])[..., 0]
-        # Where home is near, theta is hardly determined: no wild turns on the way.
-        x = x - np.clip(step, -0.3, 0.3)
-    x[:, :2] = wrap(x[:, :2])
+        x = x - np.clip(step, -LONGEST_STEP, LONGEST_STEP)
     return x
+
+
+def _descended(
+    x: np.ndarray,
+    pairs: Pairs,
+    tilt_sigma: float,
+    counts: np.ndarray | float,
+    prior: np.ndarray,
+) -> bool:
+    """Do in place, in compiled code, what `_steps` does; False where that cannot be."""
+    native, shape = compiled(), (len(x), len(pairs))
+    if native is None:
+        return False
+    counted = np.array(np.broadcast_to(counts, shape), float, order="C")
+    looseness = np.array(LOOSENESS) * tilt_sigma
+    given = (counted, looseness, np.diag(prior).copy(), SCALE, LONGEST_STEP, LIMITS)
+    return not native.descend(*shape, len(looseness), x, pairs.table, *given)
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:

@@ -143,7 +143,7 @@ static void undo(const double *step, double least, double *map) {
 
 /* Lay n patches about places `at` (n, 2) of home, of some `radius` (n), onto the panorama now: maps
  * `carried` (n, 2, 3) begin as features say, with radius `reach` (n), and end where the patches
- * agree best. Also returned: how alike they then are, and the larger variance of the place for
+ * agree best. Also returned: how alike they then are, and the covariance (n, 2, 2) of the places for
  * noise of one grey value. 1 if some matrix is not positive definite. */
 int lay(long n, long points, long steps, const double *limits, const double *prior,
         const float *grids, long home_count, const int64_t *home_levels, const double *home_layout,
@@ -184,7 +184,10 @@ int lay(long n, long points, long steps, const double *limits, const double *pri
     double x[SHAPES] = {1.0}, y[SHAPES] = {0.0, 1.0};
     solve(root, x);
     solve(root, y);
-    spread[m] = 0.5 * (x[0] + y[1]) + hypot(0.5 * (x[0] - y[1]), x[1]);
+    for (int i = 0; i < 2; i++) {
+      spread[4 * m + i] = x[i];
+      spread[4 * m + 2 + i] = y[i];
+    }
   }
   return 0;
 }
