@@ -38,7 +38,9 @@ def match(a: np.ndarray, b: np.ndarray, ratio: float = RATIO) -> tuple[np.ndarra
 
 def _nearest(likeness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the column of each row's greatest value, and the ratio of the two least distances."""
-    best = likeness.argmax(axis=1)
-    two = np.partition(likeness, -2, axis=1)[:, -2:]
-    squared = np.maximum(2.0 - 2.0 * two, 1e-12)
-    return best, np.sqrt(squared[:, 1] / squared[:, 0])
+    rows, best = np.arange(len(likeness)), likeness.argmax(axis=1)
+    others = likeness.copy()
+    others[rows, best] = -np.inf
+    nearest, second = likeness[rows, best], others.max(axis=1)
+    squared = np.maximum(2.0 - 2.0 * np.stack([second, nearest]), 1e-12)
+    return best, np.sqrt(squared[1] / squared[0])
