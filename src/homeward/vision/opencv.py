@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from homeward.errors import InputError
 
-KEPT = 31 << 20
-"""Of memory [bytes]: just below the largest block by which the C library adapts itself."""
+KEPT = 256 << 20
+"""So much freed memory may stay with the process [bytes]."""
+LARGEST_BLOCK = 32 << 20
+"""Larger blocks come from the system and go back to it [bytes]: the most that glibc allows."""
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""In glibc's malloc.h."""
 
 
 def opencv() -> Any:
@@ -33,8 +37,10 @@ def opencv() -> Any:
 def _keep_memory() -> None:
     """Let the C library keep freed memory for the next image.
 
-    SIFT's pyramids are given back to the system after every image and taken again, page by page,
-    for the next one, which was a third of SIFT's time. glibc keeps twice the size of the largest
-    block that it has seen freed (mallopt(3), M_MMAP_THRESHOLD); elsewhere this does nothing.
+    SIFT's pyramids were given back to the system after every image and taken again, page by page,
+    for the next one: a third of SIFT's time. See mallopt(3); other C libraries do as they do.
     """
-    np.empty(KEPT, np.uint8)
+    with suppress(OSError, AttributeError, TypeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MMAP_THRESHOLD, LARGEST_BLOCK)
+        library.mallopt(_TRIM_THRESHOLD, KEPT)
