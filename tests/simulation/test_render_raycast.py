@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from homeward.simulation.render import raycast
+from homeward.simulation.render.compiled import compiled
 from homeward.simulation.render.raycast import cast, directions, points, trace, viewpoint
 from homeward.simulation.render.surfaces import Skin, Surfaces, block, rectangle, upright
 
@@ -104,6 +106,27 @@ def test_single_precision_sees_the_same_room():
     quick = cast(surfaces, view, azimuth, elevation, np.float32)
     np.testing.assert_allclose(quick.distance, exact.distance, rtol=1e-5)
     assert np.mean(quick.surface != exact.surface) < 1e-3
+
+
+@pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
+@pytest.mark.parametrize("height", [62, 14])
+def test_compiled_code_sees_the_same_room(monkeypatch, height):
+    parts = shell()
+    for i in range(3):
+        parts += block((4.0, 1.0 + i), 0.4, (0.4, 0.5, 0.9), 0.3, SKIN, 6 + i, i)
+    surfaces = Surfaces.joined(parts)
+    for heading in np.linspace(-3, 3, 7):
+        view = viewpoint(2.2, 1.3, 0.5, heading, 0.1, -0.05)
+        native = cast(surfaces, view, *panorama(128, height), np.float32)
+        with monkeypatch.context() as patch:
+            patch.setattr(raycast, "compiled", lambda: None)
+            plain = cast(surfaces, view, *panorama(128, height), np.float32)
+        same = native.surface == plain.surface
+        # On an edge, rounding decides.
+        assert same.mean() > 0.999
+        for field in ("distance", "across", "along"):
+            found, expected = getattr(native, field)[same], getattr(plain, field)[same]
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
 
 
 def test_turning_the_camera_rolls_the_image():

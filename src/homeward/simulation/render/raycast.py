@@ -17,11 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.simulation.render.compiled import compiled
+from homeward.simulation.render.projection import Projected, Window, project, windows
 from homeward.simulation.render.surfaces import Surfaces
-
-SLACK = 1e-6
-"""Rectangles reach so far beyond their edges, in tiles, lest a ray slips through where two meet."""
-
 
 TINY = 1e-30
 """No ray is seen to go so far as the inverse of this [m]."""
@@ -67,30 +65,6 @@ class Hits:
         return Hits(*(part[rows, columns] for part in parts))
 
 
-@dataclass(frozen=True)
-class _Projected:
-    """Those rectangles that face a camera, in its frame. Arrays over m of them."""
-
-    index: np.ndarray
-    matrix: np.ndarray
-    """(m, 3, 3), M."""
-    shift: np.ndarray
-    """(m, 2), added to q1 / q0 and q2 / q0."""
-    low: np.ndarray
-    """(m, 2), least tile coordinates."""
-    high: np.ndarray
-    """(m, 2), greatest tile coordinates."""
-    corners: np.ndarray
-    """(m, 4, 3), in the camera's frame [m]."""
-
-    def limits(self, dtype: type[np.floating]) -> list[list[float]]:
-        """Return shift, least and greatest tile coordinates of each, six numbers of a type."""
-        numbers: list[list[float]] = (
-            np.hstack([self.shift, self.low, self.high]).astype(dtype).tolist()
-        )
-        return numbers
-
-
 def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
     """Find what any rays meet.
 
@@ -104,8 +78,8 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
         In the camera's frame, of any length but 0.
     """
     hits = _nothing(directions.shape[:-1], np.float64)
-    projected = _project(surfaces, view)
-    limits = projected.limits(np.float64)
+    projected = project(surfaces, *view)
+    limits = projected.limits(np.float64).tolist()
     for k, index in enumerate(projected.index.tolist()):
         q = np.moveaxis(directions @ projected.matrix[k].T, -1, 0)
         _meet(hits, index, limits[k], q)
@@ -142,24 +116,44 @@ def cast(
     hits = _nothing((elevation.size, azimuth.size), dtype)
     flat = np.stack([np.cos(azimuth), np.sin(azimuth)])
     rise = np.tan(elevation)
-    projected = _project(surfaces, view)
-    windows, limits = _windows(projected, azimuth, elevation), projected.limits(dtype)
+    projected = project(surfaces, *view)
     by_column = (projected.matrix[:, :, :2] @ flat).astype(dtype)
     by_row = (projected.matrix[:, :, 2:] * rise).astype(dtype)
+    covered = windows(projected, azimuth, elevation)
+    if dtype is np.float32 and _cast_compiled(hits, projected, covered, by_column, by_row):
+        return hits
+    limits = projected.limits(dtype).tolist()
     # A level camera sees walls at distances that hang on the column alone, and floors on the row:
     # what hangs on one of them stays a line.
     flat_too = np.any(projected.matrix[:, :, :2] != 0, axis=2).tolist()
     rise_too = (projected.matrix[:, :, 2] != 0).tolist()
-    for k, index in enumerate(projected.index.tolist()):
-        rows, *columns = windows[k]
-        for part in columns:
-            across, down = by_column[k, :, None, part], by_row[k, :, rows, None]
-            q = [
-                across[i] + down[i] if c and r else across[i] if c else down[i]
-                for i, (c, r) in enumerate(zip(flat_too[k], rise_too[k], strict=True))
-            ]
-            _meet(hits.window(rows, part), index, limits[k], q)
+    for k, rows, part in covered:
+        across, down = by_column[k, :, None, part], by_row[k, :, rows, None]
+        q = [
+            across[i] + down[i] if c and r else across[i] if c else down[i]
+            for i, (c, r) in enumerate(zip(flat_too[k], rise_too[k], strict=True))
+        ]
+        _meet(hits.window(rows, part), int(projected.index[k]), limits[k], q)
     return hits
+
+
+def _cast_compiled(
+    hits: Hits,
+    projected: Projected,
+    covered: Sequence[Window],
+    by_column: np.ndarray,
+    by_row: np.ndarray,
+) -> bool:
+    """Find in place, in compiled code, what the rays of a picture meet; False where that fails."""
+    native, shape = compiled(), hits.distance.shape
+    if native is None:
+        return False
+    table = [(k, rows.start, rows.stop, part.start, part.stop) for k, rows, part in covered]
+    given = np.array(table, np.int64).reshape(-1, 5), projected.index.astype(np.int64)
+    limits, found = projected.limits(np.float32), (hits.distance, hits.across, hits.along)
+    sizes = len(covered), len(projected.index), *shape
+    failed = native.cast(*sizes, *given, by_column, by_row, limits, TINY, *found, hits.surface)
+    return not failed
 
 
 def points(hits: Hits, view: Viewpoint, directions: np.ndarray) -> np.ndarray:
@@ -186,7 +180,7 @@ def _nothing(shape: tuple[int, ...], dtype: type[np.floating]) -> Hits:
 def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarray]) -> None:
     """Keep those hits on a rectangle that are nearer than what was met before.
 
-    `q` are three arrays that broadcast to the shape of the hits, `limits` as in `_Projected`.
+    `q` are three arrays that broadcast to the shape of the hits, `limits` as in `Projected`.
     """
     shift_s, shift_t, s0, t0, s1, t1 = limits
     distance = np.reciprocal(np.maximum(q[0], hits.distance.dtype.type(TINY)))
@@ -202,89 +196,3 @@ def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarra
     np.copyto(hits.across, s, where=met)
     np.copyto(hits.along, t, where=met)
     np.copyto(hits.surface, index, where=met)
-
-
-def _project(surfaces: Surfaces, view: Viewpoint) -> _Projected:
-    """Return the rectangles that face the camera, in its frame."""
-    away = np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - view.position)
-    index = np.flatnonzero(away < -1e-9)
-    turn = view.rotation
-    corner = (surfaces.corner[index] - view.position) @ turn
-    right, up = surfaces.right[index] @ turn, surfaces.up[index] @ turn
-    tiles, low = surfaces.tiles[index], surfaces.offset[index]
-    normal = np.cross(right, up)
-    rows = np.stack(
-        [
-            normal / np.einsum("ni,ni->n", normal, corner)[:, None],
-            right * (tiles[:, 0] / np.einsum("ni,ni->n", right, right))[:, None],
-            up * (tiles[:, 1] / np.einsum("ni,ni->n", up, up))[:, None],
-        ],
-        axis=1,
-    )
-    shift = low - np.einsum("nki,ni->nk", rows[:, 1:], corner)
-    sides = np.stack([corner, corner + right, corner + right + up, corner + up], axis=1)
-    return _Projected(index, rows, shift, low - SLACK, low + tiles + SLACK, sides)
-
-
-def _windows(
-    projected: _Projected, azimuth: np.ndarray, elevation: np.ndarray
-) -> list[tuple[slice, ...]]:
-    """Return for each rectangle the rows, and the one or two runs of columns, that it can cover."""
-    w = azimuth.size
-    step = 2 * math.pi / w
-    first, turn = _azimuths(projected.corners)
-    lowest, highest = _elevations(projected.corners)
-    above, below = _covers_pole(projected, 1.0), _covers_pole(projected, -1.0)
-    highest[above], lowest[below] = np.pi, -np.pi
-    turn[above | below] = 2 * np.pi
-    # Rows and columns one beyond, so that rounding loses none.
-    top = np.maximum(np.searchsorted(-elevation, -highest) - 1, 0)
-    bottom = np.searchsorted(-elevation, -lowest, "right") + 1
-    count = np.ceil(turn / step).astype(int) + 3
-    left = (np.floor((azimuth[0] - first - turn) / step).astype(int) - 1) % w
-    found: list[tuple[slice, ...]] = []
-    for a, b, c, n in np.stack([top, bottom, left, count], axis=1).tolist():
-        if n >= w:
-            found.append((slice(a, b), slice(0, w)))
-        elif c + n <= w:
-            found.append((slice(a, b), slice(c, c + n)))
-        else:
-            found.append((slice(a, b), slice(c, w), slice(0, c + n - w)))
-    return found
-
-
-def _azimuths(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least azimuth of each rectangle (m, 4, 3) and how far it spreads on [rad]."""
-    angle = np.unwrap(np.arctan2(corners[..., 1], corners[..., 0]), axis=1)
-    return angle.min(axis=1), np.ptp(angle, axis=1)
-
-
-def _elevations(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return least and greatest elevation along the edges of rectangles (m, 4, 3) [rad].
-
-    An edge is an arc of a great circle: beside its ends, the circle's highest or lowest point can
-    lie on it.
-    """
-    ends = np.roll(corners, -1, axis=1)
-    axis = np.cross(corners, ends)
-    x, y, z = np.moveaxis(axis, -1, 0)
-    summit = np.stack([-x * z, -y * z, x * x + y * y], axis=-1)
-    after = np.einsum("mki,mki->mk", np.cross(corners, summit), axis)
-    before = np.einsum("mki,mki->mk", np.cross(summit, ends), axis)
-    slope = np.arctan2(summit[..., 2], np.hypot(summit[..., 0], summit[..., 1]))
-    angle = np.arctan2(corners[..., 2], np.hypot(corners[..., 0], corners[..., 1]))
-    highest = np.where((after > 0) & (before > 0), slope, angle)
-    lowest = np.where((after < 0) & (before < 0), -slope, angle)
-    return (
-        np.minimum(lowest, angle).min(axis=1),
-        np.maximum(highest, angle).max(axis=1),
-    )
-
-
-def _covers_pole(projected: _Projected, pole: float) -> np.ndarray:
-    """Say of each rectangle whether the ray straight up (pole 1) or down (-1) meets it."""
-    q = projected.matrix[:, :, 2] * pole
-    with np.errstate(divide="ignore", invalid="ignore"):
-        place = q[:, 1:] / q[:, :1] + projected.shift
-    inside = (place >= projected.low) & (place <= projected.high)
-    return np.asarray((q[:, 0] > 0) & inside.all(axis=1))
