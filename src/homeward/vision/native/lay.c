@@ -32,22 +32,16 @@ static void subtract(long n, float times, const float *known, float *from) {
   for (long i = 0; i < n; i++) from[i] -= times * known[i];
 }
 
-/* Grey values at the points of a grid that `map` (2, 3) carries into the picture. */
-static void sample(const Picture *p, const Grid *grid, const double *map, double spacing,
-                   float *grey) {
-  const long k = (long)clipped(rint(log2(spacing * p->times)), 0.0, (double)(p->count - 1));
-  const float *values = (const float *)(intptr_t)p->levels[k][0];
-  const int height = (int)p->levels[k][1], width = (int)p->levels[k][2];
-  const double around = floor((map[2] + 0.5) / p->width) * p->width;
-  const double part = 1.0 / (double)(1L << k), scale = p->times * part;
-  const float x0 = (float)((map[2] - around + 0.5) * scale - (0.5 - p->margin) * part);
-  const float y0 = (float)((map[5] + 0.5) * scale - 0.5 * part);
-  const float xu = (float)(map[0] * scale), xv = (float)(map[1] * scale);
-  const float yu = (float)(map[3] * scale), yv = (float)(map[4] * scale);
+/* Values (height, width) between pixels, at n places that `map` (2, 3) makes of across and down.
+ * Not inlined: compilers then still know that arrays do not overlap, and take several at once. */
+__attribute__((noinline)) static void interpolate(long n, const float *restrict across,
+                                                  const float *restrict down, const float *map,
+                                                  const float *restrict values, int height,
+                                                  int width, float *restrict found) {
+  const float xu = map[0], xv = map[1], x0 = map[2], yu = map[3], yv = map[4], y0 = map[5];
   const float last = (float)(width - 1), lowest = (float)(height - 1);
-  for (long i = 0; i < grid->points; i++) {
-    const float u = grid->across[i], v = grid->down[i];
-    float x = xu * u + (xv * v + x0), y = yu * u + (yv * v + y0);
+  for (long i = 0; i < n; i++) {
+    float x = xu * across[i] + (xv * down[i] + x0), y = yu * across[i] + (yv * down[i] + y0);
     x = x > 0.0f ? x : 0.0f; /* NaN: 0 */
     y = y > 0.0f ? y : 0.0f;
     x = x < last ? x : last;
@@ -58,8 +52,25 @@ static void sample(const Picture *p, const Grid *grid, const double *map, double
     const float upper = values[top * width + left], lower = values[below * width + left];
     const float high = upper + a * (values[top * width + right] - upper);
     const float low = lower + a * (values[below * width + right] - lower);
-    grey[i] = high + b * (low - high);
+    found[i] = high + b * (low - high);
   }
+}
+
+/* Grey values at the points of a grid that `map` (2, 3) carries into the picture. */
+static void sample(const Picture *p, const Grid *grid, const double *map, double spacing,
+                   float *grey) {
+  const long k = (long)clipped(rint(log2(spacing * p->times)), 0.0, (double)(p->count - 1));
+  const double around = floor((map[2] + 0.5) / p->width) * p->width;
+  const double part = 1.0 / (double)(1L << k), scale = p->times * part;
+  const double x0 = (map[2] - around + 0.5) * scale - (0.5 - p->margin) * part;
+  const double y0 = (map[5] + 0.5) * scale - 0.5 * part;
+  const float carry[6] = {
+      (float)(map[0] * scale), (float)(map[1] * scale), (float)x0,
+      (float)(map[3] * scale), (float)(map[4] * scale), (float)y0,
+  };
+  const float *values = (const float *)(intptr_t)p->levels[k][0];
+  interpolate(grid->points, grid->across, grid->down, carry, values, (int)p->levels[k][1],
+              (int)p->levels[k][2], grey);
 }
 
 /* Weigh a patch, and give it zero mean and unit length; returned is the length that it had. */
