@@ -12,10 +12,11 @@ from functools import lru_cache
 from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.program import program
 
-SOURCES = ("shared.h", "lay.c", "fit.c")
+SOURCES = ("shared.h", "lay.c", "fit.c", "score.c")
 """Of one program, in this order."""
 FUNCTIONS = {
     "lay": "iii" + "aaf" + 2 * "ila" + 6 * "a",
+    "score": "iii" + "ffdff",
     "residuals": "iiaadaaab",
     "descend": "iii" + 5 * "a" + "dda",
 }

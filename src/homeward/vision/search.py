@@ -59,16 +59,21 @@ def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int)
     first, second = _samples(quality, seed)
     motions = np.concatenate([solve(rows[first], rows[second]), _turns(pairs, first)])
     total = costs(motions, pairs, tilt_sigma, INLIER**2)
-    motions = motions[np.argsort(total, kind="stable")]
-    chosen: list[np.ndarray] = []
-    while len(motions) and len(chosen) < CANDIDATES:
-        best = motions[0]
-        chosen.append(best)
-        theta, alpha = (motions - best).T
-        # Whichever way round they are travelled.
-        apart = (np.abs(np.sin(theta)) > APART) | (np.abs(np.sin(alpha / 2)) > APART / 2)
-        motions = motions[apart]
-    return np.array(chosen).reshape(-1, 2)
+    return _distinct(motions[np.argsort(total, kind="stable")])
+
+
+def _distinct(motions: np.ndarray) -> np.ndarray:
+    """Return the first motions, (k, 2), that differ from all before, whichever way travelled."""
+    free = np.ones(len(motions), bool)
+    chosen: list[int] = []
+    (ct, ca), (st, sa) = np.cos(motions.T), np.sin(motions.T)
+    while len(chosen) < CANDIDATES and free.any():
+        i = int(free.argmax())
+        chosen.append(i)
+        theta_apart = np.abs(st * ct[i] - ct * st[i]) > APART
+        alpha_apart = 1 - (ca * ca[i] + sa * sa[i]) > APART**2 / 2
+        free &= theta_apart | alpha_apart
+    return motions[chosen]
 
 
 def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
