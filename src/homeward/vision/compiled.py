@@ -17,12 +17,12 @@ SOURCES = ("shared.h", "lay.c", "fit.c", "score.c")
 FUNCTIONS = {
     "lay": "iii" + "aaf" + 2 * "ila" + 6 * "a",
     "score": "iii" + "ffdff",
-    "residuals": "iiaadaaab",
-    "descend": "iii" + 5 * "a" + "dda",
+    "residuals": "iiiaadaaab",
+    "descend": "iiii" + 5 * "a" + "dda",
 }
 """What the functions take, in order: see `program`."""
-MAY_FAIL = ("lay", "descend")
-"""Those that return 0, or 1 where a matrix is not positive definite."""
+MAY_FAIL = ("lay", "residuals", "descend")
+"""Those that return 0, or 1 where they fail."""
 
 
 @lru_cache(maxsize=1)

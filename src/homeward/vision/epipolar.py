@@ -137,8 +137,9 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     if native is not None:
         m, n = len(motions), len(pairs)
         found = Residuals(np.empty((m, n)), np.empty((m, n, 5)), np.empty((m, n), bool))
-        told = np.array(motions, float, order="C")
-        native.residuals(m, n, told, pairs.table, looseness, LIMITS, *found)
+        told, table = np.array(motions, float, order="C"), pairs.table
+        if native.residuals(m, n, table.shape[1], told, table, looseness, LIMITS, *found):
+            raise ValueError("not the columns of compiled code")
         return found
     theta, alpha, roll, pitch, rise = motions.T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)

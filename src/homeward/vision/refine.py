@@ -131,7 +131,8 @@ def _descended(
     counted = np.array(np.broadcast_to(counts, shape), float, order="C")
     looseness = np.array(LOOSENESS) * tilt_sigma
     given = (counted, looseness, np.diag(prior).copy(), SCALE, LONGEST_STEP, LIMITS)
-    return not native.descend(*shape, len(looseness), x, pairs.table, *given)
+    sizes = (*shape, pairs.table.shape[1], len(looseness))
+    return not native.descend(*sizes, x, pairs.table, *given)
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:

@@ -97,9 +97,12 @@ static double residual_of(const Pose *p, const double *row, double looseness, co
   return inner(normal, p->t) / deviation;
 }
 
-/* Residuals (m, n), Jacobians (m, n, UNKNOWNS) and what is possible, of m motions and n matches. */
-void residuals(long m, long n, const double *motions, const double *table, double looseness,
-               const double *limits, double *value, double *jacobian, uint8_t *possible) {
+/* Residuals (m, n), Jacobians (m, n, UNKNOWNS) and what is possible, of m motions and n matches in a
+ * table (n, columns). 1 if it has other columns. */
+int residuals(long m, long n, long columns, const double *motions, const double *table,
+              double looseness, const double *limits, double *value, double *jacobian,
+              uint8_t *possible) {
+  if (columns != COLUMNS) return 1;
   for (long i = 0; i < m; i++) {
     const Pose p = pose_of(motions + UNKNOWNS * i);
     for (long k = i * n; k < (i + 1) * n; k++) {
@@ -109,6 +112,7 @@ void residuals(long m, long n, const double *motions, const double *table, doubl
       possible[k] = (uint8_t)can;
     }
   }
+  return 0;
 }
 
 /* Solve a system with pivots, in the place of the right side; 1 if it has none. */
@@ -140,10 +144,12 @@ static int eliminate(double (*a)[UNKNOWNS], double *b) {
 }
 
 /* Fit m motions (m, UNKNOWNS), each to n matches that count for `counts` (m, n), by as many steps
- * as there are `looseness`. 1 if a system has no solution: motions are of no use then. */
-int descend(long m, long n, long steps, double *motions, const double *table, const double *counts,
-            const double *looseness, const double *prior, double scale, double longest,
-            const double *limits) {
+ * as there are `looseness`. 1 if the table has other columns or a system no solution: motions are of
+ * no use then. */
+int descend(long m, long n, long columns, long steps, double *motions, const double *table,
+            const double *counts, const double *looseness, const double *prior, double scale,
+            double longest, const double *limits) {
+  if (columns != COLUMNS) return 1;
   for (long i = 0; i < m; i++) {
     double *x = motions + UNKNOWNS * i;
     for (long k = 0; k < steps; k++) {
