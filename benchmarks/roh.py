@@ -14,7 +14,8 @@ import numpy as np
 
 from benchmarks.mrclam import data
 from homeward.angles import wrap
-from homeward.localizer.moved import search
+from homeward.localizer.answer import centre
+from homeward.localizer.moved import Hypotheses, search
 from homeward.localizer.problem import HEAD, HomeProblem
 from homeward.localizer.settings import LocalizerSettings
 
@@ -65,11 +66,20 @@ def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.n
         )
         hypotheses = search(problem)
         if hypotheses is not None:
-            best = hypotheses.best
-            found[k] = best.home[:2]
-            innovation, variance = best.innovations
+            found[k] = middle_home(hypotheses)
+            innovation, variance = hypotheses.best.innovations
             squares.append(innovation**2 / variance)
     return found, float(np.median(squares))
+
+
+def middle_home(hypotheses: Hypotheses) -> np.ndarray:
+    """Return where home is under all hypotheses, as the localiser answers, shape (2,) [m]."""
+    homes = np.array([fit.home for fit in hypotheses.fits])
+    spreads = np.array([fit.spread for fit in hypotheses.fits])
+    off, weights = homes - homes[0], hypotheses.weights
+    off[:, 2] = wrap(off[:, 2])
+    middle = homes[0] + centre(off, weights, np.tensordot(weights, spreads, axes=1))
+    return np.asarray(middle[:2])
 
 
 def main() -> None:

@@ -12,8 +12,9 @@ from homeward.angles import TWO_PI, wrap
 from homeward.frames import Pose, between
 from homeward.localizer import moved
 from homeward.localizer.answer import (
-    _median,
+    NEAR,
     answer_of,
+    centre,
     in_home_frame,
     landmark_distance,
     others_of,
@@ -69,7 +70,7 @@ def two_hypotheses(weights=(0.6, 0.4)):
     return Hypotheses(fits, np.array(weights))
 
 
-def test_the_answer_is_the_leading_pose_with_the_second_moment_of_all_around_it():
+def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_around_it():
     both = two_hypotheses()
     rng = np.random.default_rng(0)
     parts = [in_home_frame(f) for f in both.fits]
@@ -80,7 +81,10 @@ def test_the_answer_is_the_leading_pose_with_the_second_moment_of_all_around_it(
         ]
     )
     answer = answer_of(both.best, others_of(both))
-    assert np.array(answer.pose) == pytest.approx(np.array(parts[0].pose))
+    first, second = (np.array(a.pose) for a in parts)
+    share = (np.array(answer.pose) - first) / (second - first)
+    assert share == pytest.approx(np.full(3, share[0]), rel=1e-6)
+    assert 0.1 < share[0] <= 0.4  # the mean, or nearer to the leading one
     off = samples - np.array(answer.pose)
     around = off.T @ off / len(off)
     widest = np.linalg.eigvalsh(around[:2, :2])[-1]
@@ -90,21 +94,23 @@ def test_the_answer_is_the_leading_pose_with_the_second_moment_of_all_around_it(
     assert np.trace(answer.covariance) > 1.05 * np.trace(parts[0].covariance)
 
 
-def test_where_no_hypothesis_leads_the_pose_is_nearest_to_all_of_them():
+def test_alike_hypotheses_are_averaged_and_far_ones_hardly_followed():
     rng = np.random.default_rng(1)
     points, weights = rng.normal(size=(5, 3)), np.array([0.3, 0.25, 0.2, 0.15, 0.1])
-    points[4] = 50.0  # far away, and hardly follows
     root = np.diag([1.0, 2.0, 0.5])
-    median = _median(points, weights, root @ root)
+    alike = 1e-3 * points
+    assert centre(alike, weights, root @ root) == pytest.approx(weights @ alike, abs=1e-8)
+    points[4] = 50.0
+    middle = centre(points, weights, root @ root)
 
     def distance(at):
-        return weights @ np.linalg.norm((points - at) @ np.linalg.inv(root), axis=1)
+        off = np.linalg.norm((points - at) @ np.linalg.inv(root), axis=1)
+        return weights @ np.hypot(off, NEAR)
 
     for step in 0.05 * np.concatenate([root, -root]):
-        assert distance(median) < distance(median + step)
-    assert np.abs(median).max() < 2.0
-    leading = np.array([0.6, 0.2, 0.1, 0.06, 0.04])
-    assert (_median(points, leading, root @ root) == points[0]).all()
+        assert distance(middle) < distance(middle + step)
+    assert np.abs(middle).max() < 2.0  # the mean is at 5
+    assert (centre(points[4:], np.ones(1), root @ root) == points[4]).all()
 
 
 def test_headings_on_both_sides_of_half_a_turn_meet_there():

@@ -13,9 +13,11 @@ from homeward.localizer.compiled import compiled
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
 
-MEDIAN_STEPS = 10
-AT_POINT = 0.01
-"""Nearer to a point than this the median is on it [standard deviations]."""
+CENTRE_STEPS = 20
+NEAR = 2.0
+"""Hypotheses nearer to the middle than this are averaged, others pull evenly [deviations]."""
+AT_REST = 1e-3
+"""A shorter step ends the search for the middle [standard deviations]."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +87,12 @@ class Others:
 
 
 def others_of(hypotheses: Hypotheses) -> Others:
-    """Return what makes the best hypothesis' answer that of all: their median, their covariance."""
+    """Return what makes the best hypothesis' answer that of all: their middle, their covariance."""
     answers, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
     off = np.array([a.pose for a in answers]) - np.array(answers[0].pose)
     off[:, 2] = wrap(off[:, 2])
     within = np.tensordot(weights, np.array([a.covariance for a in answers]), axes=1)
-    middle = _median(off, weights, within)
+    middle = centre(off, weights, within)
     off -= middle
     return Others(middle, within + (weights * off.T) @ off - answers[0].covariance)
 
@@ -108,19 +110,31 @@ def answer_of(best: HomeFit, others: Others) -> Answer:
     return Answer(Pose(x, y, _wrap(heading)), covariance)
 
 
-def _median(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the geometric median of points (k, 3), distances in deviations (Weiszfeld, 1937).
+def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the middle of weighted points: the mean of near ones, the median of far ones.
 
-    Unlike the mean it does not follow an improbable point far away: a point of more than half of
-    the weight is the median. Where none has so much it lies between them.
+    It minimises the mean of sqrt(d^2 + NEAR^2), d being the distance in standard deviations
+    (Weiszfeld's iteration). Alike hypotheses are averaged, which errs least; and unlike the mean it
+    does not follow an improbable one far away.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, n)
+    weights : ndarray, shape (k,)
+        Sum to one.
+    covariance : ndarray, shape (n, n)
+        Of a point.
     """
-    if weights[0] > 0.5:
+    if len(points) == 1:
         return np.asarray(points[0])
     information, middle = np.linalg.inv(covariance), weights @ points
-    for _ in range(MEDIAN_STEPS):
+    for _ in range(CENTRE_STEPS):
         off = points - middle
-        pull = weights / np.sqrt(((off @ information) * off).sum(axis=1) + AT_POINT**2)
-        middle = pull @ points / pull.sum()
+        pull = weights / np.sqrt(((off @ information) * off).sum(axis=1) + NEAR**2)
+        step = pull @ off / pull.sum()
+        middle = middle + step
+        if step @ information @ step < AT_REST**2:
+            break
     return np.asarray(middle)
 
 
