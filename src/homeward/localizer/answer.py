@@ -45,7 +45,7 @@ class Answer:
         by_pose = np.array([[1.0, 0.0, -step_y], [0.0, 1.0, step_x], [0.0, 0.0, 1.0]])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
-        return Answer(Pose(x + step_x, y + step_y, _wrap(heading + turn)), covariance)
+        return Answer(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
 
     def with_scale(self, sigma: float) -> Answer:
         """Return it with an error of the map's scale, of which `sigma` [1] is the deviation."""
@@ -63,7 +63,7 @@ def in_home_frame(fit: HomeFit) -> Answer:
         told = (linear.by_home, linear.residual, fit.step, fit.home, fit.spread, np.empty(4 * q))
         native.from_home(q, size, *known, *told, pose, covariance)
         x, y, heading = pose.tolist()
-        return Answer(Pose(x, y, _wrap(heading)), covariance)
+        return Answer(Pose(x, y, wrap(heading)), covariance)
     home_x, home_y, home_heading = fit.home.tolist()
     x, y, heading = fit.pose.tolist()
     c, s = math.cos(home_heading), math.sin(home_heading)
@@ -73,7 +73,7 @@ def in_home_frame(fit: HomeFit) -> Answer:
     by_pose = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     in_all = by_home - by_pose @ fit.by_home  # home moves the pose with it
     covariance = in_all @ fit.spread @ in_all.T + by_pose @ fit.pose_spread @ by_pose.T
-    return Answer(Pose(px, py, _wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
+    return Answer(Pose(px, py, wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def answer_of(best: HomeFit, others: Others) -> Answer:
     sagitta = largest / (2.0 * landmark_distance(best, best.home))
     covariance[[0, 1], [0, 1]] += sagitta**2
     x, y, heading = np.add(alone.pose, others.shift).tolist()
-    return Answer(Pose(x, y, _wrap(heading)), covariance)
+    return Answer(Pose(x, y, wrap(heading)), covariance)
 
 
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -143,8 +143,3 @@ def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:
     d = fit.problem.landmarks - place[:2]
     squares = sorted((d * d).sum(axis=1).tolist())
     return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
-
-
-def _wrap(angle: float) -> float:
-    """Return an angle within half a turn of zero [rad]."""
-    return math.remainder(angle, math.tau)

@@ -63,7 +63,7 @@ class Landmark:
         if not self.sightings:
             self.lines = (direction, 0.0, 0.0)
         first, low, high = self.lines
-        off = math.remainder(direction - first, math.tau)
+        off = wrap(direction - first)
         self.lines = (first, min(low, off), max(high, off))
         self.sightings += 1
 
