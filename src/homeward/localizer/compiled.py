@@ -55,4 +55,4 @@ def _load() -> tuple[ctypes.CDLL | None, str | None]:
     try:
         return program("homeward.localizer", SOURCES, FUNCTIONS, MAY_FAIL), None
     except NativeError as error:
-        return None, f"No compiled code ({error}): NumPy does it, which takes half as long again."
+        return None, f"No compiled code ({error}): NumPy does it, which takes twice as long."
