@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from homeward.angles import wrap
 from homeward.errors import InputError
 from homeward.vision.camera import Cylindrical, Equirectangular
 from homeward.vision.ring import Ring, find_ring
@@ -122,3 +123,14 @@ def test_centre_and_radii_are_found():
 def test_no_ring_is_said():
     with pytest.raises(InputError, match="no bright ring"):
         find_ring(np.full((200, 200), 128, np.uint8))
+
+
+@pytest.mark.parametrize("kind", [Equirectangular, Cylindrical])
+def test_slopes_are_the_derivatives_of_directions_across_the_seam_too(kind):
+    camera, shape = kind(roll=0.1, pitch=-0.05), (100, 400)
+    columns, rows = np.array([-0.4, 120.3, 399.2]), np.array([30.0, 52.5, 80.1])
+    here, slope = camera.directions_and_slope(columns, rows, shape)
+    assert np.array_equal(here, np.column_stack(camera.directions(columns, rows, shape)))
+    step = np.array([0.03, -0.02])
+    there = np.column_stack(camera.directions(columns + step[0], rows + step[1], shape))
+    assert np.allclose(slope @ step, wrap(there - here), atol=1e-6)

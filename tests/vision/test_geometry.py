@@ -1,5 +1,7 @@
 """Epipolar residuals, their derivatives, the two-point solver and the refinement."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,11 @@ SIGMA = 0.002
 def angles(vectors):
     x, y, z = vectors.T
     return np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
+
+
+def spread(n):
+    """Return covariances of n directions, (n, 2, 2): those of home are off by as much."""
+    return np.tile(2 * SIGMA**2 * np.eye(2), (n, 1, 1))
 
 
 def made_up(motion, n=60, seed=0, noise=0.0, wrong=0, distance=1.0):
@@ -38,7 +45,7 @@ def made_up(motion, n=60, seed=0, noise=0.0, wrong=0, distance=1.0):
     home, now = (a + rng.normal(0, noise, a.shape) for a in (home, now))
     now[:wrong, 0] = rng.uniform(-np.pi, np.pi, wrong)
     now[:wrong, 1] = rng.uniform(-0.5, 0.5, wrong)
-    return Pairs(home, now, np.full(n, SIGMA), np.full(n, SIGMA), growth)
+    return Pairs(home, now, spread(n), growth)
 
 
 MOTIONS = [Motion(0.3, 1.2), Motion(-2.9, 3.1), Motion(1.6, -2.0, 0.02, -0.03, 0.04)]
@@ -55,8 +62,7 @@ def test_nothing_is_recognised_from_quite_another_side():
     """Between the two cameras lies a point that both see, from opposite sides."""
     motion = Motion(0.3, 0.0)
     ahead, behind = np.array([[0.3 + 0.1, 0.0]]), np.array([[0.3 + np.pi - 0.1, 0.0]])
-    sigma = np.full(1, SIGMA)
-    pairs = Pairs(ahead, behind, sigma, sigma, np.zeros(1))
+    pairs = Pairs(ahead, behind, spread(1), np.zeros(1))
     found = residuals(np.array([motion]), pairs)
     assert abs(found.value[0, 0]) < 1e-6
     assert not found.possible.any()
@@ -83,7 +89,7 @@ def test_travelled_the_other_way_round_most_rays_meet_behind_a_camera():
 
 def test_a_match_of_the_wrong_size_is_impossible():
     pairs = made_up(Motion(0.3, 1.2))
-    larger = Pairs(pairs.home, pairs.now, pairs.home_sigma, pairs.now_sigma, pairs.growth + 1.5)
+    larger = replace(pairs, growth=pairs.growth + 1.5)
     assert residuals(np.array([Motion(0.3, 1.2)]), larger).possible.mean() < 0.2
 
 
@@ -156,7 +162,7 @@ def test_the_covariance_covers_errors_that_a_sector_shares():
         pairs = made_up(motion, n=150, seed=seed, noise=SIGMA / 2)
         sector = np.floor((pairs.home[:, 0] / (2 * np.pi) + 0.5) * 24).astype(int) % 24
         now = pairs.now + rng.normal(0, SIGMA, (24, 2))[sector]
-        shared = Pairs(pairs.home, now, pairs.home_sigma, pairs.now_sigma, pairs.growth)
+        shared = replace(pairs, now=now)
         fit = refine(np.array([motion]), shared, 0.01)
         error = wrap(np.array(fit.motion)[:2] - np.array(motion)[:2])
         for found, matrix in (
@@ -166,3 +172,39 @@ def test_the_covariance_covers_errors_that_a_sector_shares():
             found.append(error @ np.linalg.solve(matrix[:2, :2], error))
     assert np.mean(plain) > 3.0
     assert 1.0 < np.mean(clustered) < 3.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 1.4])
+def test_an_error_counts_by_how_well_its_way_is_known(angle):
+    """Two matches are off by as much; one is unsure of that way, the other of the way across."""
+    exact, way = made_up(MOTIONS[0], n=1), np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-way[1], way[0]])
+    unsure = np.stack([np.outer(v, v) for v in (0.02 * way, 0.02 * across)])
+    off = Pairs(
+        exact.home[[0, 0]],
+        exact.now[[0, 0]] + 0.01 * way,
+        unsure + 1e-4**2 * np.eye(2),
+        exact.growth[[0, 0]],
+    )
+    by_way, by_way_across = residuals(np.array([MOTIONS[0]]), off).value[0]
+    assert abs(by_way) == pytest.approx(0.5, rel=0.05)
+    assert abs(by_way_across - by_way) > 0.1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_where_one_thing_carries_another_motion_the_covariance_says_so(seed):
+    """Half of the matches lie on one thing, some 40 deg wide, that tells of another motion."""
+    rng = np.random.default_rng(seed)
+    truth = Motion(*rng.uniform(-np.pi, np.pi, 2))
+    other = truth._replace(theta=truth.theta + 0.3, alpha=truth.alpha + 0.4)
+    room, thing = made_up(truth, n=14, seed=seed, noise=SIGMA / 2), made_up(other, n=400, seed=99)
+    near = np.flatnonzero(np.abs(wrap(thing.home[:, 0] - 1.0)) < 0.35)[:14]
+    both = Pairs(
+        np.concatenate([room.home, thing.home[near]]),
+        np.concatenate([room.now, thing.now[near]]),
+        spread(28),
+        np.concatenate([room.growth, thing.growth[near]]),
+    )
+    fit = search(both, np.ones(28), 0.01)
+    error = wrap(np.array(fit.motion)[:2] - np.array(truth)[:2])
+    assert error @ np.linalg.solve(covariance(fit, both, 0.01)[:2, :2], error) < 16.0

@@ -122,11 +122,11 @@ def compared(points, camera, accepted=True, direction_sigma=0.01):
     """Return how a picture from a camera's pose compares with home's, every feature matched."""
     n, polar = len(points), to_polar(camera)
     angles = [bearings(points, p) for p in (Pose(0.0, 0.0, 0.0), camera)]
-    flat, spread = np.zeros(n), np.full(n, SIGMA)
+    flat, spread = np.zeros(n), np.tile(2 * SIGMA**2 * np.eye(2), (n, 1, 1))
     rows = np.arange(n)
     return Comparison(
         Verdict(accepted, "", -10.0),
-        Pairs(*(np.column_stack([a, flat]) for a in angles), spread, spread, flat),
+        Pairs(*(np.column_stack([a, flat]) for a in angles), spread, flat),
         rows,
         rows,
         np.full(n, accepted),

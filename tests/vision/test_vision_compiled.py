@@ -67,8 +67,10 @@ def test_patches_are_laid_alike(both, shape, times):
     same = native.found & plain.found
     assert np.abs(native.column - plain.column)[same].max(initial=0) < 5e-3
     assert np.abs(native.row - plain.row)[same].max(initial=0) < 5e-3
-    assert np.abs(native.sigma / plain.sigma - 1)[same].max(initial=0) < 5e-3
-    assert min(shape) < 25 or same.sum() > n / 2
+    size = np.trace(plain.spread, axis1=1, axis2=2)[:, None, None]
+    # Of tiny pictures little is left but rounding.
+    alike = np.abs((native.spread - plain.spread) / size)[same].max(initial=0) < 1e-2
+    assert min(shape) < 25 or (alike and same.sum() > n / 2)
 
 
 def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):
@@ -84,8 +86,8 @@ def matches(rng, n):
     """Matches, most of them possible for a small motion."""
     home = np.column_stack([rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.3, n)])
     now = home + rng.normal(0, 0.05, (n, 2))
-    sigmas = rng.uniform(0.001, 0.01, (2, n))
-    return Pairs(home, now, *sigmas, rng.normal(0, 0.3, n))
+    root = rng.uniform(0.001, 0.01, (n, 2, 2))
+    return Pairs(home, now, root @ root.swapaxes(1, 2), rng.normal(0, 0.3, n))
 
 
 @pytest.mark.parametrize("looseness", [0.0, 0.02])

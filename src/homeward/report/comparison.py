@@ -160,20 +160,19 @@ def _mark_home(axes: Axes, seen: Comparison, now: View, top: float) -> None:
 
 
 def _write_matches(file: Path, seen: Comparison) -> None:
-    """Write the matches: bearings at home and now, sigmas [rad], and what became of them."""
+    """Write the matches: bearings [rad], the sigma of those now, and what became of them."""
     verdicts = np.where(seen.agrees & seen.accepted, "agrees", np.where(seen.moved, "moved", "no"))
     rows = zip(
         seen.home_row.tolist(),
         seen.pairs.home[:, 0].tolist(),
-        seen.pairs.home_sigma.tolist(),
         seen.pairs.now[:, 0].tolist(),
-        seen.pairs.now_sigma.tolist(),
+        seen.pairs.sigma.tolist(),
         verdicts.tolist(),
         strict=True,
     )
     with file.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["landmark", "home_bearing", "home_sigma", "bearing", "sigma", "verdict"])
+        writer.writerow(["landmark", "home_bearing", "bearing", "sigma", "verdict"])
         writer.writerows([f"h{i}", *map(number, values), verdict] for i, *values, verdict in rows)
 
 

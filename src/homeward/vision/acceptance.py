@@ -85,7 +85,7 @@ def _chance(fit: Fit, pairs: Pairs) -> float:
     for row, shift in zip(other, shifts, strict=True):
         row[order] = np.roll(order, shift)
     home, now = pairs[np.tile(np.arange(n), shifts.size)], pairs[other.ravel()]
-    shuffled = replace(home, now=now.now, now_sigma=now.now_sigma, growth=now.growth)
+    shuffled = replace(home, now=now.now, spread=now.spread, growth=now.growth)
     found = residuals(np.array([fit.motion]), shuffled)
     fits = int((squares(found) <= INLIER**2).sum())
     return (fits + 1) / (len(shuffled) + 2)

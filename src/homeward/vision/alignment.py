@@ -25,7 +25,7 @@ LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
 WINDOW = 0.6
 """Standard deviation of the weight about the patch's centre, in radii."""
 STEPS = 8
-NOISE = 0.15
+NOISE = 0.05
 """Of a patch of unit length: against it and `SHAPE`, what a change of shape explains is weighed."""
 SHAPE = 0.3
 """How far the map may be from the features' own size and turn, as a standard deviation [1]."""
@@ -37,7 +37,7 @@ LEAST_LIKENESS = 0.8
 """Correlation below which the two patches do not show the same."""
 LONGEST_SHIFT = 0.5
 """In radii: what lands farther off has slid onto something else."""
-SIGMA_FLOOR, SIGMA_TIMES = 0.1, 2.0
+SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
 """Of a place now [px]: so much at least, and so many times what independent noise would do, as
 was found on rendered rooms: what is left between patches is not independent from pixel to pixel."""
 
@@ -61,8 +61,8 @@ class Alignment:
     """(n,) [px]"""
     row: np.ndarray
     """(n,) [px]"""
-    sigma: np.ndarray
-    """(n,): standard deviation of either [px], by what is left between the two patches."""
+    spread: np.ndarray
+    """(n, 2, 2): covariance of column and row [px^2], by what is left between the two patches."""
     found: np.ndarray
     """(n,) bool: whether the two patches show the same."""
 
@@ -96,12 +96,13 @@ def align(
     start = _similarity(at_now, reach, turn)
     carried, likeness, spread = _lay(home, now, at_home, radius, start, reach)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
-    noise = reach * np.sqrt(left * np.linalg.eigvalsh(spread)[:, 1])
+    shape = carried[:, :, :2]
+    noise = shape @ spread @ shape.swapaxes(1, 2)
     shift = np.hypot(*(carried[:, :, 2] - at_now).T)
     return Alignment(
         column=carried[:, 0, 2],
         row=carried[:, 1, 2],
-        sigma=np.hypot(SIGMA_FLOOR, SIGMA_TIMES * noise),
+        spread=SIGMA_FLOOR**2 * np.eye(2) + SIGMA_TIMES**2 * left[:, None, None] * noise,
         found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
     )
 

@@ -58,6 +58,20 @@ class Panorama(Strict):
         below = rows - (self.horizon * height - 0.5)
         return self._level(azimuth, self._elevation(-below * self.column_angle(width)))
 
+    def directions_and_slope(
+        self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return `directions`, (n, 2), and their derivatives by column and row, (n, 2, 2)."""
+        here = np.column_stack(self.directions(columns, rows, shape))
+        slope = np.empty((len(here), 2, 2))
+        for k, (dx, dy) in enumerate(((0.5, 0.0), (0.0, 0.5))):
+            ahead, behind = (
+                np.column_stack(self.directions(columns + s * dx, rows + s * dy, shape))
+                for s in (1, -1)
+            )
+            slope[:, :, k] = wrap(ahead - behind)
+        return here, slope
+
     @staticmethod
     def column_angle(width: int) -> float:
         """Return the azimuth that one column spans [rad]."""

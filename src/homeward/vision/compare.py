@@ -157,14 +157,11 @@ def _laid(home: View, now: View, rows: np.ndarray, camera: Panorama) -> tuple[Pa
         growth,
         wrap(now.angle[j] - home.angle[i]),
     )
-    # Home's feature is the landmark itself: what is uncertain is only where it lies now, and both
-    # sides are given half of that.
-    sigma = laid.sigma * camera.column_angle(now.shape[1]) / np.sqrt(2)
+    directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
     pairs = Pairs(
         np.column_stack([home.azimuth[i], home.elevation[i]]),
-        np.column_stack(camera.directions(laid.column, laid.row, now.shape)),
-        sigma,
-        sigma,
+        directions,
+        slope @ laid.spread @ slope.swapaxes(1, 2),
         np.log(growth),
     )
     return pairs, laid.found

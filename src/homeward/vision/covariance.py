@@ -3,12 +3,13 @@
 The plain inverse of the information takes the errors of all matches for independent, and was half
 of the true error. They are not: features of one thing err together, most of all when the thing has
 moved along the epipolar line, and in a bare room few things carry the answer. A sandwich estimate
-does not see it, since the fit bends towards the few. The jackknife does: each sector of azimuth is
-left out in turn, all its matches together (MacKinnon, Nielsen and Webb, "Fast and reliable
-jackknife and bootstrap methods for cluster-robust inference", J. Appl. Econometrics 2023), and the
-motion fitted anew, from forgiving to strict: where another set of matches would then be believed,
-the answer was not safe, which no derivative tells. Some of the plain covariance is added, for where
-there are few sectors the jackknife alone may be small by chance.
+does not see it, since the fit bends towards the few. The jackknife does: a window of azimuth, as
+wide as a thing may be, is left out, all its matches together (MacKinnon, Nielsen and Webb, "Fast
+and reliable jackknife and bootstrap methods for cluster-robust inference", J. Appl. Econometrics
+2023; with windows that overlap, Kuensch, "The jackknife and the bootstrap for general stationary
+observations", Ann. Statist. 1989), and the motion fitted anew, from forgiving to strict, beginning
+at that motion, of all that were found, of which the others speak: where they would then believe
+another one, the answer was not safe, which no derivative tells. What tilt may do is added in full.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ import math
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.epipolar import Pairs
-from homeward.vision.refine import Fit, descend
+from homeward.vision.epipolar import Pairs, residuals
+from homeward.vision.refine import INLIER, Fit, descend, prior_information, squares
 
 SECTORS = 24
-"""Of azimuth at home: matches in one are taken to err together."""
-
-PLAIN = 0.25
-"""What of the plain covariance is added: the sigmas of matches allow for the bad ones (edges of
-near things), and most are half as far off."""
+"""Of azimuth at home."""
+WINDOW = 3
+"""So many of them are left out at once: what stands within 45 degrees may be one thing."""
+SHARE = 0.25
+"""What of the plain covariance and of the changes counts. Windows so wide hold a good part of all
+that there is: without them the fit changes by more than it errs."""
 
 LARGEST_SIGMA = 100.0
 """[rad]"""
@@ -49,14 +51,27 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     ndarray, shape (5, 5)
         Of `Motion`.
     """
-    azimuth = pairs.home[:, 0]
-    sector = np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-    groups = np.unique(sector[fit.inlier])
     # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
     plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
+    by_prior = plain @ prior_information(tilt_sigma) @ plain
+    kept = _kept(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)
-    starts = np.tile(motion, (groups.size, 1))
-    kept = sector != groups[:, None]
-    change = descend(starts, pairs, tilt_sigma, kept) - motion
+    change = descend(_starts(fit, pairs, tilt_sigma, kept), pairs, tilt_sigma, kept) - motion
     change[:, :2] = wrap(change[:, :2])
-    return np.asarray(PLAIN * plain + change.T @ change * (1 - 1 / groups.size))
+    return np.asarray(by_prior + SHARE * (plain - by_prior + change.T @ change / WINDOW))
+
+
+def _kept(azimuth: np.ndarray, inlier: np.ndarray) -> np.ndarray:
+    """Return which matches are kept, (m, n), as each window of sectors in turn is left out."""
+    sector = np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    first = np.arange(SECTORS)[:, None]
+    left_out = (sector - first) % SECTORS < WINDOW
+    return np.asarray(~left_out[(left_out & inlier).any(axis=1)])
+
+
+def _starts(fit: Fit, pairs: Pairs, tilt_sigma: float, kept: np.ndarray) -> np.ndarray:
+    """Return, (m, 5), the motion that each choice of matches speaks for."""
+    motions = np.vstack([fit.motion, fit.others])
+    each = np.minimum(squares(residuals(motions, pairs)), INLIER**2)
+    total = kept @ each.T + np.sum((motions @ prior_information(tilt_sigma)) * motions, axis=1)
+    return np.asarray(motions[np.argmin(total, axis=1)])

@@ -41,10 +41,9 @@ class Pairs:
     """(n, 2): azimuth and elevation at home [rad]."""
     now: np.ndarray
     """(n, 2): azimuth and elevation now [rad]."""
-    home_sigma: np.ndarray
-    """(n,): standard deviation of either angle [rad]."""
-    now_sigma: np.ndarray
-    """(n,): [rad]"""
+    spread: np.ndarray
+    """(n, 2, 2): covariance of azimuth and elevation now [rad^2]. Those at home are exact: what was
+    seen there is what is looked for."""
     growth: np.ndarray
     """(n,): logarithm of how much larger the feature looks now than at home."""
 
@@ -62,9 +61,14 @@ class Pairs:
         return unit_vectors(*self.now.T)
 
     @cached_property
-    def home_tangents(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of `home_vectors` by azimuth and elevation."""
-        return tangents(*self.home.T)
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of the azimuth now, (n,) [rad]."""
+        return np.asarray(np.sqrt(self.spread[:, 0, 0]))
+
+    @cached_property
+    def largest_sigma(self) -> np.ndarray:
+        """Standard deviation along the way in which a place now is least known, (n,) [rad]."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.spread)[:, 1]))
 
     @cached_property
     def now_tangents(self) -> tuple[np.ndarray, np.ndarray]:
@@ -73,16 +77,16 @@ class Pairs:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """All of it, (n, 21): for compiled code."""
-        vectors = self.home_vectors, self.now_vectors, *self.home_tangents, *self.now_tangents
-        return np.column_stack([*vectors, self.home_sigma, self.now_sigma, self.growth])
+        """All of it, (n, 17): for compiled code."""
+        vectors = self.home_vectors, self.now_vectors, *self.now_tangents
+        spread = self.spread.reshape(-1, 4)[:, [0, 1, 3]]
+        return np.column_stack([*vectors, spread, self.largest_sigma, self.growth])
 
     def __getitem__(self, rows: np.ndarray) -> Pairs:
         return Pairs(
             self.home[rows],
             self.now[rows],
-            self.home_sigma[rows],
-            self.now_sigma[rows],
+            self.spread[rows],
             self.growth[rows],
         )
 
@@ -131,7 +135,7 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     pairs : Pairs
         n matches.
     looseness : float
-        A further error of each direction [rad].
+        A further error of each direction now [rad].
     """
     native = compiled()
     if native is not None:
@@ -147,8 +151,7 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     leaned, by_roll, by_pitch = _leaned(x2, roll, pitch)
     y, y_roll, y_pitch = (_about_z(alpha, v) for v in (leaned, by_roll, by_pitch))
     normal, lever = _cross(x1, y), _cross(t, x1)
-    sigmas = np.hypot(pairs.home_sigma, looseness), np.hypot(pairs.now_sigma, looseness)
-    deviation = _deviation(t, alpha, y, pairs, sigmas)
+    deviation = _deviation(alpha, lever, pairs, looseness)
     jacobian = np.empty((*deviation.shape, 5))
     jacobian[..., 0] = _dot(normal, t_theta)
     jacobian[..., 1] = lever[1] * y[0] - lever[0] * y[1]
@@ -156,7 +159,8 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     jacobian[..., 3] = _dot(lever, y_pitch)
     jacobian[..., 4] = _dot(normal, t_rise)
     jacobian /= deviation[..., None]
-    possible = _possible(t, x1, y, normal, pairs.growth, np.hypot(*sigmas))
+    sigma = np.hypot(pairs.largest_sigma, looseness)
+    possible = _possible(t, x1, y, normal, pairs.growth, sigma)
     return Residuals(_dot(normal, t) / deviation, jacobian, possible)
 
 
@@ -165,33 +169,27 @@ def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarr
 
     Those by theta and by rise: where there is no parallax, noise looks like it.
     """
-    theta, alpha, roll, pitch, rise = np.array([motion]).T[..., None]
-    t, t_theta, t_rise = _direction(theta, rise)
-    y = _about_z(alpha, _leaned(_parts(pairs.now_vectors), roll, pitch)[0])
-    sigmas = pairs.home_sigma, pairs.now_sigma
+    theta, alpha, _, _, rise = np.array([motion]).T[..., None]
+    x1 = _parts(pairs.home_vectors)
     own, by_theta, by_rise = (
-        _deviation(way, alpha, y, pairs, sigmas)[0] for way in (t, t_theta, t_rise)
+        _deviation(alpha, _cross(way, x1), pairs)[0] for way in _direction(theta, rise)
     )
     return (by_theta / own) ** 2 + 1e-12, (by_rise / own) ** 2 + 1e-12
 
 
 def _deviation(
-    t: _Vectors, alpha: np.ndarray, y: _Vectors, pairs: Pairs, sigmas: tuple[np.ndarray, np.ndarray]
+    alpha: np.ndarray, lever: _Vectors, pairs: Pairs, looseness: float = 0.0
 ) -> np.ndarray:
-    """Return the standard deviation, (m, n), of t . (x1 x y)."""
-    home_slope = _slope(_cross(y, t), pairs.home_tangents)
+    """Return the standard deviation, (m, n), of t . (x1 x y), given `lever`, t x x1."""
     # The gradient by x2, before the turn and the tilt: both leave its length as it is, and what
     # the tilt does to the directions of azimuth and elevation is of no account.
-    lever = _cross(t, _parts(pairs.home_vectors))
-    now_slope = _slope(_about_z(-alpha, lever), pairs.now_tangents)
-    variance = sigmas[0] ** 2 * home_slope + sigmas[1] ** 2 * now_slope
-    return np.asarray(np.maximum(np.sqrt(variance), 1e-9))
-
-
-def _slope(gradient: _Vectors, tangents: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the squared gradient by (azimuth, elevation), from that by the unit vector."""
-    by_azimuth, by_elevation = (_dot(gradient, _parts(tangent)) for tangent in tangents)
-    return np.asarray(by_azimuth * by_azimuth + by_elevation * by_elevation)
+    gradient = _about_z(-alpha, lever)
+    across, up = (_dot(gradient, _parts(tangent)) for tangent in pairs.now_tangents)
+    spread = pairs.spread + looseness**2 * np.eye(2)
+    variance = (
+        spread[:, 0, 0] * across**2 + 2 * spread[:, 0, 1] * across * up + spread[:, 1, 1] * up**2
+    )
+    return np.asarray(np.sqrt(np.maximum(variance, 1e-18)))
 
 
 def _parts(vectors: np.ndarray) -> _Vectors:

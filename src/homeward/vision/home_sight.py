@@ -209,8 +209,7 @@ class HomeSight:
         if mapped.any():
             distance[~mapped] = np.median(distance[mapped])
             sigma[~mapped] = GUESSED * distance[~mapped]
-        bearing_sigma = np.hypot(pairs.home_sigma, pairs.now_sigma)
-        return Anchors(pairs.home[:, 0], pairs.now[:, 0], bearing_sigma, distance, sigma), mapped
+        return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma), mapped
 
     def _of_robot(self, camera: Resection) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""

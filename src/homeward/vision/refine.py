@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Fit:
     parallax: float
     """How much more the matches have shifted along their ways than noise alone makes them seem to
     [1, of squares]: one for two images from the same place, and up to three as theta fits noise."""
+    others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
+    """(m, 5): the motions that other starts led to."""
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
@@ -70,9 +72,9 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
     found = residuals(x, pairs)
     total = cost(found) + np.sum((x @ prior) * x, axis=1)
     best = int(np.argmin(total))
-    return _judged(
-        x[best], pairs, Residuals(*(part[best] for part in found)), float(total[best]), prior
-    )
+    chosen = Residuals(*(part[best] for part in found))
+    fit = _judged(x[best], pairs, chosen, float(total[best]), prior)
+    return replace(fit, others=np.delete(x, best, axis=0))
 
 
 def descend(

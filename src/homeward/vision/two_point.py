@@ -90,17 +90,16 @@ def costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> n
     theta, turn = motions[:, 0], motions[:, 1] - motions[:, 0]
     k = np.stack([np.cos(theta), np.sin(theta), np.cos(turn), np.sin(turn)]).astype(np.float32)
     x1, x2 = pairs.home_vectors, pairs.now_vectors
-    (x1_azimuth, x1_elevation), (x2_azimuth, x2_elevation) = (
-        pairs.home_tangents,
-        pairs.now_tangents,
-    )
-    loose1, loose2 = np.hypot(pairs.home_sigma, tolerance), np.hypot(pairs.now_sigma, tolerance)
+    by_azimuth, by_elevation = pairs.now_tangents
+    first, both, second = pairs.spread.reshape(-1, 4).T[[0, 1, 3], :, None]
+    # The lower Cholesky root.
+    along = np.sqrt(first + 1e-12)
+    mixed = both / along
+    rest = np.sqrt(np.maximum(second - mixed**2, 0.0) + tolerance**2)
     rows = [
         rows_of(x1, x2),
-        rows_of(x1_azimuth, x2) * pairs.home_sigma[:, None],
-        rows_of(x1_elevation, x2) * loose1[:, None],
-        rows_of(x1, x2_azimuth) * pairs.now_sigma[:, None],
-        rows_of(x1, x2_elevation) * loose2[:, None],
+        rows_of(x1, by_azimuth * along + by_elevation * mixed),
+        rows_of(x1, by_elevation * rest),
     ]
     native = compiled()
     if native is not None:

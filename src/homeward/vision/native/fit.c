@@ -4,10 +4,9 @@
 enum {             /* columns of a table of matches */
   HOME = 0,
   NOW = 3,
-  HOME_TANGENTS = 6,
-  NOW_TANGENTS = 12,
-  HOME_SIGMA = 18,
-  NOW_SIGMA,
+  NOW_TANGENTS = 6,
+  SPREAD = 12, /* variance of the azimuth now, covariance, variance of the elevation */
+  LARGEST_SIGMA = 15,
   GROWTH,
   COLUMNS
 };
@@ -42,12 +41,6 @@ static void about_z(double c, double s, const double *x, double *found) {
   found[2] = x[2];
 }
 
-/* Squared gradient by azimuth and elevation, from that by the unit vector. */
-static double slope_of(const double *gradient, const double *tangents) {
-  const double by_azimuth = inner(gradient, tangents), by_elevation = inner(gradient, tangents + 3);
-  return by_azimuth * by_azimuth + by_elevation * by_elevation;
-}
-
 /* Whether two rays can show the same thing; `limits` are those of epipolar.py. */
 static int possible_of(const Pose *p, const double *x1, const double *y, const double *normal,
                        double growth, double sigma, const double *limits) {
@@ -74,26 +67,26 @@ static double residual_of(const Pose *p, const double *row, double looseness, co
                             p->cp * rolled_z - p->sp * x2[0]};
   const double by_roll[3] = {p->sp * rolled_y, -rolled_z, p->cp * rolled_y};
   const double by_pitch[3] = {leaned[2], 0.0, -leaned[0]};
-  double y[3], y_roll[3], y_pitch[3], normal[3], lever[3], by_home[3], by_now[3];
+  double y[3], y_roll[3], y_pitch[3], normal[3], lever[3], gradient[3];
   about_z(p->ca, p->sa, leaned, y);
   about_z(p->ca, p->sa, by_roll, y_roll);
   about_z(p->ca, p->sa, by_pitch, y_pitch);
   cross(x1, y, normal);
   cross(p->t, x1, lever);
-  cross(y, p->t, by_home);
-  about_z(p->ca, -p->sa, lever, by_now);
-  const double loose = looseness * looseness;
-  const double home = row[HOME_SIGMA] * row[HOME_SIGMA] + loose;
-  const double now = row[NOW_SIGMA] * row[NOW_SIGMA] + loose;
-  const double variance =
-      home * slope_of(by_home, row + HOME_TANGENTS) + now * slope_of(by_now, row + NOW_TANGENTS);
-  const double deviation = fmax(sqrt(variance), 1e-9);
+  about_z(p->ca, -p->sa, lever, gradient);
+  const double *spread = row + SPREAD, loose = looseness * looseness;
+  const double across = inner(gradient, row + NOW_TANGENTS);
+  const double up = inner(gradient, row + NOW_TANGENTS + 3);
+  const double variance = (spread[0] + loose) * across * across + 2.0 * spread[1] * across * up +
+                          (spread[2] + loose) * up * up;
+  const double deviation = sqrt(fmax(variance, 1e-18));
+  const double sigma = sqrt(row[LARGEST_SIGMA] * row[LARGEST_SIGMA] + loose);
   jacobian[0] = inner(normal, p->t_theta) / deviation;
   jacobian[1] = (lever[1] * y[0] - lever[0] * y[1]) / deviation;
   jacobian[2] = inner(lever, y_roll) / deviation;
   jacobian[3] = inner(lever, y_pitch) / deviation;
   jacobian[4] = inner(normal, p->t_rise) / deviation;
-  *possible = possible_of(p, x1, y, normal, row[GROWTH], sqrt(home + now), limits);
+  *possible = possible_of(p, x1, y, normal, row[GROWTH], sigma, limits);
   return inner(normal, p->t) / deviation;
 }
 
