@@ -129,6 +129,7 @@ def compared(points, camera, accepted=True, direction_sigma=0.01):
         Pairs(*(np.column_stack([a, flat]) for a in angles), spread, flat),
         rows,
         rows,
+        np.zeros((n, 2)),
         np.full(n, accepted),
         np.zeros(n, bool),
         Motion(float(polar.theta), float(polar.alpha)),

@@ -185,3 +185,38 @@ def test_compare_says_when_there_is_not_enough_in_common(folder, tmp_path):
     assert result.exit_code == 1
     assert "not enough in common" in result.output
     assert (tmp_path / "c" / "comparison.png").exists()
+
+
+def test_a_bearing_is_that_of_the_patch_that_home_saw(room):
+    """Not of the feature that the frame finds by itself, which noise and size move about."""
+    camera = Equirectangular()
+    front_end = FrontEnd(look(draw(room, *HOME, seed=99), camera), camera)
+    for k in range(PROVEN):
+        glance = front_end.see(frame(1, k))
+    seen = glance.home
+    patch = {
+        f"h{row}": angle
+        for row, angle, good in zip(seen.home_row, seen.pairs.now[:, 0], seen.agrees, strict=True)
+        if good
+    }
+    passed_on = {name: b for name, b in glance.bearings.items() if name in patch}
+    assert len(passed_on) > 10
+    assert all(bearing == patch[name] for name, bearing in passed_on.items())
+
+
+def test_names_are_handed_on_at_the_place_of_the_patch(room):
+    """What keyframes hand on stays where it was: its bearings still meet in one point."""
+    camera, lines = Equirectangular(), {}
+    front_end = FrontEnd(look(draw(make_room(7), *HOME), camera), camera)
+    for k in range(FRAMES):
+        x, y, heading = way(k)
+        glance = front_end.see(frame(1, k))
+        for name, bearing in glance.bearings.items():
+            lines.setdefault(name, []).append((x, y, heading + bearing))
+    off = []
+    for x, y, angle in (np.array(s).T for s in lines.values() if len(s) > 6):
+        normal = np.column_stack([-np.sin(angle), np.cos(angle)])
+        point = np.linalg.lstsq(normal, np.sum(normal * np.column_stack([x, y]), axis=1))[0]
+        off.extend(np.abs(wrap(np.arctan2(point[1] - y, point[0] - x) - angle)))
+    assert len(off) > 50
+    assert np.median(off) < np.radians(0.1)

@@ -39,6 +39,8 @@ class Comparison:
     """(n,): the feature of the home view of each match."""
     now_row: np.ndarray
     """(n,): and that of the view now."""
+    place: np.ndarray
+    """(n, 2): column and row of home's patches now [px]."""
     agrees: np.ndarray
     """(n,) bool: matches that fit the motion."""
     moved: np.ndarray
@@ -103,7 +105,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     camera : Panorama
         That took both.
     """
-    rows, pairs, quality = paired(home, now, camera)
+    rows, pairs, place, quality = paired(home, now, camera)
     i, j = rows.T
     fit = search(pairs, quality, camera.tilt_sigma)
     verdict = judge(fit, pairs)
@@ -116,6 +118,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         pairs=pairs,
         home_row=i,
         now_row=j,
+        place=place,
         agrees=agrees,
         moved=moved,
         motion=None if fit is None else fit.motion,
@@ -126,8 +129,10 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     )
 
 
-def paired(home: View, now: View, camera: Panorama) -> tuple[np.ndarray, Pairs, np.ndarray]:
-    """Return the features that look alike, (n, 2) rows, their directions and qualities.
+def paired(
+    home: View, now: View, camera: Panorama
+) -> tuple[np.ndarray, Pairs, np.ndarray, np.ndarray]:
+    """Return the features that look alike, (n, 2) rows, their directions, places and qualities.
 
     Features that turned in the image are left out, since cameras are nearly upright; so are
     further ones at the same two places, and those whose surroundings do not look alike when laid
@@ -140,12 +145,14 @@ def paired(home: View, now: View, camera: Panorama) -> tuple[np.ndarray, Pairs, 
     order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
     _, first = np.unique(places[order].round(), axis=0, return_index=True)
     kept = np.sort(order[first])
-    pairs, found = _laid(home, now, rows[kept], camera)
-    return rows[kept][found], pairs[found], quality[kept][found]
+    pairs, place, found = _laid(home, now, rows[kept], camera)
+    return rows[kept][found], pairs[found], place[found], quality[kept][found]
 
 
-def _laid(home: View, now: View, rows: np.ndarray, camera: Panorama) -> tuple[Pairs, np.ndarray]:
-    """Return the directions of matches, and which are found: now, where home's patch fits best."""
+def _laid(
+    home: View, now: View, rows: np.ndarray, camera: Panorama
+) -> tuple[Pairs, np.ndarray, np.ndarray]:
+    """Return directions and places now, where home's patches fit best, and whether they fit."""
     i, j = rows.T
     growth = now.size[j] / home.size[i]
     laid = align(
@@ -164,4 +171,4 @@ def _laid(home: View, now: View, rows: np.ndarray, camera: Panorama) -> tuple[Pa
         slope @ laid.spread @ slope.swapaxes(1, 2),
         np.log(growth),
     )
-    return pairs, laid.found
+    return pairs, np.column_stack([laid.column, laid.row]), laid.found

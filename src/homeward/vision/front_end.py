@@ -9,7 +9,7 @@ home itself is out of sight.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -112,7 +112,9 @@ class FrontEnd:
     def take(self, view: View) -> Glance:
         """Take the next frame of the drive."""
         landmark = np.full(len(view), NOBODY)
-        compared = {k: self._compare(k, view, landmark) for k in self._references()}
+        compared = {}
+        for k in self._references():
+            compared[k], view = self._compare(k, view, landmark)
         fits = [k for k, seen in compared.items() if seen.accepted]
         self._home_seen = 0 in fits
         self._keep_chain(view, landmark, bool(fits), compared)
@@ -136,12 +138,16 @@ class FrontEnd:
             chosen |= {0, self._turn % (last + 1)}
         return sorted(chosen)
 
-    def _compare(self, k: int, view: View, landmark: np.ndarray) -> Comparison:
-        """Compare with a keyframe, and take over its landmarks where they agree."""
+    def _compare(self, k: int, view: View, landmark: np.ndarray) -> tuple[Comparison, View]:
+        """Compare with a keyframe, and take over its landmarks where they agree.
+
+        Returned is also the view with these landmarks where the keyframe's patches lie: from frame
+        to frame and from keyframe to keyframe it is one point that is followed.
+        """
         keyframe = self._keyframes[k]
         seen = compare(keyframe.view, view, self.camera)
         if not seen.accepted:
-            return seen
+            return seen, view
         # What moved since home was stored is still a landmark, and its home bearing is wrong.
         ours = seen.agrees | seen.moved if k == 0 else seen.agrees
         theirs, mine = seen.home_row[ours], seen.now_row[ours]
@@ -155,7 +161,7 @@ class FrontEnd:
         free = ~known & ~taken
         landmark[mine[free]] = keyframe.landmark[theirs[free]]
         keyframe.shared = max(keyframe.shared, int(seen.agrees.sum()))
-        return seen
+        return seen, _moved_to(view, mine[free], seen, np.flatnonzero(ours)[free])
 
     def _keep_chain(
         self, view: View, landmark: np.ndarray, fits: bool, compared: dict[int, Comparison]
@@ -207,3 +213,12 @@ class FrontEnd:
         if fits:
             return f"like keyframe {fits[-1]}: {compared[fits[-1]].verdict.reason}"
         return f"like nothing seen before: {next(iter(compared.values())).verdict.reason}"
+
+
+def _moved_to(view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray) -> View:
+    """Return a view with some of its features where a comparison found them."""
+    parts = {k: getattr(view, k).copy() for k in ("column", "row", "azimuth", "elevation", "sigma")}
+    parts["column"][features], parts["row"][features] = seen.place[matches].T
+    parts["azimuth"][features], parts["elevation"][features] = seen.pairs.now[matches].T
+    parts["sigma"][features] = seen.pairs.sigma[matches]
+    return replace(view, **parts)
