@@ -28,7 +28,8 @@ WINDOW = 3
 """So many of them are left out at once: what stands within 45 degrees may be one thing."""
 SHARE = 0.25
 """What of the plain covariance and of the changes counts. Windows so wide hold a good part of all
-that there is: without them the fit changes by more than it errs."""
+that there is: without them the fit changes by more than it errs. Divided by the share of matches
+that are more than the motion has parameters: it bends towards them all."""
 
 LARGEST_SIGMA = 100.0
 """[rad]"""
@@ -58,7 +59,9 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     motion = np.array(fit.motion)
     change = descend(_starts(fit, pairs, tilt_sigma, kept), pairs, tilt_sigma, kept) - motion
     change[:, :2] = wrap(change[:, :2])
-    return np.asarray(by_prior + SHARE * (plain - by_prior + change.T @ change / WINDOW))
+    n = int(fit.inlier.sum())
+    share = SHARE * n / max(n - motion.size, 1)
+    return np.asarray(by_prior + share * (plain - by_prior + change.T @ change / WINDOW))
 
 
 def _kept(azimuth: np.ndarray, inlier: np.ndarray) -> np.ndarray:
