@@ -183,6 +183,14 @@ def test_three_landmarks_give_an_unverified_pose():
     assert rig.wrong_share() == 0
 
 
+@pytest.mark.parametrize("fault", [0.2, -0.35, 0.5])
+def test_of_three_landmarks_one_may_be_wrong_and_the_covariance_says_so(fault):
+    rig = Rig(ring(3), faults={"L1": fault})
+    assert rig.drive(60).status is not Status.LOCALISED
+    assert rig.error() > 0.15
+    assert rig.wrong_share() == 0
+
+
 def test_two_landmarks_never_give_a_pose():
     rig = Rig(ring(2))
     answer = rig.drive(60)

@@ -10,6 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import Pose
 from homeward.localizer.compiled import compiled
+from homeward.localizer.faults import SCALE
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
 
@@ -64,6 +65,13 @@ def in_home_frame(fit: HomeFit) -> Answer:
         native.from_home(q, size, *known, *told, pose, covariance)
         x, y, heading = pose.tolist()
         return Answer(Pose(x, y, wrap(heading)), covariance)
+    by_home, by_pose, there = _derivatives(fit)
+    spread = by_home @ fit.spread @ by_home.T + by_pose @ fit.pose_spread @ by_pose.T
+    return Answer(there, 0.5 * (spread + spread.T))
+
+
+def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
+    """Return Jacobians (3, 3) of the pose in the home frame, by home and by the pose, and it."""
     home_x, home_y, home_heading = fit.home.tolist()
     x, y, heading = fit.pose.tolist()
     c, s = math.cos(home_heading), math.sin(home_heading)
@@ -72,8 +80,23 @@ def in_home_frame(fit: HomeFit) -> Answer:
     by_home = np.array([[-c, -s, py], [s, -c, -px], [0.0, 0.0, -1.0]])
     by_pose = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     in_all = by_home - by_pose @ fit.by_home  # home moves the pose with it
-    covariance = in_all @ fit.spread @ in_all.T + by_pose @ fit.pose_spread @ by_pose.T
-    return Answer(Pose(px, py, wrap(heading - home_heading)), 0.5 * (covariance + covariance.T))
+    return in_all, by_pose, Pose(px, py, wrap(heading - home_heading))
+
+
+def unchecked(fit: HomeFit) -> np.ndarray | None:
+    """Return the covariance (3, 3) of the answer by faults that no home bearing could contradict.
+
+    Of more bearings than fix home, the sets without one of them are hypotheses of their own; three
+    alone may be wrong and agree all the same. None where there are more.
+    """
+    problem = fit.problem
+    if problem.prior is not None or fit.right.sum() > problem.fewest:
+        return None
+    by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision)
+    lever = math.sqrt(problem.moved_prior) * SCALE * _derivatives(fit)[0] @ by_bearing
+    # Faults are too large for the direction in which they move the pose to be linear.
+    place, turn = np.linalg.norm(lever[:2], 2), np.linalg.norm(lever[2])
+    return np.diag([place, place, turn]) ** 2
 
 
 @dataclass(frozen=True)
@@ -97,10 +120,12 @@ def others_of(hypotheses: Hypotheses) -> Others:
     return Others(middle, within + (weights * off.T) @ off - answers[0].covariance)
 
 
-def answer_of(best: HomeFit, others: Others) -> Answer:
-    """Return the answer of all hypotheses."""
+def answer_of(best: HomeFit, others: Others, more: np.ndarray | None = None) -> Answer:
+    """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
     alone = in_home_frame(best)
     covariance = alone.covariance + others.covariance
+    if more is not None:
+        covariance += more
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)

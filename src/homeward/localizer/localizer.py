@@ -12,7 +12,14 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.frames import Pose
-from homeward.localizer.answer import Answer, Others, answer_of, landmark_distance, others_of
+from homeward.localizer.answer import (
+    Answer,
+    Others,
+    answer_of,
+    landmark_distance,
+    others_of,
+    unchecked,
+)
 from homeward.localizer.clock import Clock
 from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
@@ -200,6 +207,9 @@ class Localizer:
         if not self._fixed or (self._mapper.solved and not coasting):
             self._fixed = self._is_fixed(now)
             self._rivals = now.rivals(ELSEWHERE)
+        faults = unchecked(now.best)
+        if faults is not None:
+            self._answer = answer_of(now.best, self._others, faults)
 
     def _challenged(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
         """Look now and then where else home might be, one place after the other."""
