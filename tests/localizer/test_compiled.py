@@ -231,9 +231,10 @@ def test_bearings_without_spread_fix_no_home(both):
 )
 def test_preintegration(both, given):
     rng = np.random.default_rng(1)
-    pieces = rng.uniform(0.0, 0.3, (30, 4))
-    pieces[:, 2:] = rng.normal(0.0, 0.5, (30, 2))
-    pieces[::3, 0] = pieces[3, 2:] = pieces[7, 3] = pieces[9, 2] = 0.0
+    pieces = rng.uniform(0.0, 0.3, (30, 5))
+    pieces[:, 3:] = rng.normal(0.0, 0.5, (30, 2))
+    pieces[::3, :2] = pieces[3, 3:] = 0.0
+    pieces[7, 4] = pieces[9, 3] = 0.0
     calibration = np.array([0.03, 0.002, 0.04, 0.2, 0.01])
     rates = noise_rates(given, OdometryDefaults())
     for n in (1, 30):
@@ -247,7 +248,7 @@ def test_arguments_are_doubles_row_by_row_and_outlive_the_call():
     integrate = compiled.compiled().integrate
     for wrong in (np.zeros((4, 3), int), np.zeros((4, 6))[:, ::2]):
         with pytest.raises(ctypes.ArgumentError):
-            integrate(1, wrong, *[np.zeros(15)] * 2, *[0.0] * 4, 1, *[np.zeros(15)] * 5)
+            integrate(1, wrong, *[np.zeros(15)] * 2, *[0.0] * 2, 1, *[np.zeros(15)] * 5)
     fixed = np.arange(12.0)
     fixed.flags.writeable = False
     for array in (fixed, np.zeros((0, 3))):

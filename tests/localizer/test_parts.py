@@ -99,6 +99,31 @@ def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
     assert odometry.motion(10.0, NOTHING).covariance[0, 0] > 1.0
 
 
+def silent(hz, speed=0.2):
+    """The motion over ten seconds of silence after a drive, asked for so many times a second."""
+    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry.restart(0.0)
+    for k in range(100):
+        odometry.add(k / 10, speed, 0.1)
+    odometry.advance(10.0, NOTHING)
+    odometry.restart(10.0)
+    for k in range(1, 10 * hz + 1):
+        motion = odometry.advance(10.0 + k / hz, NOTHING)
+    return motion
+
+
+def test_how_often_one_asks_does_not_matter_while_odometry_is_silent():
+    spread = [np.sqrt(silent(hz).covariance.diagonal()) for hz in (1, 5, 50)]
+    assert spread[1] == pytest.approx(spread[0], rel=1e-3)
+    assert spread[2] == pytest.approx(spread[0], rel=1e-3)
+
+
+def test_a_fast_robot_gets_farther_while_odometry_is_silent():
+    slow, fast = (math.sqrt(silent(5, speed).covariance[0, 0]) for speed in (0.2, 2.0))
+    assert fast > 5.0 * slow
+    assert fast > 4.0
+
+
 def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))

@@ -48,6 +48,19 @@ def test_odometry_gone_and_back():
     assert rig.wrong_share() < 0.02
 
 
+def test_odometry_of_a_fast_robot_gone_and_back():
+    rig = Rig(ring(10, 0, 10.0, 20.0), pose=Pose(4.0, -2.0, 0.6))
+
+    def fast(t):
+        return Twist(2.0, eight(t).omega)
+
+    rig.drive(40, fast)
+    rig.drive(30, fast, feel=False)
+    assert rig.drive(30, fast).status is Status.LOCALISED
+    assert rig.error() < 0.3
+    assert rig.wrong_share() < 0.01
+
+
 def test_a_fifth_of_the_ids_swapped():
     rig = Rig(ring(8))
 

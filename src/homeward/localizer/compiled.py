@@ -30,7 +30,7 @@ FUNCTIONS = {
     "judge_home": "sdd" + 8 * "a" + "d" + 5 * "a",
     "doubt_home": "sd" + 8 * "a",
     "from_home": "ii" + 12 * "a",
-    "integrate": "iaaaddddi" + 5 * "a",
+    "integrate": "iaaaddi" + 5 * "a",
 }
 """What the functions take, in order: integers, doubles, arrays of doubles, a structure."""
 MAY_FAIL = (

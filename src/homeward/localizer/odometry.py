@@ -11,6 +11,7 @@ from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
 from homeward.localizer.preintegration import BEND, BENDS, LAG, Motion, integrate
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.silence import Pace
 
 STRAIGHTEST = 0.2
 """So large a share of the path counts as the straightest [1]."""
@@ -52,6 +53,7 @@ class Odometry:
         self._path_by_bend = np.zeros(BENDS)
         self._path_by_bend[0] = STRAIGHT_BEFORE_M
         self._straightest = 0.0
+        self._pace = Pace()
 
     def add(self, t: float, v: float, omega: float) -> None:
         """Take a twist; one of the same stamp as the last replaces it."""
@@ -78,14 +80,17 @@ class Odometry:
         """
         if t <= self._done:
             return self._motion
-        return self._motion.then(self._integrate(self._done, t, calibration)[0])
+        pieces = self._pieces(self._done, t, calibration)
+        return self._motion.then(integrate(pieces, calibration, self._rates, self._straightest)[0])
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion up to `t` [s], and be done with it: no earlier twist is to come."""
         if t > self._done:
-            motion, path = self._integrate(self._done, t, calibration)
+            pieces = self._pieces(self._done, t, calibration)
+            motion, path = integrate(pieces, calibration, self._rates, self._straightest)
             self._motion, self._done = self._motion.then(motion), t
             self._path_by_bend += path  # for r
+            self._pace.count(_time_moving(pieces), motion.path, motion.turned)
             self._forget(t - 2.0 * LONGEST_LAG)
         return self._motion
 
@@ -99,27 +104,31 @@ class Odometry:
         while len(self._twists) > 1 and self._twists[1][0] < t:
             self._twists.popleft()
 
-    def _integrate(
-        self, begin: float, end: float, calibration: np.ndarray
-    ) -> tuple[Motion, np.ndarray]:
-        """Return the motion from `begin` to `end` [s], and its path by bend, shape (BENDS,)."""
-        lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
-        pieces = self._pieces(begin - lag, end - lag)
-        return integrate(pieces, calibration, self._rates, self._straightest)
-
-    def _pieces(self, begin: float, end: float) -> np.ndarray:
+    def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> np.ndarray:
         """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
+        lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
+        begin, end = begin - lag, end - lag
         twists = self._twists
         first = len(twists)
         while first > 0 and twists[first - 1][0] >= begin:
             first -= 1
         held = [twists[i] for i in range(max(first - 1, 0), len(twists)) if twists[i][0] < end]
         if not held:  # before the first twist, or none at all
-            return np.array([[end - begin, 0.0, 0.0, 0.0]])
+            return np.array([[*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0]])
         pieces, until = [], [t for t, _, _ in held[1:]] + [end]
         for (t, v, omega), then in zip(held, until, strict=True):
-            start = max(t, begin)
-            known = min(max(t + HOLD_S - start, 0.0), then - start)
-            pieces.append([then - start - known, known, v, omega])
-        pieces[0][0] += max(held[0][0] - begin, 0.0)
+            start, silent = max(t, begin), t + HOLD_S
+            known = min(max(silent - start, 0.0), then - start)
+            pieces.append([*self._unknown(silent, start + known, then), known, v, omega])
+        if held[0][0] > begin:
+            pieces[0][:2] = np.add(pieces[0][:2], self._unknown(-math.inf, begin, held[0][0]))
         return np.array(pieces)
+
+    def _unknown(self, silent: float, begin: float, end: float) -> tuple[float, float]:
+        """Return what the variances grow by from `begin` to `end` [s], of a silence since then."""
+        return self._pace.unknown(begin - silent, end - begin) if end > begin else (0.0, 0.0)
+
+
+def _time_moving(pieces: np.ndarray) -> float:
+    """Return for how long the robot moved in pieces of time [s]."""
+    return float(pieces[pieces[:, 3:].any(axis=1), 2].sum())

@@ -26,10 +26,6 @@ from homeward.localizer.settings import OdometryDefaults
 CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "camera_yaw")
 """The unknowns of the odometry and the camera: [1], [rad/s], [m], [s], [rad]."""
 TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW = range(5)
-LOST_SPEED = 0.3
-"""Without odometry the robot may drive this fast [m/s] ..."""
-LOST_TURN = 0.3
-"""... and turn this fast [rad/s]."""
 BEND, BENDS = 0.125, 33
 """The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
 
@@ -101,8 +97,9 @@ def integrate(
 
     Parameters
     ----------
-    pieces : ndarray, shape (n, 4)
-        Time without odometry and time with it [s], v [m/s] and omega [rad/s] of each.
+    pieces : ndarray, shape (n, 5)
+        By what the variances of shift [m^2] and heading [rad^2] grow before each while odometry is
+        silent; time with it [s], v [m/s] and omega [rad/s].
     calibration : ndarray, shape (5,)
         Where to linearise; the lag is in the pieces' times.
     rates : ndarray, shape (3, 3)
@@ -122,10 +119,10 @@ def integrate(
         delta, lengths, by_bend = np.empty(3), np.empty(2), np.empty(BENDS)
         covariance, jacobian = np.empty((3, 3)), np.empty((3, len(CALIBRATION)))
         given, found = (pieces, calibration, rates), (delta, covariance, jacobian, lengths, by_bend)
-        figures = (straightest, LOST_SPEED, LOST_TURN, BEND, BENDS)
+        figures = (straightest, BEND, BENDS)
         native.integrate(len(pieces), *given, *figures, *found)
         return Motion(delta, covariance, jacobian, *lengths.tolist()), by_bend
-    lost, dt, v, omega = pieces.T
+    shift, swing, dt, v, omega = pieces.T
     moving = (v != 0.0) | (omega != 0.0)
     rate = moving * ((1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS])
     speed, turned = np.abs(v), np.abs(omega)
@@ -151,7 +148,7 @@ def integrate(
     by_turn = np.array([swing_x, swing_y, ones])
     by_path = np.array([c, s, zeros])
     by_slip = np.array([-s, c, zeros])
-    steady, shift, swing = moving * dt, (LOST_SPEED * lost) ** 2, (LOST_TURN * lost) ** 2
+    steady = moving * dt
     covariance = (
         (by_turn * (heading * steady + swing)) @ by_turn.T
         + (by_path * (along * steady + shift)) @ by_path.T

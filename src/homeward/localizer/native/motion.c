@@ -1,13 +1,12 @@
 /* Preintegration. */
 
-/* What twists held for pieces of time say of a motion. `pieces` (n, 4): time without odometry and
- * with it [s], v, omega; `rates` (3, 3): how the variances along, across and of the heading grow,
- * by 1, speed and turn rate. Out: delta (3), covariance (3, 3), jacobian (3, NC), path and sum of
- * turns (2), path by bend (bends). */
+/* What twists held for pieces of time say of a motion. `pieces` (n, 5): the variances of shift and
+ * heading that odometry's silence adds, time with odometry [s], v, omega; `rates` (3, 3): how the
+ * variances along, across and of the heading grow, by 1, speed and turn rate. Out: delta (3),
+ * covariance (3, 3), jacobian (3, NC), path and sum of turns (2), path by bend (bends). */
 void integrate(long n, const double *pieces, const double *calibration, const double *rates,
-               double straightest, double lost_speed, double lost_turn, double bend, long bends,
-               double *delta, double *covariance, double *jacobian, double *lengths,
-               double *by_bend) {
+               double straightest, double bend, long bends, double *delta, double *covariance,
+               double *jacobian, double *lengths, double *by_bend) {
   /* First to the end: what a turn swings is what comes after it. */
   memset(delta, 0, 3 * sizeof(double));
   memset(covariance, 0, 9 * sizeof(double));
@@ -16,12 +15,13 @@ void integrate(long n, const double *pieces, const double *calibration, const do
   memset(by_bend, 0, bends * sizeof(double));
   for (int swings = 0; swings < 2; swings++) {
     double x = 0.0, y = 0.0, psi = 0.0, v = 0.0, rate = 0.0;
-    for (const double *p = pieces; p < pieces + 4 * n; p += 4) {
-      const double lost = p[0], dt = p[1], speed = fabs(p[2]), turned = fabs(p[3]);
-      const double moving = p[2] != 0.0 || p[3] != 0.0;
-      const double slip = (p[2] > 0 ? turned : p[2] < 0 ? -turned : 0.0) - p[2] * straightest;
-      v = p[2] - calibration[2] * slip;
-      rate = moving * ((1.0 + calibration[0]) * p[3] + calibration[1]);
+    for (const double *p = pieces; p < pieces + 5 * n; p += 5) {
+      const double dt = p[2], v_said = p[3], omega = p[4];
+      const double speed = fabs(v_said), turned = fabs(omega);
+      const double moving = v_said != 0.0 || omega != 0.0;
+      const double slip = (v_said > 0 ? turned : v_said < 0 ? -turned : 0.0) - v_said * straightest;
+      v = v_said - calibration[2] * slip;
+      rate = moving * ((1.0 + calibration[0]) * omega + calibration[1]);
       const double turn = rate * dt;
       const double half = 0.5 * turn + 1e-12, chord = v * dt * (sin(half) / half);
       const double c = cos(psi + 0.5 * turn), s = sin(psi + 0.5 * turn);
@@ -32,7 +32,7 @@ void integrate(long n, const double *pieces, const double *calibration, const do
           jacobian[NC + 3] = rate * delta[0];
           jacobian[2 * NC + 3] = rate;
         }
-        const double steady = moving * dt, shift = lost_speed * lost, swing = lost_turn * lost;
+        const double steady = moving * dt;
         const double by_turn[3] = {y + 0.5 * chord * s - delta[1], delta[0] - x - 0.5 * chord * c,
                                    1.0};
         const double by_path[3] = {c, s, 0.0}, by_slip[3] = {-s, c, 0.0};
@@ -40,13 +40,13 @@ void integrate(long n, const double *pieces, const double *calibration, const do
         for (int i = 0; i < 3; i++)
           variance[i] =
               (rates[3 * i] + rates[3 * i + 1] * speed + rates[3 * i + 2] * turned) * steady +
-              (i == 2 ? swing * swing : shift * shift);
+              (i == 2 ? p[1] : p[0]);
         for (int i = 0; i < 3; i++) {
           for (int q = 0; q < 3; q++)
             covariance[3 * i + q] += variance[0] * by_path[i] * by_path[q] +
                                      variance[1] * by_slip[i] * by_slip[q] +
                                      variance[2] * by_turn[i] * by_turn[q];
-          jacobian[NC * i] += by_turn[i] * p[3] * dt;
+          jacobian[NC * i] += by_turn[i] * omega * dt;
           jacobian[NC * i + 1] += by_turn[i] * steady;
           jacobian[NC * i + 2] -= by_path[i] * slip * dt;
         }
