@@ -45,6 +45,7 @@ class Rig:
     pose: Pose = START
     faults: dict[str, float] = field(default_factory=dict)
     t: float = 100.0
+    speed_sigma: float = SPEED_SIGMA
     answers: list[tuple[Estimate, Pose]] = field(default_factory=list)
 
     def __post_init__(self):
@@ -56,7 +57,7 @@ class Rig:
         settings = DriveSettings(
             sensor=Sensor(bearing_sigma=BEARING_SIGMA),
             odometry=OdometryNoise(
-                speed_sigma=SPEED_SIGMA,
+                speed_sigma=self.speed_sigma,
                 turn_sigma=TURN_SIGMA,
                 speed_scale_sigma=0.0,
                 turn_scale_sigma=0.0,
@@ -76,7 +77,7 @@ class Rig:
         for k in range(round(seconds / DT)):
             twist = law(self.t)
             if feel:
-                noise = self.rng.normal(size=2) * [SPEED_SIGMA, TURN_SIGMA] / math.sqrt(DT)
+                noise = self.rng.normal(size=2) * [self.speed_sigma, TURN_SIGMA] / math.sqrt(DT)
                 self.localizer.odometry(self.t, *np.add(twist, noise).tolist())
             if k % EVERY == 0:
                 self.keep(self.localizer.bearings(self.t, see(self.look())))

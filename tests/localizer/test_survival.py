@@ -126,6 +126,23 @@ def test_kidnapped_and_localised_again():
     assert sum(lying) * 0.2 < 5.0
 
 
+@pytest.mark.parametrize("gap", [0.0, 7200.0])
+@pytest.mark.parametrize("metres", [0.1, 20.0])
+def test_found_again_in_a_place_of_any_size(metres, gap):
+    start = Pose(0.8 * metres, -0.4 * metres, 0.6)
+    rig = Rig(ring(10, 1, 2 * metres, 4 * metres), pose=start, speed_sigma=0.01 * metres)
+
+    def eight_across(t):
+        return Twist(0.1 * metres, 0.5 * eight(t).omega)
+
+    rig.drive(40, eight_across)
+    rig.t += gap
+    rig.pose = Pose(-0.5 * metres, 0.9 * metres, 2.5)
+    assert rig.drive(20, eight_across).status is Status.LOCALISED
+    assert rig.error() < 0.1 * metres
+    assert rig.wrong_share() < 0.1  # before anybody can know that it was lifted
+
+
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
 def test_a_clock_that_jumps_by_an_hour(jump):
     rig = Rig(ring(8))

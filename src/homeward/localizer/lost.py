@@ -17,8 +17,8 @@ RECENT, LIFTED_SHARE = 10, 0.75
 """When so large a share of the last sightings does not fit, the robot was lifted and put down."""
 FITTING_SHARE = 0.6
 """With such a share of sightings that fit, those which do not are their landmarks' fault."""
-LOST_RAD, LOST_M = 0.7, 3.0
-"""A motion less certain than this does not tell where the robot is."""
+LOST_RAD, LOST_SHARE = 0.7, 1.0
+"""A motion less certain than this, against the landmarks' distance [1], tells nothing."""
 LOST_AGAIN_RAD = 0.3
 """Sight lines of a lost robot hold together while their headings are better known than this."""
 
@@ -87,7 +87,18 @@ class Lost:
         )
 
 
-def hopeless(motion: Motion) -> bool:
-    """Return whether odometry knows so little of a motion that the robot counts as lost."""
+def hopeless(motion: Motion, marginal: Marginal) -> bool:
+    """Return whether odometry knows so little of a motion that the robot counts as lost.
+
+    Parameters
+    ----------
+    motion : Motion
+        Since the newest keyframe.
+    marginal : Marginal
+        What is known of that keyframe's pose and of the landmarks.
+    """
+    if motion.covariance[2, 2] > LOST_RAD**2:
+        return True
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
-    return bool(motion.covariance[2, 2] > LOST_RAD**2 or shift > LOST_M**2)
+    distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
+    return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)

@@ -103,7 +103,7 @@ class Mapper:
         bearings = np.array([sightings[n] for n in names])
         deviations = np.array([sigmas.get(n, self._noise.sigma) for n in names])
         motion = self._odometry.advance(t, self.window.calibration)
-        if self.lost.since is None and hopeless(motion):
+        if self.lost.since is None and hopeless(motion, self.marginal):
             self._lose(t)
         if self.lost.since is not None:
             return [], self._look_around(t, names, bearings, deviations)

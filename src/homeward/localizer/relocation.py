@@ -23,11 +23,12 @@ FEWEST_LINES, FEWEST_LANDMARKS, SHARE = 5, 3, 0.7
 """Sight lines, and landmarks, that must agree; and their share of all lines [1]."""
 AGREES = 3.0
 """A line agrees within this many standard deviations."""
-APART_M, APART_RAD = 0.3, 0.3
-"""Poses farther apart than this are different answers."""
-LARGEST_SIGMA_M = 0.3
-"""A pose less certain than this waits for more sight lines."""
-STEPS = 8
+APART, APART_RAD = 0.1, 0.3
+"""Poses farther apart than this are different answers [distance of the landmarks]."""
+LARGEST_SIGMA = 0.1
+"""A pose less certain than this waits for more sight lines [distance of the landmarks]."""
+STEPS, LONGEST = 8, 0.3
+"""Steps that refine a pose; none is longer than this [distance of the landmarks, rad]."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,10 @@ def relocate(lines: SightLines) -> tuple[np.ndarray, np.ndarray] | None:
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for start in _candidates(lines):
         refined = _refine(start, lines)
-        if refined is not None and not any(_same(refined[1], f[1]) for f in found):
+        if refined is None:
+            continue
+        apart = APART * float(_distances(refined[1][None], lines)[0])
+        if not any(_same(refined[1], f[1], apart) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
     if not found or found[0][0] < max(FEWEST_LINES, SHARE * len(lines.names)):
@@ -72,7 +76,8 @@ def relocate(lines: SightLines) -> tuple[np.ndarray, np.ndarray] | None:
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
     pose, covariance = found[0][1:]
-    return (pose, covariance) if np.diag(covariance)[:2].max() < LARGEST_SIGMA_M**2 else None
+    most = LARGEST_SIGMA * float(_distances(pose[None], lines)[0])
+    return (pose, covariance) if np.diag(covariance)[:2].max() < most**2 else None
 
 
 def _candidates(lines: SightLines) -> np.ndarray:
@@ -99,9 +104,10 @@ def _candidates(lines: SightLines) -> np.ndarray:
     tolerance = AGREES * lines.sigmas + TWO_PI / HEADINGS
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
-    for k in np.argsort(cost)[:200]:
-        if not any(_same(poses[k], p) for p in chosen):
-            chosen.append(poses[k])
+    best = poses[np.argsort(cost)[:200]]
+    for pose, apart in zip(best, (APART * _distances(best, lines)).tolist(), strict=True):
+        if not any(_same(pose, p, apart) for p in chosen):
+            chosen.append(pose)
         if len(chosen) == TRIED:
             break
     return np.array(chosen)
@@ -123,7 +129,8 @@ def _residuals(
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
     """Return how many lines agree, the refined pose and its covariance."""
-    pose = start.copy()
+    pose, longest = start.copy(), LONGEST * np.ones(3)
+    longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, gx, gy, ox, oy = (a[0] for a in _residuals(pose[None], lines))
         cov = lines.covariances
@@ -138,14 +145,20 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
         information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
         covariance = np.linalg.inv(information)
         step = covariance @ (jacobian.T @ (weight * r))
-        pose = pose + step / max(1.0, float(np.abs(step).max()))
+        pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
     agree = np.abs(r) < AGREES * np.sqrt(variance)
     if np.unique(lines.names[agree]).size < FEWEST_LANDMARKS:
         return None
     return int(agree.sum()), pose, covariance
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
-    """Return whether two poses are the same answer."""
-    near = np.hypot(a[0] - b[0], a[1] - b[1]) < APART_M
+def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
+    """Return the median distance of the landmarks seen from each pose, shape (k,) [m]."""
+    off = lines.positions - poses[:, None, :2]
+    return np.asarray(np.median(np.hypot(off[:, :, 0], off[:, :, 1]), axis=1))
+
+
+def _same(a: np.ndarray, b: np.ndarray, apart: float) -> bool:
+    """Return whether two poses, so far apart at most [m], are the same answer."""
+    near = np.hypot(a[0] - b[0], a[1] - b[1]) < apart
     return bool(near and abs(wrap(a[2] - b[2])) < APART_RAD)
