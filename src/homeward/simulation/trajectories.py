@@ -12,7 +12,7 @@ from homeward.frames import Polar, Pose, bearing, between, to_polar
 from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
 SEARCH_RADIUS = 0.5
-"""Without a pose the robot drives an arc of this radius [m], for the parallax."""
+"""Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 PAST_NEAREST = 0.005
 """So much farther from home than at its nearest, an estimated pose has passed it [m]."""
 SLOWEST = 0.03
@@ -55,6 +55,32 @@ def make_control(scenario: Course, start: Pose) -> Control:
             assert_never(other)
 
 
+class Search:
+    """Circles through one point, each twice as wide as the last: far landmarks need a wide base.
+
+    Parameters
+    ----------
+    speed : float
+        [m/s]
+    """
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._since: float | None = None
+
+    def twist(self, t: float) -> Twist:
+        """Return the command at `t` [s]; the search begins with the first one."""
+        if self._since is None:
+            self._since = t
+        first = 2.0 * math.pi * SEARCH_RADIUS
+        circles = math.floor(math.log2(1.0 + self._speed * (t - self._since) / first))
+        return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**circles))
+
+    def end(self) -> None:
+        """Let the next search begin anew."""
+        self._since = None
+
+
 class HomingControl:
     """The paper's homing law, until the robot believes itself at home.
 
@@ -66,20 +92,22 @@ class HomingControl:
     def __init__(self, trajectory: Homing, exact: bool) -> None:
         self._trajectory, self._exact = trajectory, exact
         self._nearest = math.inf
+        self._search = Search(trajectory.speed)
 
     def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
-            return _search_arc(self._trajectory.speed)
+            return self._search.twist(t)
         polar = to_polar(pose)
         if not arrived(polar, self._trajectory.stop_radius):
             self._nearest = math.inf
         elif not sure:
-            return _search_arc(self._trajectory.speed)
+            return self._search.twist(t)
         elif self._exact or self._trajectory.slowing or self._nearest + PAST_NEAREST < polar.R:
             return None
         else:
             self._nearest = min(self._nearest, float(polar.R))
+        self._search.end()
         return Twist(*map(float, homing(polar, self._speed(polar))))
 
     def _speed(self, polar: Polar) -> float:
@@ -112,12 +140,14 @@ class WaypointControl:
     def __init__(self, trajectory: Waypoints, line: np.ndarray) -> None:
         self._trajectory, self._line, self._aim = trajectory, line, 0
         self._last_t, self._last_omega = 0.0, 0.0
+        self._search = Search(trajectory.speed)
 
     def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
-            wanted = _search_arc(self._trajectory.speed).omega
+            wanted = self._search.twist(t).omega
         else:
+            self._search.end()
             distance = self._aim_ahead_of(pose)
             error = float(bearing(pose, *self._line[self._aim]))
             if self._is_done(error, distance):
@@ -150,10 +180,6 @@ class WaypointControl:
         if abs(error) > math.pi / 2:
             return math.copysign(most, error)
         return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
-
-
-def _search_arc(speed: float) -> Twist:
-    return Twist(speed, speed / SEARCH_RADIUS)
 
 
 def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
