@@ -48,6 +48,27 @@ def test_odometry_gone_and_back():
     assert rig.wrong_share() < 0.02
 
 
+@pytest.mark.parametrize("law", [still, eight])
+def test_odometry_that_begins_late_costs_its_delay_only(law):
+    rig = Rig(ring(10))
+    assert rig.drive(20, law, feel=False).pose is None
+    assert not rig.localizer.mapper.feels
+    assert rig.drive(6).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.drive(40).status is Status.LOCALISED
+    assert rig.wrong_share() == 0
+    assert rig.localizer.mapper.feels
+
+
+def test_a_robot_without_a_map_is_not_lost_in_it():
+    rig = Rig(ring(10))
+    rig.drive(1, still)
+    rig.t += 60
+    assert rig.drive(20).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.wrong_share() == 0
+
+
 def test_odometry_of_a_fast_robot_gone_and_back():
     rig = Rig(ring(10, 0, 10.0, 20.0), pose=Pose(4.0, -2.0, 0.6))
 

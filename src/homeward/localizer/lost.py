@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -102,3 +103,16 @@ def hopeless(motion: Motion, marginal: Marginal) -> bool:
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
     distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
     return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)
+
+
+def leap(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
+    """Return the motion from a keyframe to where a lost robot was found, in the map both.
+
+    The landmarks' errors are in that pose too, so its covariance is doubled.
+    """
+    x, y, psi = last.tolist()
+    c, s = math.cos(psi), math.sin(psi)
+    inverse = np.array([-c * x - s * y, s * x - c * y, -psi])  # heading not wrapped
+    nothing = np.zeros((3, NC))
+    back = Motion(inverse, np.zeros((3, 3)), nothing)
+    return back.then(Motion(pose, 2.0 * covariance, nothing))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -11,7 +10,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless
+from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless, leap
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
@@ -54,6 +53,7 @@ class Mapper:
         self._mount = np.array(drive.sensor.pose)
         self._noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
+        self._start_told = drive.start is not None
         sigmas = calibration_sigmas(drive, settings)
         self._new_window = partial(Window, sigmas, (DRIFT_SHARE * sigmas) ** 2 / DRIFT_S)
         self._begin_map(0.0)
@@ -76,6 +76,12 @@ class Mapper:
         self._between: list[np.ndarray] = []
         """Sightings from the newest keyframe that `marginal` does not know yet."""
 
+    def _begin_anew(self, t: float) -> Motion:
+        """Throw the map away, begin another at `t` [s], and return the motion since: none."""
+        self._begin_map(t)
+        self.begun_anew = True
+        return Motion.none()
+
     def begin(self, t: float) -> None:
         """Let the first keyframe, the origin, be at `t` [s]."""
         self.window.stamps[0] = t
@@ -83,9 +89,16 @@ class Mapper:
 
     def twist(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on."""
+        if not self.feels and not self._start_told:
+            self.begin(t)  # what may have been driven before is of no interest
         self._odometry.add(t, v, omega)
         if t - self._odometry.done > ADVANCE_S:
             self._odometry.advance(t, self.window.calibration)
+
+    @property
+    def feels(self) -> bool:
+        """Whether odometry has come yet; nothing can be mapped before."""
+        return self._odometry.any
 
     def motion(self, t: float) -> Motion:
         """Return the motion from the newest keyframe to `t` [s]."""
@@ -99,18 +112,25 @@ class Mapper:
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float]
     ) -> tuple[list[Innovation], bool]:
         """Take sightings; return their innovations, and whether there is a new solution."""
+        if not self.feels:
+            self._counts.reject("no odometry yet", len(sightings))
+            return [], False
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
         deviations = np.array([sigmas.get(n, self._noise.sigma) for n in names])
         motion = self._odometry.advance(t, self.window.calibration)
-        if self.lost.since is None and hopeless(motion, self.marginal):
+        gone = self.lost.since is None and hopeless(motion, self.marginal)
+        anew = gone and not self.landmarks.mapped
+        if anew:
+            motion = self._begin_anew(t)
+        elif gone:
             self._lose(t)
         if self.lost.since is not None:
             return [], self._look_around(t, names, bearings, deviations)
-        since, fresh = motion, self._wants_keyframe(t, motion)
+        fresh = self._wants_keyframe(t, motion)
         if fresh:
             self._add_keyframe(t, motion)
-            since = Motion.none()
+        since = Motion.none() if fresh else motion
         rows = self._rows(since, names, bearings, deviations)
         innovations, prediction = self._judge(motion, fresh, names, rows)
         if self.lost.was_lifted(innovations):
@@ -123,7 +143,7 @@ class Mapper:
         changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
-        return innovations, fresh or changed
+        return innovations, fresh or changed or anew
 
     def _judge(
         self, motion: Motion, fresh: bool, names: list[str], rows: np.ndarray
@@ -149,11 +169,8 @@ class Mapper:
         """Return whether the robot is far enough from its newest keyframe."""
         if t - self.window.stamps[-1] < self._settings.keyframe_interval:
             return False
-        return (
-            motion.path > STANDS_M
-            or motion.turned > STANDS_RAD
-            or motion.covariance[0, 0] > STANDS_M**2
-        )
+        moved = motion.path > STANDS_M or motion.turned > STANDS_RAD
+        return moved or bool(motion.covariance[0, 0] > STANDS_M**2)
 
     def _add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
@@ -215,9 +232,8 @@ class Mapper:
                 self.solved = False
         except np.linalg.LinAlgError:
             self._counts.reject("the map was thrown away")
-            self._begin_map(self.window.stamps[-1])
+            self._begin_anew(self.window.stamps[-1])
             self.lost.end()
-            self.begun_anew = True
         self._between = []
 
     def _take(self, corrected: Marginal) -> bool:
@@ -277,20 +293,8 @@ class Mapper:
         if found is None:
             self._counts.reject("the robot is lost in its map", len(names))
             return False
-        self._resume(t, motion, *found)
+        self._add_keyframe(t, leap(self.window.poses[-1], *found).then(motion))
+        self.lost.end()
         self._keep(t, names, self._rows(Motion.none(), names, bearings, sigmas), {})
         self._correct(None)
         return True
-
-    def _resume(self, t: float, motion: Motion, pose: np.ndarray, covariance: np.ndarray) -> None:
-        """Go on mapping from a pose in the map where the robot was when lost, and a motion since.
-
-        The landmarks' errors are in that pose too, so its covariance is doubled.
-        """
-        there = Motion(pose, 2.0 * covariance, np.zeros_like(motion.jacobian)).then(motion)
-        x, y, psi = self.window.poses[-1].tolist()
-        c, s = math.cos(psi), math.sin(psi)
-        last = np.array([-c * x - s * y, s * x - c * y, -psi])  # inverse, heading not wrapped
-        back = Motion(last, np.zeros((3, 3)), np.zeros_like(motion.jacobian))
-        self._add_keyframe(t, back.then(there))
-        self.lost.end()

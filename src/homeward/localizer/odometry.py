@@ -95,6 +95,11 @@ class Odometry:
         return self._motion
 
     @property
+    def any(self) -> bool:
+        """Whether there was a twist at all."""
+        return bool(self._twists)
+
+    @property
     def done(self) -> float:
         """How far `advance` has come [s]."""
         return self._done
