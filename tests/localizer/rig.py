@@ -46,11 +46,12 @@ class Rig:
     faults: dict[str, float] = field(default_factory=dict)
     t: float = 100.0
     speed_sigma: float = SPEED_SIGMA
+    sigmas: dict[str, float] = field(default_factory=dict)
     answers: list[tuple[Estimate, Pose]] = field(default_factory=list)
 
     def __post_init__(self):
         self.rng = np.random.default_rng(self.seed)
-        home = {}
+        self.home = home = {}
         for name, (x, y) in self.landmarks.items():
             noise = 0.005 * self.rng.normal() + self.faults.get(name, 0.0)
             home[name] = HomeBearing(float(wrap(math.atan2(y, x) + noise)), 0.005)
@@ -80,7 +81,7 @@ class Rig:
                 noise = self.rng.normal(size=2) * [self.speed_sigma, TURN_SIGMA] / math.sqrt(DT)
                 self.localizer.odometry(self.t, *np.add(twist, noise).tolist())
             if k % EVERY == 0:
-                self.keep(self.localizer.bearings(self.t, see(self.look())))
+                self.keep(self.localizer.bearings(self.t, see(self.look()), self.sigmas))
             self.pose = advance(self.pose, twist, DT)
             self.t += DT
         return self.answers[-1][0]

@@ -1,5 +1,6 @@
 """What goes wrong on a real robot: never a crash, a number that is not finite, a confident lie."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,8 +8,11 @@ import pytest
 from rig import Rig, eight, ring
 
 from homeward.control import Twist
+from homeward.drives.drive import HomeBearing
 from homeward.estimator import Status
 from homeward.frames import Pose
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.moved import Hypotheses
 
 
 def still(_):
@@ -247,7 +251,59 @@ def test_two_landmarks_never_give_a_pose():
     answer = rig.drive(60)
     assert all(a.pose is None for a, _ in rig.answers)
     assert answer.status is Status.MAPPING
-    assert "2 of the landmarks that home saw are mapped; 3 are needed" in answer.reason
+    assert answer.reason == "home saw only 2 landmarks; 3 are needed"
+
+
+def test_what_is_missing_is_told():
+    rig = Rig(ring(8))
+    two = rig.drive(20, see=lambda seen: {n: seen[n] for n in ("L0", "L3")})
+    assert "2 of the landmarks that home saw are mapped; 3 are needed" in two.reason
+    rig = Rig(ring(8))
+    strangers = rig.drive(20, see=lambda seen: {f"x{n}": b for n, b in seen.items()})
+    assert strangers.reason == "none of the 8 landmarks that are mapped was seen from home"
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.1])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_camera_worse_than_expected_is_found_out_before_it_is_believed(sigma, seed):
+    rig = Rig(ring(10, seed), seed=seed)
+    rig.localizer = Localizer({n: HomeBearing(b.bearing) for n, b in rig.home.items()})
+    noise = np.random.default_rng(seed)
+    rig.drive(40, see=lambda seen: {n: b + sigma * noise.normal() for n, b in seen.items()})
+    assert rig.localizer.mapper.noise.sigma == pytest.approx(sigma, rel=0.3)
+    assert not any(m.moved for m in rig.localizer.landmarks())
+    assert rig.wrong_share() <= 0.02
+
+
+def test_a_home_that_may_be_anywhere_judges_no_landmark():
+    rig = Rig(ring(8), faults={"L1": 0.5})
+    rig.drive(40)
+    assert [m.landmark for m in rig.localizer.landmarks() if m.moved] == ["L1"]
+    hypotheses = rig.localizer._hypotheses
+    vague = dataclasses.replace(hypotheses.best, information=1e-3 * np.eye(3), known_doubt=None)
+    rig.localizer._hypotheses = Hypotheses((vague,), np.ones(1))
+    assert all(m.moved is None for m in rig.localizer.landmarks())
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, lambda x: round(100 * x) / 100])
+def test_home_may_be_stored_in_any_kind_of_number(kind):
+    rig = Rig(ring(8))
+    rig.localizer = Localizer(
+        {n: HomeBearing(kind(b.bearing), kind(0.01)) for n, b in rig.home.items()}
+    )
+    assert rig.drive(20).status is Status.LOCALISED
+    assert rig.error() < 0.1
+
+
+def test_deviations_that_are_none_are_as_good_as_not_given():
+    rig = Rig(ring(8))
+    bad = (0.0, -1.0, math.inf, 1e-300)
+    sigmas = {n: bad[i % len(bad)] for i, n in enumerate(sorted(rig.home))}
+    rig.localizer = Localizer({n: HomeBearing(b.bearing, sigmas[n]) for n, b in rig.home.items()})
+    rig.sigmas = {n: s for n, s in sigmas.items() if s} | {"L0": 1e200}
+    assert rig.drive(30).status is Status.LOCALISED
+    assert rig.wrong_share() == 0
+    assert not any(m.moved for m in rig.localizer.landmarks())
 
 
 def test_turning_on_the_spot_asks_for_an_arc():

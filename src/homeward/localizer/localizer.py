@@ -22,6 +22,7 @@ from homeward.localizer.answer import (
 )
 from homeward.localizer.clock import Clock
 from homeward.localizer.compiled import why_not
+from homeward.localizer.home import HomeFit
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
@@ -37,6 +38,7 @@ from homeward.localizer.moved import (
 )
 from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
+from homeward.localizer.reasons import why_home_is_not_found, why_no_pose
 from homeward.localizer.settings import LocalizerSettings
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
@@ -46,6 +48,8 @@ SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
+LEAST_DEVIATION = 1e-6
+"""No camera is better [rad]; a smaller deviation is as good as none given."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 ELSEWHERE = 3.0
@@ -77,9 +81,8 @@ class Localizer:
         self.notes: tuple[str, ...] = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
-        default = self.settings.home_sigma
         self._home = {
-            n: b if math.isfinite(b.sigma) else HomeBearing(b.bearing, default)
+            n: HomeBearing(float(b.bearing), _deviation(b.sigma))
             for n, b in home.items()
             if math.isfinite(b.bearing)
         }
@@ -124,7 +127,8 @@ class Localizer:
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self.counts.reject("bearing is not finite", len(sightings) - len(usable))
         self._advance(t)
-        good = {n: s for n, s in (sigmas or {}).items() if math.isfinite(s) and s > 0}
+        told = {n: _deviation(s) for n, s in (sigmas or {}).items()}
+        good = {n: s for n, s in told.items() if math.isfinite(s)}
         innovations, fresh = self._mapper.sight(t, usable, good)
         if any(i.accepted for i in innovations):
             self._last_accepted = t
@@ -142,13 +146,14 @@ class Localizer:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
+        found = self._hypotheses is not None and self._home_is_found(self._hypotheses.best)
         inventory = Inventory(
-            self._home,
+            {n: HomeBearing(b.bearing, self._home_sigma(n)) for n, b in self._home.items()},
             self._drive.home_mount.yaw,
             self._mapper.landmarks,
             self._mapper.marginal,
             self._seen_from_home,
-            self._hypotheses,
+            self._hypotheses if found else None,
         )
         return inventory.landmarks()
 
@@ -229,12 +234,11 @@ class Localizer:
         columns = np.empty(4 + 2 * numbers.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
         columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
-        stored = [self._home[n] for n in names]
         return HomeProblem(
             mean=marginal.mean[columns],
             covariance=marginal.covariance[columns[:, None], columns],
-            bearings=np.array([b.bearing for b in stored]),
-            sigmas=np.array([b.sigma for b in stored]),
+            bearings=np.array([self._home[n].bearing for n in names]),
+            sigmas=np.array([self._home_sigma(n) for n in names]),
             mount=self._home_mount,
             same_camera=self._drive.home_sensor is None,
             moved_prior=self.settings.moved_prior,
@@ -242,11 +246,22 @@ class Localizer:
             prior_information=None if self._prior is None else self._prior[1],
         )
 
+    def _home_sigma(self, name: str) -> float:
+        """Return the standard deviation of a home bearing [rad]."""
+        told = self._home[name].sigma
+        if math.isfinite(told):
+            return told
+        # A camera that is worse than expected was so at home.
+        return self.settings.home_sigma * self._mapper.noise.ratio
+
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
-        reason = self._why_none()
-        if reason is not None or self._hypotheses is None:
-            return Estimate(t, Status.MAPPING, reason or "", None, None, innovations)
+        if self._hypotheses is None:
+            words = why_home_is_not_found(self._mapper, self._home, self._seen_from_home)
+            return Estimate(t, Status.MAPPING, words, None, None, innovations)
+        reason = why_no_pose(self._mapper, self._fixed)
+        if reason is not None:
+            return Estimate(t, Status.MAPPING, reason, None, None, innovations)
         motion, answer = self._mapper.motion(t), self._answer
         if motion is not Motion.none():
             calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
@@ -265,16 +280,11 @@ class Localizer:
             status, reason = Status.LOCALISED, f"{agreeing} home bearings agree"
         return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
 
-    def _why_none(self) -> str | None:
-        """Return why there is no pose; None when there is one."""
-        if self._hypotheses is None:
-            if not self._mapper.landmarks.mapped:
-                return "no landmark is mapped yet; drive an arc to see them from other places"
-            names = len(self._seen_from_home)
-            return f"{names} of the landmarks that home saw are mapped; 3 are needed; drive an arc"
-        if self._mapper.lost.since is not None:
-            return "the robot is lost in its map: what it sees does not fit, or odometry was gone"
-        return None if self._fixed else "home is not fixed well enough; drive on, best in an arc"
+    def _home_is_found(self, best: HomeFit) -> bool:
+        """Return whether home is certain enough among its landmarks to judge any of them by it."""
+        sigma = math.sqrt(max(best.spread[0, 0], best.spread[1, 1]))
+        near = sigma <= self.settings.largest_sigma * landmark_distance(best, best.home)
+        return near and (best.settled or self._fixed)
 
     def _is_fixed(self, hypotheses: Hypotheses) -> bool:
         """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
@@ -287,3 +297,8 @@ class Localizer:
         reach = self.settings.largest_sigma * distance
         most = reach * (STILL_FIXED if self._fixed else 1.0)
         return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most
+
+
+def _deviation(sigma: float) -> float:
+    """Return the standard deviation of a bearing [rad] as far as it can be one, else NaN."""
+    return min(float(sigma), math.pi) if LEAST_DEVIATION <= sigma < math.inf else math.nan

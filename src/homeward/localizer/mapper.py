@@ -51,7 +51,7 @@ class Mapper:
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings, counts: Counts) -> None:
         self._settings, self._counts = settings, counts
         self._mount = np.array(drive.sensor.pose)
-        self._noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
+        self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
         self._start_told = drive.start is not None
         sigmas = calibration_sigmas(drive, settings)
@@ -92,6 +92,7 @@ class Mapper:
         if not self.feels and not self._start_told:
             self.begin(t)  # what may have been driven before is of no interest
         self._odometry.add(t, v, omega)
+        self.noise.turn(t, omega)
         if t - self._odometry.done > ADVANCE_S:
             self._odometry.advance(t, self.window.calibration)
 
@@ -117,7 +118,8 @@ class Mapper:
             return [], False
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        deviations = np.array([sigmas.get(n, self._noise.sigma) for n in names])
+        self.noise.see(t, {n: b for n, b in sightings.items() if n not in sigmas})
+        deviations = np.array([sigmas.get(n, self.noise.sigma) for n in names])
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.lost.since is None and hopeless(motion, self.marginal)
         anew = gone and not self.landmarks.mapped
@@ -259,7 +261,7 @@ class Mapper:
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
         self._forget()
-        self._noise.follow(self.window, since)
+        self.noise.follow(self.window, since)
 
     def _forget(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

@@ -1,15 +1,28 @@
-"""The noise of bearings: as given, or else followed by what the map leaves of them."""
+"""The noise of bearings: as given, or else as the bearings themselves tell it.
+
+At once by their second differences, which need no map: between a sighting of a landmark and the
+next but one its direction, the odometry's turns taken out, is all but linear in time. Later by what
+the map leaves of them. Whichever is larger is believed: the first knows nothing of slow errors, and
+the second nothing of what was rejected.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.localizer.window import Window
 
 LEAST = 1.0
 """It is not believed to be less than this share of its default [1]."""
 RESIDUALS = 40
-"""So many residuals are needed to judge it."""
+"""So many residuals are needed to judge it by the map ..."""
+DIFFERENCES = 20, 200
+"""... or so many second differences, and the last so many are looked at."""
+SPAN_S = 1.05
+"""Three sightings that take longer are not linear in time [s]."""
 MAD_TO_SIGMA = 1.4826
 KEPT = 0.9
 """So much of what was believed is kept from keyframe to keyframe [1]."""
@@ -28,12 +41,72 @@ class BearingNoise:
 
     def __init__(self, given: float | None, default: float) -> None:
         self._given, self._default = given, default
-        self.sigma = given or default
+        self._by_map = given or default
+        self._by_differences = 0.0
+        self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
+        self._last: dict[str, deque[tuple[float, float]]] = {}
+        self._turned = _Turned()
+
+    @property
+    def sigma(self) -> float:
         """As believed now [rad]."""
+        return max(self._by_map, self._by_differences)
+
+    @property
+    def ratio(self) -> float:
+        """How many times the default it is believed to be, at least one; one where given."""
+        return 1.0 if self._given is not None else max(1.0, self.sigma / self._default)
+
+    def turn(self, t: float, omega: float) -> None:
+        """Take a turn rate that holds from `t` [s] on [rad/s]."""
+        self._turned.take(t, omega)
+
+    def see(self, t: float, sightings: dict[str, float]) -> None:
+        """Take the bearings of a stamp `t` [s], by landmark [rad]."""
+        if self._given is not None:
+            return
+        heading = self._turned.at(t)
+        for name, bearing in sightings.items():
+            last = self._last.setdefault(name, deque(maxlen=2))
+            if len(last) == 2 and last[0][0] < last[1][0] < t <= last[0][0] + SPAN_S:
+                first, middle = last
+                self._differences.append(_off_line(first, middle, (t, heading + bearing)))
+            last.append((t, heading + bearing))
+        if len(self._differences) >= DIFFERENCES[0]:
+            self._by_differences = MAD_TO_SIGMA * float(np.median(self._differences))
 
     def follow(self, window: Window, keyframes: int) -> None:
         """Follow the residuals of a window after so many keyframes, unless it was given."""
         if self._given is not None or len(window.sightings) < RESIDUALS:
             return
         now = MAD_TO_SIGMA * float(np.median(np.abs(window.residuals())))
-        self.sigma += (1.0 - KEPT**keyframes) * (max(now, LEAST * self._default) - self.sigma)
+        now = max(now, LEAST * self._default)
+        self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
+
+
+class _Turned:
+    """The heading as odometry alone has it."""
+
+    def __init__(self) -> None:
+        self._t, self._omega, self._heading = np.inf, 0.0, 0.0
+
+    def take(self, t: float, omega: float) -> None:
+        """Let a turn rate hold from `t` [s] on [rad/s]."""
+        self._t, self._omega, self._heading = t, omega, self.at(t)
+
+    def at(self, t: float) -> float:
+        """Return the heading at `t` [s], not before the last turn rate [rad]."""
+        return self._heading + self._omega * max(t - self._t, 0.0)
+
+
+def _off_line(
+    first: tuple[float, float], middle: tuple[float, float], last: tuple[float, float]
+) -> float:
+    """Return how far a direction is off the line through two others, in their own deviations.
+
+    Each is a time [s] and a direction [rad]; all three err alike and independently.
+    """
+    (a, at), (b, now), (c, then) = first, middle, last
+    share = (b - a) / (c - a)
+    off = wrap(now - at) - share * wrap(then - at)
+    return float(abs(off) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))

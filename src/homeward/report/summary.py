@@ -121,6 +121,8 @@ def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
 def _moved(track: Track) -> str:
     """Say which landmarks had moved."""
     judged = [m for m in track.landmarks if m.moved is not None]
+    if not judged and not track.has_pose.any():
+        return "Which landmarks moved is not known without a pose."
     if not judged:
         return f"The estimator {track.estimator} does not judge which landmarks moved."
     during = [m for m in judged if m.moved_at == m.moved_at]

@@ -1,0 +1,40 @@
+"""Why there is no pose, in words that tell what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from homeward.localizer.mapper import Mapper
+
+FEWEST = 3
+"""Home bearings that fix home where there is no start prior."""
+
+
+def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collection[str]) -> str:
+    """Return why home was not found.
+
+    Parameters
+    ----------
+    mapper : Mapper
+        The map.
+    home : collection of str
+        Landmarks that home saw.
+    used : collection of str
+        Those of them that are mapped.
+    """
+    if len(home) < FEWEST:
+        return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
+    mapped = mapper.landmarks.mapped
+    if not mapped:
+        return "no landmark is mapped yet; drive an arc to see them from other places"
+    if not used and len(mapped) >= FEWEST:
+        return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
+    needed = f"{FEWEST} are needed; drive an arc"
+    return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
+
+
+def why_no_pose(mapper: Mapper, fixed: bool) -> str | None:
+    """Return why there is no pose where home was found; None where there is one."""
+    if mapper.lost.since is not None:
+        return "the robot is lost in its map: what it sees does not fit, or odometry was gone"
+    return None if fixed else "home is not fixed well enough; drive on, best in an arc"
