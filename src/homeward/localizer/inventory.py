@@ -36,7 +36,7 @@ class Inventory:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return [self._landmark(name) for name in sorted({*self.home, *self.known.mapped})]
+        return [self._landmark(name) for name in sorted({*self.home, *self.known.mapped}, key=str)]
 
     def _landmark(self, name: str) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""

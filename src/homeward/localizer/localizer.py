@@ -36,6 +36,7 @@ from homeward.localizer.moved import (
     search,
     starts,
 )
+from homeward.localizer.noise import deviation
 from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.reasons import why_home_is_not_found, why_no_pose
@@ -48,8 +49,6 @@ SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
-LEAST_DEVIATION = 1e-6
-"""No camera is better [rad]; a smaller deviation is as good as none given."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 ELSEWHERE = 3.0
@@ -82,7 +81,7 @@ class Localizer:
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
         self._home = {
-            n: HomeBearing(float(b.bearing), _deviation(b.sigma))
+            n: HomeBearing(float(b.bearing), deviation(b.sigma))
             for n, b in home.items()
             if math.isfinite(b.bearing)
         }
@@ -127,7 +126,7 @@ class Localizer:
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self.counts.reject("bearing is not finite", len(sightings) - len(usable))
         self._advance(t)
-        told = {n: _deviation(s) for n, s in (sigmas or {}).items()}
+        told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
         innovations, fresh = self._mapper.sight(t, usable, good)
         if any(i.accepted for i in innovations):
@@ -297,8 +296,3 @@ class Localizer:
         reach = self.settings.largest_sigma * distance
         most = reach * (STILL_FIXED if self._fixed else 1.0)
         return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most
-
-
-def _deviation(sigma: float) -> float:
-    """Return the standard deviation of a bearing [rad] as far as it can be one, else NaN."""
-    return min(float(sigma), math.pi) if LEAST_DEVIATION <= sigma < math.inf else math.nan

@@ -8,6 +8,7 @@ the second nothing of what was rejected.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -23,7 +24,11 @@ DIFFERENCES = 20, 200
 """... or so many second differences, and the last so many are looked at."""
 SPAN_S = 1.05
 """Three sightings that take longer are not linear in time [s]."""
-MAD_TO_SIGMA = 1.4826
+NO_CAMERA = 1e-6
+"""No camera is better [rad]; a smaller deviation is as good as none given."""
+MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
+WILD = 4.0
+"""Larger errors are not noise [standard deviations]."""
 KEPT = 0.9
 """So much of what was believed is kept from keyframe to keyframe [1]."""
 
@@ -73,7 +78,7 @@ class BearingNoise:
                 self._differences.append(_off_line(first, middle, (t, heading + bearing)))
             last.append((t, heading + bearing))
         if len(self._differences) >= DIFFERENCES[0]:
-            self._by_differences = MAD_TO_SIGMA * float(np.median(self._differences))
+            self._by_differences = _scale(np.array(self._differences))
 
     def follow(self, window: Window, keyframes: int) -> None:
         """Follow the residuals of a window after so many keyframes, unless it was given."""
@@ -97,6 +102,22 @@ class _Turned:
     def at(self, t: float) -> float:
         """Return the heading at `t` [s], not before the last turn rate [rad]."""
         return self._heading + self._omega * max(t - self._t, 0.0)
+
+
+def deviation(sigma: float) -> float:
+    """Return the standard deviation of a bearing [rad] as far as it can be one, else NaN."""
+    return min(float(sigma), math.pi) if NO_CAMERA <= sigma < math.inf else math.nan
+
+
+def _scale(off: np.ndarray) -> float:
+    """Return the standard deviation of errors, given by size, of which up to half may be wild.
+
+    A wrong id spoils three differences, so the median of all may be one of the wild.
+    """
+    rough = QUARTER_TO_SIGMA * np.quantile(off, 0.25)
+    for _ in range(2):
+        rough = MAD_TO_SIGMA * np.median(off[off <= WILD * rough])
+    return float(rough)
 
 
 def _off_line(

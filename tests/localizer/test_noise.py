@@ -1,0 +1,51 @@
+"""The noise of bearings that nobody gave, by their second differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.localizer.noise import BearingNoise, deviation
+
+
+def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
+    """Drive a bend past five landmarks, seen so many times a second with a noise."""
+    rng = np.random.default_rng(0)
+    marks = rng.uniform(2.0, 4.0, 5) * np.exp(1j * rng.uniform(-math.pi, math.pi, 5))
+    noise, speed, omega = BearingNoise(given, 0.02), 0.3, 0.4
+    for t in np.arange(0.0, seconds, 1.0 / rate).tolist():
+        noise.turn(t, omega)
+        at = speed / omega * 1j * (1 - np.exp(1j * omega * t))
+        bearings = np.angle((marks - at) * np.exp(-1j * omega * t)) + sigma * rng.normal(size=5)
+        lost = rng.random(5) < wrong
+        bearings[lost] = rng.uniform(-math.pi, math.pi, int(lost.sum()))
+        noise.see(t, {f"L{i}": float(b) for i, b in enumerate(bearings)})
+    return noise
+
+
+@pytest.mark.parametrize("sigma", [0.03, 0.06, 0.15])
+@pytest.mark.parametrize("rate", [2.0, 5.0, 30.0])
+def test_it_is_told_without_a_map_while_the_robot_turns(sigma, rate):
+    assert seen_noise(sigma, rate, seconds=30.0).sigma == pytest.approx(sigma, rel=0.2)
+
+
+@pytest.mark.parametrize("wrong", [0.1, 0.2])
+def test_some_wrong_ids_do_not_matter_much(wrong):
+    assert seen_noise(0.05, 5.0, wrong=wrong).sigma == pytest.approx(0.05, rel=0.25)
+
+
+def test_it_is_never_believed_to_be_less_than_the_default_and_what_was_given_is_believed():
+    assert seen_noise(0.001, 5.0).sigma == 0.02
+    assert seen_noise(0.1, 5.0, given=0.03).sigma == 0.03
+    assert seen_noise(0.1, 5.0, given=0.03).ratio == 1.0
+    assert seen_noise(0.1, 5.0).ratio == pytest.approx(5.0, rel=0.2)
+
+
+def test_sightings_too_rare_to_be_linear_in_time_tell_nothing():
+    assert seen_noise(0.1, 0.9).sigma == 0.02
+
+
+def test_what_can_be_a_deviation():
+    assert deviation(0.01) == 0.01
+    assert deviation(1e200) == math.pi
+    assert all(math.isnan(deviation(s)) for s in (0.0, -1.0, math.nan, math.inf, 1e-300))
