@@ -110,8 +110,9 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
 
     Each keyframe is kept with the way that odometry told from it to the one before. Where no
     keyframe nearer home tells a direction, that way is driven, turned by what the image says of the
-    heading. Returned are the distance from home at the end [m], the steps taken, and how many of
-    them were driven as remembered.
+    heading. The robot is at a keyframe when no parallax shows: one whose direction is merely
+    uncertain may still be far. Returned are the distance from home at the end [m], the steps taken,
+    and how many of them were driven as remembered.
     """
     rng = np.random.default_rng(seed)
     row, start = int(rng.integers(0, 31)), int(rng.integers(0, 16))
@@ -119,10 +120,10 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
     here, goal, taken, blind, unseen = np.array(path[-1]), len(path) - 2, 0, 0, 0
     while taken < 60 and unseen < BLIND_AT_MOST and tuple(here.tolist()) in grid.at:
         now = grid.view(grid.at[tuple(here.tolist())])
-        # The keyframe nearest home that tells a direction; where it tells none, it is here.
         window = range(max(goal - 2, 0), min(goal + 3, len(path)))
         seen = {g: compare(grid.view(grid.at[path[g]]), now, CAMERA) for g in window}
-        reached = [g for g in window if seen[g].accepted and not seen[g].knows_direction]
+        accepted = [g for g in window if seen[g].accepted]
+        reached = [g for g in accepted if not seen[g].shows_parallax]
         if reached and reached[0] == 0:
             break
         goal = min([goal, *(g - 1 for g in reached)])
@@ -131,9 +132,9 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
             way, unseen = seen[known[0]].homewards + NORTH, 0
         else:
             leg = np.subtract(path[goal], path[goal + 1])
-            turned = seen[reached[0]].heading if reached else 0.0
+            turned = seen[accepted[0]].heading if accepted else 0.0
             way = math.atan2(leg[1], leg[0]) - turned
-            goal, blind, unseen = max(goal - 1, 0), blind + 1, 0 if reached else unseen + 1
+            goal, blind, unseen = max(goal - 1, 0), blind + 1, 0 if accepted else unseen + 1
         here = here + np.rint([math.cos(way), math.sin(way)]).astype(int)
         taken += 1
     return 0.1 * float(np.hypot(*(here - path[0]))), taken, blind

@@ -1,5 +1,7 @@
 """Two panoramas of a ray-cast room: heading, direction, what moved, and what is unknown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,7 +43,17 @@ def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, 
     assert seen.accepted
     assert abs(wrap(seen.heading - 1.0)) < 0.005
     assert not seen.knows_direction
-    assert seen.parallax < 5.0
+    assert not seen.shows_parallax
+
+
+def test_an_uncertain_direction_is_not_taken_for_being_there(room, home):
+    seen = compare(home, look(draw(room, 4.0, 3.5, 0.4, seed=2), CAMERA), CAMERA)
+    assert seen.knows_direction
+    uncertain = replace(seen, covariance=np.diag([1.0, 0.01]))
+    assert not uncertain.knows_direction
+    assert uncertain.shows_parallax
+    refused = replace(seen, verdict=replace(seen.verdict, accepted=False))
+    assert not refused.shows_parallax
 
 
 def test_the_home_image_itself_is_home(home):

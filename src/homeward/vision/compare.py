@@ -80,8 +80,12 @@ class Comparison:
     @property
     def knows_direction(self) -> bool:
         """Whether the direction is known, not only the heading: too near to home, it is not."""
-        known = self.parallax > LEAST_PARALLAX and self.direction_sigma < LARGEST_DIRECTION_SIGMA
-        return self.accepted and known
+        return self.shows_parallax and self.direction_sigma < LARGEST_DIRECTION_SIGMA
+
+    @property
+    def shows_parallax(self) -> bool:
+        """Whether they were taken from two places; if so, which way may be unknown all the same."""
+        return self.accepted and self.parallax > LEAST_PARALLAX
 
     @property
     def homewards(self) -> float:
