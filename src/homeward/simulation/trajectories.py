@@ -13,6 +13,8 @@ from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
+SAME_CIRCLES = 3
+"""It goes round so often before the arc widens: most places need no wider one."""
 PAST_NEAREST = 0.005
 """So much farther from home than at its nearest, an estimated pose has passed it [m]."""
 SLOWEST = 0.03
@@ -56,7 +58,7 @@ def make_control(scenario: Course, start: Pose) -> Control:
 
 
 class Search:
-    """Circles through one point, each twice as wide as the last: far landmarks need a wide base.
+    """Circles through one point, wider and wider: far landmarks need a wide base.
 
     Parameters
     ----------
@@ -72,9 +74,9 @@ class Search:
         """Return the command at `t` [s]; the search begins with the first one."""
         if self._since is None:
             self._since = t
-        first = 2.0 * math.pi * SEARCH_RADIUS
-        circles = math.floor(math.log2(1.0 + self._speed * (t - self._since) / first))
-        return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**circles))
+        rounds = self._speed * (t - self._since) / (2.0 * math.pi * SEARCH_RADIUS)
+        doubled = math.floor(math.log2(1.0 + rounds / SAME_CIRCLES))
+        return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**doubled))
 
     def end(self) -> None:
         """Let the next search begin anew."""
