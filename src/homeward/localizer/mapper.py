@@ -169,10 +169,9 @@ class Mapper:
 
     def _wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
-        if t - self.window.stamps[-1] < self._settings.keyframe_interval:
-            return False
+        due = t - self.window.stamps[-1] >= self._settings.keyframe_interval
         moved = motion.path > STANDS_M or motion.turned > STANDS_RAD
-        return moved or bool(motion.covariance[0, 0] > STANDS_M**2)
+        return due and (moved or bool(motion.covariance[0, 0] > STANDS_M**2))
 
     def _add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
