@@ -254,10 +254,22 @@ def test_two_landmarks_never_give_a_pose():
     assert answer.reason == "home saw only 2 landmarks; 3 are needed"
 
 
+def test_a_twist_that_no_robot_makes_is_left_out():
+    rig = Rig(ring(8))
+    rig.localizer.odometry(rig.t, 1e308, 0.0)
+    for absurd in (1e308, -1e308, 1e6):
+        rig.drive(10)
+        rig.localizer.odometry(rig.t - 0.01, absurd, absurd)
+    assert rig.drive(5).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.localizer.counts.rejected["odometry is not finite, or no robot's"] == 4
+
+
 def test_what_is_missing_is_told():
     rig = Rig(ring(8))
     two = rig.drive(20, see=lambda seen: {n: seen[n] for n in ("L0", "L3")})
     assert "2 of the landmarks that home saw are mapped; 3 are needed" in two.reason
+    assert "no odometry" in Rig(ring(8)).drive(5, feel=False).reason
     rig = Rig(ring(8))
     strangers = rig.drive(20, see=lambda seen: {f"x{n}": b for n, b in seen.items()})
     assert strangers.reason == "none of the 8 landmarks that are mapped was seen from home"

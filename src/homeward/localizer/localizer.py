@@ -49,6 +49,8 @@ SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
+FASTEST = 1e4
+"""No robot drives or turns faster [m/s, rad/s]."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 ELSEWHERE = 3.0
@@ -99,7 +101,8 @@ class Localizer:
         """At the newest keyframe, the speed taken at its word."""
         self._others = Others(np.zeros(3), np.zeros((3, 3)))
         self._rivals = 0.0
-        self._fixed = False
+        self._fixed, self._most = False, math.inf
+        """Whether the pose is certain enough to be given, and how uncertain it may be [m]."""
         self._clock = Clock()
         self._t = -math.inf
         self._last_accepted = -math.inf
@@ -107,8 +110,8 @@ class Localizer:
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)
-        if not (math.isfinite(t) and math.isfinite(v) and math.isfinite(omega)):
-            self.counts.reject("odometry is not finite")
+        if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
+            self.counts.reject("odometry is not finite, or no robot's")
         elif t < self._t:
             self.counts.reject("odometry came late")
         else:
@@ -275,6 +278,8 @@ class Localizer:
             reason = f"another home has probability {self._rivals:.2f}"
         elif t - self._last_accepted > NO_BEARINGS_S:
             status, reason = Status.COASTING, "no bearings now"
+        elif max(answer.covariance[0, 0], answer.covariance[1, 1]) > self._most**2:
+            status, reason = Status.UNVERIFIED, "what is seen does not tell where; drive on"
         else:
             status, reason = Status.LOCALISED, f"{agreeing} home bearings agree"
         return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
@@ -294,5 +299,6 @@ class Localizer:
         # A wrong home that lies far away would call its landmarks distant; the robot does not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self.settings.largest_sigma * distance
-        most = reach * (STILL_FIXED if self._fixed else 1.0)
+        self._most = STILL_FIXED * reach
+        most = self._most if self._fixed else reach
         return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most

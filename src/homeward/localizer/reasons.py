@@ -24,6 +24,8 @@ def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collectio
     """
     if len(home) < FEWEST:
         return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
+    if not mapper.feels:
+        return "no odometry has come yet; without it no landmark can be mapped"
     mapped = mapper.landmarks.mapped
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
