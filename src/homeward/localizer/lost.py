@@ -20,6 +20,8 @@ FITTING_SHARE = 0.6
 """With such a share of sightings that fit, those which do not are their landmarks' fault."""
 LOST_RAD, LOST_SHARE = 0.7, 1.0
 """A motion less certain than this, against the landmarks' distance [1], tells nothing."""
+NOTHING_M = 0.01
+"""So little is nothing among any landmarks [m]."""
 LOST_AGAIN_RAD = 0.3
 """Sight lines of a lost robot hold together while their headings are better known than this."""
 
@@ -101,6 +103,8 @@ def hopeless(motion: Motion, marginal: Marginal) -> bool:
     if motion.covariance[2, 2] > LOST_RAD**2:
         return True
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
+    if shift < NOTHING_M**2:
+        return False
     distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
     return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)
 
