@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from homeward.engine.native.program import Program
+
 # The same examples every time: a change is judged by itself, not by the day's dice.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
@@ -25,3 +27,16 @@ def data_dir() -> Path:
 def _own_cache(tmp_path_factory) -> None:
     """Keep compiled code of tests out of the user's cache, and the user's out of tests."""
     os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """A function that calls another one compiled, then with NumPy, and returns both answers."""
+
+    def call(function, *arguments):
+        native = function(*arguments)
+        with monkeypatch.context() as patch:
+            patch.setattr(Program, "__call__", lambda program: None)
+            return native, function(*arguments)
+
+    return call

@@ -8,20 +8,9 @@ import pytest
 
 from homeward.drives.drive import OdometryNoise
 from homeward.engine.native.program import Array
-from homeward.localizer import (
-    answer,
-    chain,
-    compiled,
-    doubt,
-    fitting,
-    linear,
-    linearise,
-    marginal,
-    preintegration,
-    sightings,
-    verdict,
-)
+from homeward.localizer import chain, fitting, sightings
 from homeward.localizer.answer import in_home_frame
+from homeward.localizer.compiled import compiled
 from homeward.localizer.fitting import fit, solved
 from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
@@ -32,26 +21,7 @@ from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
-LOOPS = (chain, linearise, marginal, preintegration, sightings)
-HOME = (answer, doubt, fitting, linear, verdict)
-
-pytestmark = pytest.mark.skipif(
-    compiled.compiled() is None, reason="no C compiler, nothing to compare"
-)
-
-
-@pytest.fixture
-def both(monkeypatch):
-    """A function that calls another one compiled, then with NumPy, and returns both answers."""
-
-    def call(function, *arguments):
-        native = function(*arguments)
-        with monkeypatch.context() as patch:
-            for room in (*LOOPS, *HOME):
-                patch.setattr(room, "compiled", lambda: None)
-            return native, function(*arguments)
-
-    return call
+pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 
 
 def a_map(rng, w=9, n=6, m=70, first=4):
@@ -245,7 +215,7 @@ def test_preintegration(both, given):
 
 
 def test_arguments_are_doubles_row_by_row_and_outlive_the_call():
-    integrate = compiled.compiled().integrate
+    integrate = compiled().integrate
     for wrong in (np.zeros((4, 3), int), np.zeros((4, 6))[:, ::2]):
         with pytest.raises(ctypes.ArgumentError):
             integrate(1, wrong, *[np.zeros(15)] * 2, *[0.0] * 2, 1, *[np.zeros(15)] * 5)
@@ -256,10 +226,7 @@ def test_arguments_are_doubles_row_by_row_and_outlive_the_call():
 
 
 def test_without_a_compiler_the_user_is_told(monkeypatch):
-    compiled._load.cache_clear()
+    monkeypatch.delitem(vars(compiled), "_loaded")
     monkeypatch.setenv("CC", "no-such-compiler")
-    try:
-        assert compiled.compiled() is None
-        assert any("no-such-compiler" in note for note in Localizer({}).notes)
-    finally:
-        compiled._load.cache_clear()
+    assert compiled() is None
+    assert any("no-such-compiler" in note for note in Localizer({}).notes)

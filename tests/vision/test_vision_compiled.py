@@ -5,41 +5,15 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from homeward.vision import (
-    Equirectangular,
-    alignment,
-    compare,
-    compiled,
-    epipolar,
-    look,
-    refine,
-    two_point,
-)
+from homeward.vision import Equirectangular, compare, look
 from homeward.vision.alignment import align
+from homeward.vision.compiled import compiled
 from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.picture import Picture
 from homeward.vision.refine import descend
 from homeward.vision.two_point import costs
 
-ROOMS = (alignment, epipolar, refine, two_point)
-
-pytestmark = pytest.mark.skipif(
-    compiled.compiled() is None, reason="no C compiler, nothing to compare"
-)
-
-
-@pytest.fixture
-def both(monkeypatch):
-    """A function that calls another one compiled, then with NumPy, and returns both answers."""
-
-    def call(function, *arguments):
-        native = function(*arguments)
-        with monkeypatch.context() as patch:
-            for room in ROOMS:
-                patch.setattr(room, "compiled", lambda: None)
-            return native, function(*arguments)
-
-    return call
+pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 
 
 def blots(rng, shape):

@@ -11,18 +11,8 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose
-from homeward.localizer.answer import (
-    Answer,
-    Others,
-    answer_of,
-    landmark_distance,
-    others_of,
-    unchecked,
-)
 from homeward.localizer.clock import Clock
 from homeward.localizer.compiled import why_not
-from homeward.localizer.home import HomeFit
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
@@ -37,10 +27,11 @@ from homeward.localizer.moved import (
     starts,
 )
 from homeward.localizer.noise import deviation
-from homeward.localizer.preintegration import CAMERA_YAW, Motion
+from homeward.localizer.preintegration import CAMERA_YAW
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.reasons import why_home_is_not_found, why_no_pose
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.standing import Standing
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NO_BEARINGS_S = 2.0
@@ -51,10 +42,6 @@ SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
 FASTEST = 1e4
 """No robot drives or turns faster [m/s, rad/s]."""
-STILL_FIXED = 2.0
-"""A pose that was given is given until it is so many times less certain than it had to be."""
-ELSEWHERE = 3.0
-"""Hypotheses count as rivals when their homes are this many standard deviations apart."""
 
 
 class Localizer:
@@ -91,18 +78,13 @@ class Localizer:
         self._mapper = Mapper(self._drive, self.settings, self.counts)
         self._prior = home_from_start(self._drive)
         given = self._drive.odometry.speed_scale_sigma
-        self._speed_scale = self.settings.odometry.speed_scale if given is None else given
+        scale = self.settings.odometry.speed_scale if given is None else given
+        self._standing = Standing(self.settings, scale)
         self._hypotheses: Hypotheses | None = None
         self._seen_from_home: list[str] = []
         self._starts: deque[Start] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
-        self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
-        """At the newest keyframe, the speed taken at its word."""
-        self._others = Others(np.zeros(3), np.zeros((3, 3)))
-        self._rivals = 0.0
-        self._fixed, self._most = False, math.inf
-        """Whether the pose is certain enough to be given, and how uncertain it may be [m]."""
         self._clock = Clock()
         self._t = -math.inf
         self._last_accepted = -math.inf
@@ -148,7 +130,7 @@ class Localizer:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        found = self._hypotheses is not None and self._home_is_found(self._hypotheses.best)
+        found = self._hypotheses is not None and self._standing.home_is_found(self._hypotheses.best)
         inventory = Inventory(
             {n: HomeBearing(b.bearing, self._home_sigma(n)) for n, b in self._home.items()},
             self._drive.home_mount.yaw,
@@ -193,7 +175,7 @@ class Localizer:
             self._prior = None
         names = self._mapper.landmarks.seen_from(self._home)
         problem = self._problem(names, self._mapper.marginal)
-        now = old = self._hypotheses
+        now = self._hypotheses
         if now is None or names != self._seen_from_home:
             also = renamed(now, self._seen_from_home, names) if now else []
             now = search(problem, also)
@@ -204,19 +186,11 @@ class Localizer:
             if now is not None:
                 now = self._challenged(problem, now)
         self._hypotheses = now
-        if now is None:
-            self._fixed = False
-            return
-        if old is None or now.weights is not old.weights:  # not only carried on
-            self._others = others_of(now)
-        self._answer = answer_of(now.best, self._others)
-        coasting = self._t - self._last_accepted > NO_BEARINGS_S
-        if not self._fixed or (self._mapper.solved and not coasting):
-            self._fixed = self._is_fixed(now)
-            self._rivals = now.rivals(ELSEWHERE)
-        faults = unchecked(now.best)
-        if faults is not None:
-            self._answer = answer_of(now.best, self._others, faults)
+        self._standing.take(now, self._mapper.solved and not self._coasts(self._t))
+
+    def _coasts(self, t: float) -> bool:
+        """Return whether no bearing was accepted lately before `t` [s]."""
+        return t - self._last_accepted > NO_BEARINGS_S
 
     def _challenged(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
         """Look now and then where else home might be, one place after the other."""
@@ -261,44 +235,10 @@ class Localizer:
         if self._hypotheses is None:
             words = why_home_is_not_found(self._mapper, self._home, self._seen_from_home)
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        reason = why_no_pose(self._mapper, self._fixed)
+        reason = why_no_pose(self._mapper, self._standing.fixed)
         if reason is not None:
             return Estimate(t, Status.MAPPING, reason, None, None, innovations)
-        motion, answer = self._mapper.motion(t), self._answer
-        if motion is not Motion.none():
-            calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
-            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-            answer = answer.after(motion.delta, drift)
-        answer = answer.with_scale(self._speed_scale)
-        agreeing = int(self._hypotheses.best.right.sum())
-        if agreeing < 4:
-            status, reason = Status.UNVERIFIED, f"only {agreeing} home bearings agree"
-        elif self._rivals > 1.0 - self.settings.sure:
-            status = Status.UNVERIFIED
-            reason = f"another home has probability {self._rivals:.2f}"
-        elif t - self._last_accepted > NO_BEARINGS_S:
-            status, reason = Status.COASTING, "no bearings now"
-        elif max(answer.covariance[0, 0], answer.covariance[1, 1]) > self._most**2:
-            status, reason = Status.UNVERIFIED, "what is seen does not tell where; drive on"
-        else:
-            status, reason = Status.LOCALISED, f"{agreeing} home bearings agree"
+        calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
+        answer = self._standing.answer(self._mapper.motion(t), calibration)
+        status, reason = self._standing.status(answer, self._hypotheses.best, self._coasts(t))
         return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
-
-    def _home_is_found(self, best: HomeFit) -> bool:
-        """Return whether home is certain enough among its landmarks to judge any of them by it."""
-        sigma = math.sqrt(max(best.spread[0, 0], best.spread[1, 1]))
-        near = sigma <= self.settings.largest_sigma * landmark_distance(best, best.home)
-        return near and (best.settled or self._fixed)
-
-    def _is_fixed(self, hypotheses: Hypotheses) -> bool:
-        """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
-        best = hypotheses.best
-        if not best.settled:
-            return self._fixed
-        covariance = self._answer.with_scale(self._speed_scale).covariance
-        # A wrong home that lies far away would call its landmarks distant; the robot does not.
-        distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
-        reach = self.settings.largest_sigma * distance
-        self._most = STILL_FIXED * reach
-        most = self._most if self._fixed else reach
-        return math.sqrt(max(covariance[0, 0], covariance[1, 1])) <= most

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
+from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.library import load
 
 
@@ -43,10 +45,8 @@ _TYPES: dict[str, Any] = {
 }
 
 
-def program(
-    package: str, sources: Sequence[str], functions: Mapping[str, str], may_fail: Collection[str]
-) -> ctypes.CDLL:
-    """Return the compiled functions of a package.
+class Program:
+    """The functions of a package that are written in C, compiled when they are first asked for.
 
     Parameters
     ----------
@@ -58,21 +58,42 @@ def program(
         What each function takes, in order: ``i`` an integer, ``d`` a double, ``a`` an array of
         doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool, ``s`` a structure.
     may_fail : collection of str
-        Those that return 0, or 1 where they fail; the others return nothing.
-
-    Raises
-    ------
-    NativeError
-        When there is no compiler, or it fails.
+        Those that return 0, or 1 where an index is out of range or a matrix not positive definite;
+        the others return nothing.
     """
-    folder = files(package).joinpath("native")
-    source = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in sources)
-    library = load(source).functions
-    for name, kinds in functions.items():
-        function = getattr(library, name)
-        function.argtypes = tuple(_TYPES[kind] for kind in kinds)
-        function.restype = ctypes.c_int if name in may_fail else None
-    return library
+
+    def __init__(
+        self,
+        package: str,
+        sources: Sequence[str],
+        functions: Mapping[str, str],
+        may_fail: Collection[str],
+    ) -> None:
+        self._package, self._sources = package, sources
+        self._functions, self._may_fail = functions, may_fail
+
+    def __call__(self) -> ctypes.CDLL | None:
+        """Return the compiled functions; None where there is no compiler, or it fails."""
+        return self._loaded[0]
+
+    @property
+    def why_not(self) -> NativeError | None:
+        """Why there is no compiled code; None where there is."""
+        return self._loaded[1]
+
+    @cached_property
+    def _loaded(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
+        folder = files(self._package).joinpath("native")
+        source = "\n".join(folder.joinpath(name).read_text("utf-8") for name in self._sources)
+        try:
+            library = load(source).functions
+        except NativeError as error:
+            return None, error
+        for name, kinds in self._functions.items():
+            function = getattr(library, name)
+            function.argtypes = tuple(_TYPES[kind] for kind in kinds)
+            function.restype = ctypes.c_int if name in self._may_fail else None
+        return library, None
 
 
 def address(array: np.ndarray, dtype: type[np.generic] = np.float64) -> int:

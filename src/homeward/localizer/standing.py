@@ -1,0 +1,128 @@
+"""What may be said of where the robot is: whether there is a pose to give, and what to call it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.estimator import Status
+from homeward.frames import Pose
+from homeward.localizer.answer import (
+    Answer,
+    Others,
+    answer_of,
+    landmark_distance,
+    others_of,
+    unchecked,
+)
+from homeward.localizer.home import HomeFit
+from homeward.localizer.moved import Hypotheses
+from homeward.localizer.preintegration import Motion
+from homeward.localizer.settings import LocalizerSettings
+
+STILL_FIXED = 2.0
+"""A pose that was given is given until it is so many times less certain than it had to be."""
+ELSEWHERE = 3.0
+"""Hypotheses count as rivals when their homes are this many standard deviations apart."""
+CHECKED = 4
+"""Home bearings that must agree before one of them could have been contradicted by the others."""
+
+
+class Standing:
+    """The answer of all hypotheses, and how far it can be relied on.
+
+    Parameters
+    ----------
+    settings : LocalizerSettings
+        Of the localiser.
+    speed_scale : float
+        Standard deviation of the odometry's speed scale [1].
+    """
+
+    def __init__(self, settings: LocalizerSettings, speed_scale: float) -> None:
+        self._settings, self._speed_scale = settings, speed_scale
+        self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
+        """At the newest keyframe, the speed taken at its word."""
+        self._others = Others(np.zeros(3), np.zeros((3, 3)))
+        self._weights: np.ndarray | None = None
+        """Of the hypotheses that `_others` comes from."""
+        self._rivals = 0.0
+        self._most = math.inf
+        """How uncertain a pose may be that was given [m]."""
+        self.fixed = False
+        """Whether the pose is certain enough to be given."""
+
+    def take(self, now: Hypotheses | None, firm: bool) -> None:
+        """Take the hypotheses of a new keyframe.
+
+        Parameters
+        ----------
+        now : Hypotheses or None
+            None when home was not found.
+        firm : bool
+            Whether they come from a solved window with the landmarks in sight: only then may a pose
+            be withdrawn.
+        """
+        if now is None:
+            self.fixed, self._weights = False, None
+            return
+        if now.weights is not self._weights:  # not only carried on
+            self._others, self._weights = others_of(now), now.weights
+        self._answer = answer_of(now.best, self._others)
+        if firm or not self.fixed:
+            self.fixed = self._is_fixed(now.best)
+            self._rivals = now.rivals(ELSEWHERE)
+        faults = unchecked(now.best)
+        if faults is not None:
+            self._answer = answer_of(now.best, self._others, faults)
+
+    def answer(self, motion: Motion, calibration: np.ndarray) -> Answer:
+        """Return the answer after a motion since the newest keyframe.
+
+        Parameters
+        ----------
+        motion : Motion
+            `Motion.none()` at the keyframe itself.
+        calibration : ndarray, shape (n, n)
+            Covariance of the calibration that the motion was integrated with.
+        """
+        answer = self._answer
+        if motion is not Motion.none():
+            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+            answer = answer.after(motion.delta, drift)
+        return answer.with_scale(self._speed_scale)
+
+    def status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
+        """Return what to call an answer, and why."""
+        agreeing = int(best.right.sum())
+        if agreeing < CHECKED:
+            return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
+        if self._rivals > 1.0 - self._settings.sure:
+            return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
+        if coasting:
+            return Status.COASTING, "no bearings now"
+        if max(answer.covariance[0, 0], answer.covariance[1, 1]) > self._most**2:
+            return Status.UNVERIFIED, "what is seen does not tell where; drive on"
+        return Status.LOCALISED, f"{agreeing} home bearings agree"
+
+    def home_is_found(self, best: HomeFit) -> bool:
+        """Return whether home is certain enough among its landmarks to judge any of them by it."""
+        reach = self._settings.largest_sigma * landmark_distance(best, best.home)
+        return _sigma(best.spread) <= reach and (best.settled or self.fixed)
+
+    def _is_fixed(self, best: HomeFit) -> bool:
+        """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
+        if not best.settled:
+            return self.fixed
+        # A wrong home that lies far away would call its landmarks distant; the robot does not.
+        distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
+        reach = self._settings.largest_sigma * distance
+        self._most = STILL_FIXED * reach
+        most = self._most if self.fixed else reach
+        return _sigma(self._answer.with_scale(self._speed_scale).covariance) <= most
+
+
+def _sigma(covariance: np.ndarray) -> float:
+    """Return the larger standard deviation of x and y [m]."""
+    return math.sqrt(max(covariance[0, 0], covariance[1, 1]))
