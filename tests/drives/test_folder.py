@@ -1,51 +1,21 @@
-"""The drive folder: what it accepts, what it refuses and in which words, and the way back."""
+"""The drive folder: what it accepts, and what it refuses and in which words."""
 
 import math
 import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from valid_drive import VALID, put
 
 from homeward.drives.drive import (
-    Drive,
     DriveSettings,
-    HomeBearing,
-    Mount,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Start,
-    Truth,
 )
 from homeward.drives.folder import (
     BEYOND_A_TURN,
     REPEATED_SIGHTINGS,
     read_folder,
-    write_folder,
 )
-from homeward.drives.table import is_identifier
 from homeward.errors import InputError
-
-VALID = {
-    "odometry.csv": b"t,v,omega\n0.0,0.1,0.0\n0.5,0.1,0.2\n1.0,0.1,-0.2\n",
-    "bearings.csv": b"t,landmark,bearing,sigma\n0.1,a,0.5,0.01\n0.1,b,-0.5,\n0.6,a,0.4,0.02\n",
-    "home.csv": b"landmark,bearing\na,0.25\nc,-1.5\n",
-    "drive.yaml": b"sensor:\n  x: 0.2\n  bearing_sigma: 0.01\nstart: {R: 1, theta: 0, alpha: 0}\n",
-    "truth.csv": b"t,x,y,heading\n0.0,1.0,0.0,0.0\n1.0,1.1,0.0,0.1\n",
-}
-
-
-def put(folder, **changed):
-    """Write the valid drive, with some files changed (dots as underscores) or, None, left out."""
-    folder.mkdir(exist_ok=True)
-    files = VALID | {name.replace("_", "."): content for name, content in changed.items()}
-    for name, content in files.items():
-        if content is not None:
-            (folder / name).write_bytes(content)
-    return folder
 
 
 def refusal(folder):
@@ -279,181 +249,3 @@ def test_memory_is_that_of_the_numbers(tmp_path):
         tracemalloc.stop()
     # Two numbers, an id and a row, once in pieces and once whole; rows of text would be 5 times it.
     assert peak < 3 * n * 4 * 8
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False)
-angles = st.floats(-math.pi, math.pi, exclude_min=True)
-sigmas = st.one_of(st.just(math.nan), st.floats(0, exclude_min=True, allow_infinity=False))
-ids = st.text(min_size=1, max_size=8).filter(is_identifier)
-positive = st.floats(1e-300, 1e300)
-
-
-def table(*columns, unique=False, min_size=0):
-    """Draw rows, sorted by their first column, as a tuple of columns."""
-    rows = st.lists(
-        st.tuples(*columns),
-        min_size=min_size,
-        max_size=8,
-        unique_by=(lambda row: row[0]) if unique else None,
-    )
-    return rows.map(
-        lambda drawn: [
-            np.array(column, object if column and isinstance(column[0], str) else None)
-            for column in (
-                zip(*sorted(drawn, key=lambda row: row[0]), strict=True)
-                if drawn
-                else [()] * len(columns)
-            )
-        ]
-    )
-
-
-drives = st.builds(
-    Drive,
-    name=st.just("run"),
-    odometry=table(finite, finite, finite, unique=True, min_size=1).map(lambda c: Odometry(*c)),
-    sightings=table(finite, ids, angles, sigmas).map(lambda c: Sightings(*c)),
-    home=st.dictionaries(ids, st.builds(HomeBearing, angles, sigmas), max_size=5),
-    settings=st.builds(
-        DriveSettings,
-        sensor=st.builds(Sensor, x=finite, yaw=finite, bearing_sigma=st.none() | positive),
-        home_sensor=st.none() | st.builds(Mount, y=finite),
-        odometry=st.builds(OdometryNoise, turn_sigma=st.none() | positive),
-        start=st.none() | st.builds(Start, R=positive, theta=finite, alpha=finite),
-    ),
-    truth=st.none()
-    | table(finite, finite, finite, angles, unique=True, min_size=1).map(lambda c: Truth(*c)),
-)
-
-
-def bits(columns):
-    """Return the columns of a dataclass of arrays as comparable bits."""
-    return {
-        name: values.tolist() if name == "landmark" else values.astype(float).tobytes()
-        for name, values in vars(columns).items()
-    }
-
-
-@settings(deadline=None, max_examples=60)
-@given(drive=drives)
-def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, drive):
-    folder = tmp_path_factory.mktemp("round") / "run"
-    write_folder(drive, folder)
-    back = read_folder(folder)
-    assert bits(back.odometry) == bits(drive.odometry)
-    assert bits(back.sightings) == bits(drive.sightings)
-    assert (back.truth is None) == (drive.truth is None)
-    if back.truth is not None:
-        assert bits(back.truth) == bits(drive.truth)
-    assert repr(back.home) == repr(drive.home)
-    assert repr(back.settings) == repr(drive.settings)
-
-
-def test_writes_only_what_is_known(tmp_path):
-    drive = read_folder(
-        put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n0,a,0\n", truth_csv=None)
-    )
-    write_folder(drive, tmp_path / "a" / "b" / "copy")
-    copy = tmp_path / "a" / "b" / "copy"
-    assert sorted(f.name for f in copy.iterdir()) == [
-        "bearings.csv", "drive.yaml", "home.csv", "odometry.csv"
-    ]  # fmt: skip
-    assert (copy / "bearings.csv").read_bytes() == b"t,landmark,bearing\n0.0,a,0.0\n"
-    assert (copy / "home.csv").read_bytes() == b"landmark,bearing\na,0.25\nc,-1.5\n"
-    assert (copy / "drive.yaml").read_text() == (
-        "sensor:\n  x: 0.2\n  bearing_sigma: 0.01\nstart:\n  R: 1.0\n  theta: 0.0\n  alpha: 0.0\n"
-    )
-
-
-def test_a_new_folder_is_as_open_as_any_other(tmp_path):
-    drive = read_folder(put(tmp_path / "run"))
-    write_folder(drive, tmp_path / "copy")
-    assert (tmp_path / "copy").stat().st_mode == (tmp_path / "run").stat().st_mode
-
-
-def test_an_existing_folder_keeps_what_is_not_of_a_drive(tmp_path):
-    folder = put(tmp_path / "old")
-    (folder / "command.txt").write_text("mine")
-    drive = read_folder(put(tmp_path / "run", drive_yaml=None, truth_csv=None))
-    write_folder(drive, folder)
-    assert (folder / "command.txt").read_text() == "mine"
-    assert not (folder / "truth.csv").exists()
-    assert not (folder / "drive.yaml").exists()
-    assert bits(read_folder(folder).odometry) == bits(drive.odometry)
-
-
-BAD = np.array([0.0, np.nan])
-GOOD = np.array([0.0, 1.0])
-NOTHING = Sightings(*(np.empty(0),) * 4)
-UNWRITABLE = [
-    (Drive("x", Odometry(GOOD, GOOD, BAD), NOTHING, {}), "odometry.csv: omega holds a number"),
-    (Drive("x", Odometry(*(np.empty(0),) * 3), NOTHING, {}), "odometry.csv: no rows"),
-    (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"": HomeBearing(0.0)}), "home.csv: landmark"),
-    (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"a ": HomeBearing(0.0)}), "home.csv: landm"),
-    (
-        Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {}, truth=Truth(GOOD, GOOD, BAD, GOOD)),
-        "truth.csv: y holds a number that is not finite",
-    ),
-]
-
-
-@pytest.mark.parametrize(("drive", "message"), UNWRITABLE)
-def test_a_failed_write_leaves_nothing_behind(tmp_path, drive, message):
-    with pytest.raises(InputError) as caught:
-        write_folder(drive, tmp_path / "new")
-    assert str(caught.value).startswith(f"{tmp_path / 'new'}/{message}")
-    assert list(tmp_path.iterdir()) == []
-    folder = put(tmp_path / "old")
-    with pytest.raises(InputError):
-        write_folder(drive, folder)
-    assert {f.name: f.read_bytes() for f in folder.iterdir()} == VALID
-    assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_refuses_to_write_over_a_file(tmp_path):
-    drive = read_folder(put(tmp_path / "run"))
-    (tmp_path / "file").write_text("mine")
-    for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match="cannot be written"):
-            write_folder(drive, place)
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-@st.composite
-def mutated(draw):
-    """Draw one of the valid files, with some of its bytes cut, doubled or replaced."""
-    name = draw(st.sampled_from(sorted(VALID)))
-    content = VALID[name]
-    for _ in range(draw(st.integers(1, 4))):
-        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
-        filling = draw(st.sampled_from(FILLINGS) | st.binary(max_size=3))
-        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
-    return name, content
-
-
-FILLINGS = [
-    b"", b",", b'"', b"\n", b"\r", b"\0", b"\xff", b"nan", b"-", b"e", b"9" * 400, b"\xe2\x80\xa8",
-    b"\xef\xbb\xbf", b": ", b"&a ", b"*a", b"[", b"{", b"!!int ", b"%", b"? ", b"<<: ", b"\t", b"|",
-]  # fmt: skip
-
-
-@settings(deadline=None, max_examples=300)
-@given(case=mutated())
-def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
-    name, content = case
-    folder = put(tmp_path_factory.mktemp("fuzz") / "run", **{name.replace(".", "_"): content})
-    drive, message = outcome(folder)
-    if drive is None:
-        assert len(message.splitlines()) == 1
-        assert name in message
-    else:
-        assert np.isfinite(drive.odometry.t).all()
-        assert (np.abs(drive.sightings.bearing) <= math.pi).all()
-
-
-def outcome(folder):
-    """Return what is read, or the message with which it is refused."""
-    try:
-        return read_folder(folder), ""
-    except InputError as error:
-        return None, str(error)
