@@ -7,15 +7,16 @@ What it says of the home bearings and of the set is in `verdict`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.localizer.doubt import doubt
 from homeward.localizer.faults import log_odds
-from homeward.localizer.linear import Linear, linearised
-from homeward.localizer.problem import HEAD, HomeProblem
+from homeward.localizer.linear import Linear, expected
+from homeward.localizer.problem import HEAD, YAW, HomeProblem
 from homeward.localizer.verdict import Verdict, judged
 
 UNSETTLED = 0.5
@@ -121,30 +122,21 @@ class HomeFit:
         return self.verdict.odds
 
     def odds_of(
-        self, places: np.ndarray, covariances: np.ndarray, bearing: float, sigma: float
+        self, places: np.ndarray, covariances: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray
     ) -> np.ndarray:
-        """Return the log odds of right against wrong of one more home bearing, shape (k,).
+        """Return the log odds of right against wrong of further home bearings, shape (k,).
 
         Parameters
         ----------
         places, covariances : ndarray, shape (k, 2), (k, 2, 2)
-            Where its landmark may stand, in the odometry frame [m], [m^2].
-        bearing, sigma : float
-            What home stored, and its standard deviation [rad].
+            Where their landmarks may stand, in the odometry frame [m], [m^2].
+        bearings, sigmas : ndarray, shape (k,)
+            What home stored, and the standard deviations [rad].
         """
-        size = HEAD + places.size
-        there = replace(
-            self.problem,
-            mean=np.concatenate([self.known[:HEAD], places.ravel()]),
-            covariance=np.zeros((size, size)),
-            bearings=np.full(len(places), bearing),
-            sigmas=np.full(len(places), sigma),
-        )
-        seen = linearised(there, self.home, there.mean)
-        by_place, by_home = -seen.by_home[:, :2], seen.by_home
-        variance = sigma**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
+        bearing, by_place, by_home = expected(self.problem, self.home, places, self.known[YAW])
+        variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
         variance += ((by_home @ self.spread) * by_home).sum(axis=1)
-        return log_odds(seen.residual, variance, self.problem.moved_prior)
+        return log_odds(wrap(bearings - bearing), variance, self.problem.moved_prior)
 
     @cached_property
     def _weighted(self) -> np.ndarray:

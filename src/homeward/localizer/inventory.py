@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.estimator import LandmarkEstimate
-from homeward.frames import Pose, between
-from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.marginal import Marginal, landmark_columns
+from homeward.localizer.glimpses import Glimpse
+from homeward.localizer.landmarks import Landmarks
+from homeward.localizer.marginal import HEAD, Marginal, landmark_columns
 from homeward.localizer.moved import Hypotheses
 
 
@@ -36,67 +35,85 @@ class Inventory:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return [self._landmark(name) for name in sorted({*self.home, *self.known.mapped}, key=str)]
+        moved, places = self._moved_probabilities(), self._from_home()
+        return [
+            self._landmark(name, moved.get(name, math.nan), places.get(name, 3 * (math.nan,)))
+            for name in sorted({*self.home, *self.known.mapped}, key=str)
+        ]
 
-    def _landmark(self, name: str) -> LandmarkEstimate:
+    def _landmark(
+        self, name: str, probability: float, place: tuple[float, float, float]
+    ) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""
-        now = self.known.mapped.get(name)
-        stored = x = y = distance = deviation = np.nan
+        stored = math.nan
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
-        moved_at = self.known.moved_at.get(name, np.nan)
-        probability = 1.0 if math.isfinite(moved_at) else self._moved_probability(name)
-        if self.hypotheses is not None and now is not None:
-            x, y, deviation = self._from_home(now, self.hypotheses)
-            distance = math.hypot(x, y)
+        moved_at = self.known.moved_at.get(name, math.nan)
+        if math.isfinite(moved_at):
+            probability = 1.0
+        x, y, deviation = place
+        mapped = self.known.mapped.get(name)
         return LandmarkEstimate(
             landmark=name,
             x=x,
             y=y,
-            distance=distance,
+            distance=math.hypot(x, y),
             sigma_distance=deviation,
             home_bearing_stored=stored,
-            home_bearing_estimated=math.atan2(y, x) if math.isfinite(distance) else np.nan,
+            home_bearing_estimated=math.atan2(y, x),
             moved_probability=probability,
             moved=probability > 0.5 if math.isfinite(probability) else None,
             moved_at=moved_at,
-            sightings=0 if now is None else now.sightings,
+            sightings=0 if mapped is None else mapped.sightings,
         )
 
-    @cached_property
-    def _of_used(self) -> np.ndarray:
-        """Return the probability of each used landmark that it was moved, shape (q,)."""
-        return np.zeros(0) if self.hypotheses is None else self.hypotheses.moved_probabilities()
-
-    def _moved_probability(self, name: str) -> float:
-        """Return the probability that a landmark was moved since home was stored; NaN unjudged."""
+    def _moved_probabilities(self) -> dict[str, float]:
+        """Return the probability that a landmark was moved since home was stored, if judged."""
         if self.hypotheses is None:
-            return math.nan
-        if name in self.used:
-            return float(self._of_used[self.used.index(name)])
-        if name not in self.home:
-            return math.nan
-        stored, best = self.home[name], self.hypotheses.best
-        if name in self.known.mapped:
-            columns = landmark_columns(self.known.mapped[name].number)
-            places = self.marginal.mean[None, columns]
-            covariances, weights = self.marginal.covariance[None, columns, columns], np.ones(1)
-        elif name in self.known.glimpsed:
-            ray = self.known.glimpsed[name]
-            places, covariances, weights = ray.places, ray.covariances, ray.weights
-        else:
-            return math.nan
-        odds = best.odds_of(places, covariances, stored.bearing, stored.sigma)
-        together = float(np.logaddexp.reduce(odds + np.log(np.maximum(weights, 1e-300))))
-        return 1.0 / (1.0 + math.exp(min(max(together, -500.0), 500.0)))
+            return {}
+        found = dict(zip(self.used, self.hypotheses.moved_probabilities().tolist(), strict=True))
+        others = {n: where for n in self.home if n not in found and (where := self._where(n))}
+        if others:
+            bearings = [self.home[n].bearing for n in others]
+            sigmas = [self.home[n].sigma for n in others]
+            counts = [len(where.weights) for where in others.values()]
+            places, covariances, weights = (
+                np.concatenate([getattr(where, part) for where in others.values()])
+                for part in ("places", "covariances", "weights")
+            )
+            stored = np.repeat(bearings, counts), np.repeat(sigmas, counts)
+            odds = self.hypotheses.best.odds_of(places, covariances, *stored)
+            odds += np.log(np.maximum(weights, 1e-300))
+            together = np.logaddexp.reduceat(odds, np.cumsum([0, *counts[:-1]]))
+            wrong = 1.0 / (1.0 + np.exp(np.clip(together, -500.0, 500.0)))
+            found |= zip(others, wrong.tolist(), strict=True)
+        return found
 
-    def _from_home(self, now: Landmark, hypotheses: Hypotheses) -> tuple[float, float, float]:
-        """Return where a landmark stands in the home frame, and how uncertain its distance is."""
-        best, columns = hypotheses.best, landmark_columns(now.number)
+    def _where(self, name: str) -> Glimpse | None:
+        """Return where a landmark may stand; None where nothing is known of that."""
+        if name not in self.known.mapped:
+            return self.known.glimpsed.get(name)
+        columns = landmark_columns(self.known.mapped[name].number)
+        at, spread = self.marginal.mean[columns], self.marginal.covariance[columns, columns]
+        return Glimpse(at[None], spread[None], np.ones(1))
+
+    def _from_home(self) -> dict[str, tuple[float, float, float]]:
+        """Return where landmarks stand in the home frame [m], and the deviation of the distance."""
+        mapped = self.known.mapped
+        if self.hypotheses is None or not mapped:
+            return {}
+        best = self.hypotheses.best
+        columns = HEAD + 2 * np.array([m.number for m in mapped.values()])[:, None] + np.arange(2)
         at = self.marginal.mean[columns]
-        if now.name in self.used and now.name not in self.known.former:
-            at = best.landmarks[self.used.index(now.name)]
-        x, y, _ = between(Pose(*best.home), Pose(at[0], at[1], 0.0))
-        spread = self.marginal.covariance[columns, columns] + best.covariance[:2, :2]
-        towards = (at - best.home[:2]) / max(math.hypot(x, y), 1e-9)
-        return float(x), float(y), math.sqrt(float(towards @ spread @ towards))
+        index = {name: i for i, name in enumerate(mapped)}
+        for name, place in zip(self.used, best.landmarks, strict=True):
+            if name in index and name not in self.known.former:
+                at[index[name]] = place
+        spread = self.marginal.covariance[columns[:, :, None], columns[:, None, :]]
+        spread = spread + best.covariance[:2, :2]
+        away = at - best.home[:2]
+        c, s = math.cos(best.home[2]), math.sin(best.home[2])
+        towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+        deviation = np.sqrt(np.einsum("ki,kij,kj->k", towards, spread, towards))
+        table = np.column_stack([away @ np.array([[c, -s], [s, c]]), deviation])
+        return dict(zip(mapped, map(tuple, table.tolist()), strict=True))

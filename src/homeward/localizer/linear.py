@@ -45,19 +45,30 @@ class Linear:
 
 def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Linear:
     """Return the home bearings around `home` (3,) and what is known (4 + 2 q,)."""
+    bearing, by_place, by_home = expected(problem, home, known[HEAD:].reshape(-1, 2), known[YAW])
+    residual = wrap(problem.bearings - bearing)
+    residual = residual + expected_change(problem, by_place, known - problem.mean)
+    return _linear(problem, home, residual, by_place, by_home)
+
+
+def expected(
+    problem: HomeProblem, home: np.ndarray, places: np.ndarray, camera_yaw: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the bearings (k,) of places (k, 2) from `home` (3,), and how they change.
+
+    The latter by the place, (k, 2), and by home, (k, 3); `camera_yaw` [rad] is what the camera's
+    yaw is off, if home's is the same.
+    """
     c, s = math.cos(home[2]), math.sin(home[2])
     mx, my, yaw = problem.mount
     ox, oy = c * mx - s * my, s * mx + c * my
-    points = known[HEAD:].reshape(-1, 2)
-    dx, dy = points[:, 0] - home[0] - ox, points[:, 1] - home[1] - oy
+    dx, dy = places[:, 0] - home[0] - ox, places[:, 1] - home[1] - oy
     square = np.maximum(dx * dx + dy * dy, 1e-4)
     gx, gy = -dy / square, dx / square
-    unknown_yaw = known[YAW] if problem.same_camera else 0.0
-    residual = wrap(problem.bearings - np.arctan2(dy, dx) + home[2] + yaw + unknown_yaw)
+    unknown_yaw = camera_yaw if problem.same_camera else 0.0
+    bearing = np.arctan2(dy, dx) - home[2] - yaw - unknown_yaw
     by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
-    by_place = np.stack([gx, gy], axis=1)
-    residual = residual + expected_change(problem, by_place, known - problem.mean)
-    return _linear(problem, home, residual, by_place, by_home)
+    return bearing, np.stack([gx, gy], axis=1), by_home
 
 
 def expected_change(problem: HomeProblem, by_place: np.ndarray, change: np.ndarray) -> np.ndarray:
