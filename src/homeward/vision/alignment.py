@@ -10,8 +10,9 @@ off, and that an edge of something near before something far away is no place at
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from ctypes import CDLL
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -61,10 +62,31 @@ class Alignment:
     """(n,) [px]"""
     row: np.ndarray
     """(n,) [px]"""
+    shape: np.ndarray
+    """(n, 2, 2): how a step at home, right and down, is carried [px now by px at home]."""
     spread: np.ndarray
     """(n, 2, 2): covariance of column and row [px^2], by what is left between the two patches."""
+    likeness: np.ndarray
+    """(n,): correlation of the two patches."""
     found: np.ndarray
     """(n,) bool: whether the two patches show the same."""
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+    @property
+    def place(self) -> np.ndarray:
+        """Column and row, (n, 2) [px]."""
+        return np.column_stack([self.column, self.row])
+
+    def __getitem__(self, rows: np.ndarray) -> Alignment:
+        return Alignment(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Alignment]) -> Alignment:
+        """Return several, one after another."""
+        names = [part.name for part in fields(cls)]
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
 def align(
@@ -91,20 +113,47 @@ def align(
     turn : ndarray, shape (n,)
         And how far it is turned, clockwise [rad].
     """
-    radius = np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times
-    reach = radius * growth
-    start = _similarity(at_now, reach, turn)
-    carried, likeness, spread = _lay(home, now, at_home, radius, start, reach)
+    return lay(home, now, at_home, size, _similarity(at_now, growth, turn))
+
+
+def lay(
+    home: Picture, now: Picture, at_home: np.ndarray, size: np.ndarray, start: np.ndarray
+) -> Alignment:
+    """Lay patches as `align` does, beginning with any maps.
+
+    Parameters
+    ----------
+    home, now : Picture
+        The two panoramas.
+    at_home : ndarray, shape (n, 2)
+        Column and row of each feature [px].
+    size : ndarray, shape (n,)
+        Diameter of the feature at home [px].
+    start : ndarray, shape (n, 2, 3)
+        Of steps at home [px] to columns and rows now.
+    """
+    radius = radius_of(size, home)
+    begun = start.copy()
+    begun[:, :, :2] *= radius[:, None, None]
+    reach = np.sqrt(np.abs(np.linalg.det(begun[:, :, :2])))
+    carried, likeness, spread = _lay(home, now, at_home, radius, begun, reach)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
     noise = shape @ spread @ shape.swapaxes(1, 2)
-    shift = np.hypot(*(carried[:, :, 2] - at_now).T)
+    shift = np.hypot(*(carried[:, :, 2] - start[:, :, 2]).T)
     return Alignment(
         column=carried[:, 0, 2],
         row=carried[:, 1, 2],
+        shape=shape / radius[:, None, None],
         spread=SIGMA_FLOOR**2 * np.eye(2) + SIGMA_TIMES**2 * left[:, None, None] * noise,
+        likeness=likeness,
         found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
     )
+
+
+def radius_of(size: np.ndarray, home: Picture) -> np.ndarray:
+    """Return the radius of patches about features of a size, both in px."""
+    return np.asarray(np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times)
 
 
 def _lay(

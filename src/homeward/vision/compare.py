@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.vision.acceptance import Verdict, judge
-from homeward.vision.alignment import align
+from homeward.vision.alignment import Alignment, align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
+from homeward.vision.neighbours import neighbours
+from homeward.vision.refine import Fit, refine
 from homeward.vision.search import search
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
 """With a larger one [rad] the direction counts as not known ..."""
 LEAST_PARALLAX = 5.0
 """... and with less parallax [1]: two images from one place have up to three, by noise."""
+EACH = 0.4
+"""What counts of the two covariances, of matches alone and of all that was found, as was found on
+rendered rooms: the first is too large for what all say, the second too small."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 
@@ -109,12 +114,17 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     camera : Panorama
         That took both.
     """
-    rows, pairs, place, quality = paired(home, now, camera)
+    rows, pairs, laid, quality = paired(home, now, camera)
     i, j = rows.T
     fit = search(pairs, quality, camera.tilt_sigma)
     verdict = judge(fit, pairs)
-    agrees = np.zeros(len(pairs), bool) if fit is None else fit.inlier
-    moved = np.zeros(len(pairs), bool)
+    agrees, moved = np.zeros((2, len(pairs)), bool)
+    spread = np.full((2, 2), np.inf)
+    if fit is not None:
+        if verdict.accepted:
+            beside = neighbours(home, now, i, laid)
+            fit, spread = _sharpened(fit, pairs, _pairs(home, now, *beside, camera), camera)
+        agrees = fit.inlier[: len(pairs)]
     if verdict.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
     return Comparison(
@@ -122,20 +132,18 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         pairs=pairs,
         home_row=i,
         now_row=j,
-        place=place,
+        place=laid.place,
         agrees=agrees,
         moved=moved,
         motion=None if fit is None else fit.motion,
-        covariance=np.full((2, 2), np.inf)
-        if fit is None or not verdict.accepted
-        else covariance(fit, pairs, camera.tilt_sigma)[:2, :2],
+        covariance=spread,
         parallax=0.0 if fit is None else fit.parallax,
     )
 
 
 def paired(
     home: View, now: View, camera: Panorama
-) -> tuple[np.ndarray, Pairs, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
     """Return the features that look alike, (n, 2) rows, their directions, places and qualities.
 
     Features that turned in the image are left out, since cameras are nearly upright; so are
@@ -149,30 +157,34 @@ def paired(
     order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
     _, first = np.unique(places[order].round(), axis=0, return_index=True)
     kept = np.sort(order[first])
-    pairs, place, found = _laid(home, now, rows[kept], camera)
-    return rows[kept][found], pairs[found], place[found], quality[kept][found]
-
-
-def _laid(
-    home: View, now: View, rows: np.ndarray, camera: Panorama
-) -> tuple[Pairs, np.ndarray, np.ndarray]:
-    """Return directions and places now, where home's patches fit best, and whether they fit."""
-    i, j = rows.T
+    i, j = rows[kept].T
     growth = now.size[j] / home.size[i]
-    laid = align(
-        home.picture,
-        now.picture,
-        np.column_stack([home.column[i], home.row[i]]),
-        np.column_stack([now.column[j], now.row[j]]),
-        home.size[i],
-        growth,
-        wrap(now.angle[j] - home.angle[i]),
-    )
+    turn = wrap(now.angle[j] - home.angle[i])
+    at_home, at_now = np.hsplit(places[kept], 2)
+    laid = align(home.picture, now.picture, at_home, at_now, home.size[i], growth, turn)
+    pairs = replace(_pairs(home, now, i, laid, camera), growth=np.log(growth))
+    found = laid.found
+    return rows[kept][found], pairs[found], laid[found], quality[kept][found]
+
+
+def _pairs(home: View, now: View, rows: np.ndarray, laid: Alignment, camera: Panorama) -> Pairs:
+    """Return the directions of features of home, and of where they lie now."""
     directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
-    pairs = Pairs(
-        np.column_stack([home.azimuth[i], home.elevation[i]]),
+    return Pairs(
+        np.column_stack([home.azimuth[rows], home.elevation[rows]]),
         directions,
         slope @ laid.spread @ slope.swapaxes(1, 2),
-        np.log(growth),
+        np.log(np.abs(np.linalg.det(laid.shape))) / 2,
     )
-    return pairs, np.column_stack([laid.column, laid.row]), laid.found
+
+
+def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
+    """Fit the motion to what lies beside the matches, too; return also its covariance, (2, 2).
+
+    What lies beside errs with the match by which it was found: the covariance of matches alone has
+    a say, too, and theirs is the parallax.
+    """
+    alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
+    found = refine(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma)
+    both = alone + covariance(found, everything, camera.tilt_sigma)
+    return replace(found, parallax=fit.parallax), EACH * both[:2, :2]

@@ -8,7 +8,7 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,6 +89,11 @@ class Pairs:
             self.spread[rows],
             self.growth[rows],
         )
+
+    def __add__(self, other: Pairs) -> Pairs:
+        """Return these pairs and others after them."""
+        parts = ((getattr(p, part.name) for p in (self, other)) for part in fields(self))
+        return Pairs(*(np.concatenate(list(both)) for both in parts))
 
 
 def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

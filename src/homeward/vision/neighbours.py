@@ -1,0 +1,99 @@
+"""What else of home lies about a feature that was found again, and where it lies now.
+
+Of a panorama's features a tenth are found again: most are not detected twice, or look like several
+others. But a patch that was laid tells how what surrounds it is carried, be it detected now or not:
+features of home beside it are laid where its map takes them, and those beside these in turn
+(Lhuillier and Quan, "Match propagation for image-based modeling and rendering", PAMI 2002). No
+motion is assumed in that: they are measurements of their own, two to three times as many as there
+were matches. They say nothing of whether two panoramas have anything in common, though, since they
+are right or wrong together with the match by which they were found.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.vision.alignment import Alignment, lay, radius_of
+from homeward.vision.features import View
+
+NEAR = 3.0
+"""A map holds within so many radii of its patch."""
+GUIDES = 3
+"""Of each feature, the nearest ones: that after whose map it looks most alike is believed."""
+ROUNDS = 2
+LEAST_LIKENESS = 0.9
+"""More than of a match, for which its descriptor speaks, too."""
+MOST_GROWTH = 10.0
+"""Of an area: maps that change it more, either way, carry nothing."""
+
+
+def neighbours(
+    home: View, now: View, known: np.ndarray, laid: Alignment
+) -> tuple[np.ndarray, Alignment]:
+    """Find what lies beside features that were found.
+
+    Parameters
+    ----------
+    home, now : View
+        The two panoramas.
+    known : ndarray of int, shape (n,)
+        Features of home that were found.
+    laid : Alignment
+        Where they lie now.
+
+    Returns
+    -------
+    rows : ndarray of int, shape (m,)
+        Other features of home, at other places.
+    laid : Alignment
+        Where they lie now.
+    """
+    others, found = _others(home, known), []
+    for _ in range(ROUNDS):
+        known, laid = _beside(home, now, others, known, laid)
+        others = np.setdiff1d(others, known)
+        found.append((known, laid))
+    rows, parts = zip(*found, strict=True)
+    return np.concatenate(rows), Alignment.joined(parts)
+
+
+def _others(home: View, known: np.ndarray) -> np.ndarray:
+    """Return the features of home at other places than the known ones, one of each place."""
+    order = np.concatenate([known, np.setdiff1d(np.arange(len(home)), known)])
+    place = home.column[order].round() + 1j * home.row[order].round()
+    first = np.unique(place, return_index=True)[1]
+    return np.sort(order[first[first >= len(known)]])
+
+
+def _beside(
+    home: View, now: View, others: np.ndarray, guides: np.ndarray, laid: Alignment
+) -> tuple[np.ndarray, Alignment]:
+    """Return those of the others that lie where a guide's map takes them, and where that is."""
+    which, guide, step = _near(home, others, guides)
+    carried = (laid.shape[guide] @ step[..., None])[..., 0] + laid.place[guide]
+    area = np.abs(np.linalg.det(laid.shape[guide]))
+    inside = (carried[:, 1] > 0) & (carried[:, 1] < now.shape[0] - 1)
+    kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
+    which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
+    at_home = np.column_stack([home.column[which], home.row[which]])
+    tried = lay(home.picture, now.picture, at_home, home.size[which], start)
+    alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
+    best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
+    rows, first = np.unique(which[best_first], return_index=True)
+    return rows, tried[best_first[first]]
+
+
+def _near(
+    home: View, others: np.ndarray, guides: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which others lie near which guides, (k,) places in both, and steps there, (k, 2)."""
+    width = home.shape[1]
+    across = home.column[others, None] - home.column[guides]
+    across -= width * np.round(across / width)
+    down = home.row[others, None] - home.row[guides]
+    apart = np.hypot(across, down) / radius_of(home.size[guides], home.picture)
+    near = apart < NEAR
+    if len(guides) > GUIDES:
+        near &= apart <= np.partition(apart, GUIDES - 1, axis=1)[:, GUIDES - 1 : GUIDES]
+    which, guide = np.nonzero(near)
+    return which, guide, np.column_stack([across[near], down[near]])
