@@ -117,7 +117,12 @@ def align(
 
 
 def lay(
-    home: Picture, now: Picture, at_home: np.ndarray, size: np.ndarray, start: np.ndarray
+    home: Picture,
+    now: Picture,
+    at_home: np.ndarray,
+    size: np.ndarray,
+    start: np.ndarray,
+    steps: int = STEPS,
 ) -> Alignment:
     """Lay patches as `align` does, beginning with any maps.
 
@@ -131,12 +136,14 @@ def lay(
         Diameter of the feature at home [px].
     start : ndarray, shape (n, 2, 3)
         Of steps at home [px] to columns and rows now.
+    steps : int
+        Of Lucas and Kanade's method.
     """
     radius = radius_of(size, home)
     begun = start.copy()
     begun[:, :, :2] *= radius[:, None, None]
     reach = np.sqrt(np.abs(np.linalg.det(begun[:, :, :2])))
-    carried, likeness, spread = _lay(home, now, at_home, radius, begun, reach)
+    carried, likeness, spread = _lay(home, now, at_home, radius, begun, reach, steps)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
     noise = shape @ spread @ shape.swapaxes(1, 2)
@@ -163,6 +170,7 @@ def _lay(
     radius: np.ndarray,
     start: np.ndarray,
     reach: np.ndarray,
+    steps: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
 
@@ -171,11 +179,11 @@ def _lay(
     """
     native = compiled()
     if native is not None:
-        return _lay_compiled(native, home, now, at, radius, start, reach)
+        return _lay_compiled(native, home, now, at, radius, start, reach, steps)
     patch, slopes = _template(home, at, radius)
     information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
     back, carried = np.linalg.inv(start[:, :, :2]), start
-    for _ in range(STEPS):
+    for _ in range(steps):
         off = _normal(now.sample(carried @ _GRID, reach / HALF))[0] - patch
         gradient = (off[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
@@ -193,6 +201,7 @@ def _lay_compiled(
     radius: np.ndarray,
     start: np.ndarray,
     reach: np.ndarray,
+    steps: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `_lay` does, in compiled code."""
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (home, now)]
@@ -200,7 +209,7 @@ def _lay_compiled(
     told = [np.array(a, float, order="C") for a in (at, radius, reach, start)]
     likeness, spread = np.empty(len(at)), np.empty((len(at), 2, 2))
     if native.lay(
-        *(len(at), _GRIDS.shape[1], STEPS, limits, _PRIOR, _GRIDS),
+        *(len(at), _GRIDS.shape[1], steps, limits, _PRIOR, _GRIDS),
         *(*pictures[0], *pictures[1], *told, likeness, spread),
     ):
         raise ValueError("patches that cannot be laid")

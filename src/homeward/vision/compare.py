@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +24,9 @@ LARGEST_DIRECTION_SIGMA = np.radians(30.0)
 """With a larger one [rad] the direction counts as not known ..."""
 LEAST_PARALLAX = 5.0
 """... and with less parallax [1]: two images from one place have up to three, by noise."""
-EACH = 0.4
-"""What counts of the two covariances, of matches alone and of all that was found, as was found on
-rendered rooms: the first is too large for what all say, the second too small."""
+ALONE = 0.1
+"""What the covariance of matches alone counts, beside that of all that was found, as was found on
+rendered rooms: the first is too large for what all say, the second at times far too small."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 
@@ -182,9 +183,12 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     """Fit the motion to what lies beside the matches, too; return also its covariance, (2, 2).
 
     What lies beside errs with the match by which it was found: the covariance of matches alone has
-    a say, too, and theirs is the parallax.
+    a say, too, and theirs is the parallax. Where they tell no direction, another motion may be the
+    right one, of which what was found after them knows nothing: then they have the only say.
     """
     alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
     found = refine(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma)
-    both = alone + covariance(found, everything, camera.tilt_sigma)
-    return replace(found, parallax=fit.parallax), EACH * both[:2, :2]
+    together = covariance(found, everything, camera.tilt_sigma)
+    share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
+    spread = share * alone + (1.0 - share) * together
+    return replace(found, parallax=fit.parallax), spread[:2, :2]

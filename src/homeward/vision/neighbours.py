@@ -16,11 +16,13 @@ import numpy as np
 from homeward.vision.alignment import Alignment, lay, radius_of
 from homeward.vision.features import View
 
-NEAR = 3.0
+NEAR = 4.0
 """A map holds within so many radii of its patch."""
-GUIDES = 3
+GUIDES = 2
 """Of each feature, the nearest ones: that after whose map it looks most alike is believed."""
 ROUNDS = 2
+STEPS = 4
+"""Half of what a match takes: a map begins nearer than a feature's own size and turn."""
 LEAST_LIKENESS = 0.9
 """More than of a match, for which its descriptor speaks, too."""
 MOST_GROWTH = 10.0
@@ -51,7 +53,7 @@ def neighbours(
     others, found = _others(home, known), []
     for _ in range(ROUNDS):
         known, laid = _beside(home, now, others, known, laid)
-        others = np.setdiff1d(others, known)
+        others = np.setdiff1d(others, known, assume_unique=True)
         found.append((known, laid))
     rows, parts = zip(*found, strict=True)
     return np.concatenate(rows), Alignment.joined(parts)
@@ -59,7 +61,7 @@ def neighbours(
 
 def _others(home: View, known: np.ndarray) -> np.ndarray:
     """Return the features of home at other places than the known ones, one of each place."""
-    order = np.concatenate([known, np.setdiff1d(np.arange(len(home)), known)])
+    order = np.concatenate([known, np.delete(np.arange(len(home)), known)])
     place = home.column[order].round() + 1j * home.row[order].round()
     first = np.unique(place, return_index=True)[1]
     return np.sort(order[first[first >= len(known)]])
@@ -76,7 +78,7 @@ def _beside(
     kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
     which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
     at_home = np.column_stack([home.column[which], home.row[which]])
-    tried = lay(home.picture, now.picture, at_home, home.size[which], start)
+    tried = lay(home.picture, now.picture, at_home, home.size[which], start, STEPS)
     alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
     best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
     rows, first = np.unique(which[best_first], return_index=True)
