@@ -1,6 +1,7 @@
 """Two panoramas of a ray-cast room: heading, direction, what moved, and what is unknown."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from homeward.angles import wrap
 from homeward.vision import Equirectangular, compare, look
 
 CAMERA = Equirectangular()
+COMPARE = import_module("homeward.vision.compare")
+"""The package gives its name to the function."""
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +75,41 @@ def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, column
     # The scene goes to the right: the camera has turned to the left.
     assert abs(wrap(rolled.heading - still.heading - turn)) < 0.01
     assert abs(wrap(rolled.direction - still.direction)) < 0.03
+
+
+def without_neighbours(patch):
+    """Have comparisons rely on matches alone."""
+    patch.setattr(COMPARE, "neighbours", lambda _, __, known, laid: (known[:0], laid[:0]))
+
+
+def test_what_lies_beside_the_matches_makes_the_direction_better():
+    truth, off = np.arctan2(0.5, 1.2) - 0.4, []
+    for seed in range(1, 9):
+        other = make_room(seed)
+        places = ((3.0, 3.0, 0.4, 1), (4.2, 3.5, 2.0, 2))
+        views = [look(draw(other, *place, seed=noise), CAMERA) for *place, noise in places]
+        with pytest.MonkeyPatch.context() as patch:
+            without_neighbours(patch)
+            alone = compare(*views, CAMERA)
+        seen = compare(*views, CAMERA)
+        assert seen.verdict == alone.verdict
+        assert seen.parallax == alone.parallax
+        off.append([wrap(one.direction - truth) for one in (seen, alone)])
+    together, alone = np.sqrt(np.mean(np.square(off), axis=0))
+    assert together < 0.8 * alone
+
+
+@pytest.mark.parametrize(("largest", "sure"), [(0.5, True), (1e-4, False)])
+def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
+    room, home, monkeypatch, largest, sure
+):
+    now = look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
+    monkeypatch.setattr(COMPARE, "LARGEST_DIRECTION_SIGMA", largest)
+    seen = compare(home, now, CAMERA)
+    without_neighbours(monkeypatch)
+    alone = compare(home, now, CAMERA)
+    assert (seen.direction_sigma < 0.8 * alone.direction_sigma) is sure
+    assert sure or np.allclose(seen.covariance, alone.covariance)
 
 
 def test_light_does_not_matter(room, home):
