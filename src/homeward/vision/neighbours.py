@@ -93,8 +93,8 @@ def _near(
     across = home.column[others, None] - home.column[guides]
     across -= width * np.round(across / width)
     down = home.row[others, None] - home.row[guides]
-    apart = np.hypot(across, down) / radius_of(home.size[guides], home.picture)
-    near = apart < NEAR
+    apart = (across**2 + down**2) / radius_of(home.size[guides], home.picture) ** 2
+    near = apart < NEAR**2
     if len(guides) > GUIDES:
         near &= apart <= np.partition(apart, GUIDES - 1, axis=1)[:, GUIDES - 1 : GUIDES]
     which, guide = np.nonzero(near)
