@@ -47,6 +47,21 @@ def test_patches_are_laid_alike(both, shape, times):
     assert min(shape) < 25 or (alike and same.sum() > n / 2)
 
 
+def test_a_feature_is_laid_after_several_maps_as_after_each_alone():
+    rng, n = np.random.default_rng(3), 20
+    image = blots(rng, (96, 256))
+    pictures = Picture.of(image), Picture.of(np.roll(image, 3, axis=1))
+    at = rng.uniform([0, 0], [256, 96], (n, 2))
+    told = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.ones(n), np.zeros(n)
+    other = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.full(n, 1.2), np.zeros(n)
+    # Each feature twice, one after the other.
+    pairs = (np.stack(pair, axis=1) for pair in zip(told, other, strict=True))
+    together = align(*pictures, *(pair.reshape(2 * n, *pair.shape[2:]) for pair in pairs))
+    for first, alone in enumerate((align(*pictures, *told), align(*pictures, *other))):
+        assert np.array_equal(together.place[first::2], alone.place)
+        assert np.array_equal(together.spread[first::2], alone.spread)
+
+
 def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):
     rng = np.random.default_rng(1)
     picture = Picture.of(blots(rng, (50, 120)))

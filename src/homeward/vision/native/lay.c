@@ -166,14 +166,19 @@ int lay(long n, long points, long steps, const double *limits, const double *pri
   const Picture home = picture_of(home_count, home_levels, home_layout);
   const Picture now = picture_of(now_count, now_levels, now_layout);
   float patch[points], laid[points], slopes[SHAPES * points];
+  double root[SHAPES][SHAPES];
   if (points % LANES) return 1;
   for (long m = 0; m < n; m++) {
-    double *map = carried + 6 * m, root[SHAPES][SHAPES], step[SHAPES];
-    template_of(&home, &grid, at + 2 * m, radius[m], half, patch, slopes);
-    for (int j = 0; j < SHAPES; j++)
-      for (int q = 0; q <= j; q++)
-        root[j][q] = dot(points, slopes + j * points, slopes + q * points) + (j == q) * prior[j];
-    if (root_of(root)) return 1;
+    double *map = carried + 6 * m, step[SHAPES];
+    const double *place = at + 2 * m;
+    /* One feature is laid after several maps in turn: its patch is the same. */
+    if (!m || place[0] != place[-2] || place[1] != place[-1] || radius[m] != radius[m - 1]) {
+      template_of(&home, &grid, place, radius[m], half, patch, slopes);
+      for (int j = 0; j < SHAPES; j++)
+        for (int q = 0; q <= j; q++)
+          root[j][q] = dot(points, slopes + j * points, slopes + q * points) + (j == q) * prior[j];
+      if (root_of(root)) return 1;
+    }
     const double size = map[0] * map[4] - map[1] * map[3];
     const double back[2][2] = {{map[4] / size, -map[1] / size}, {-map[3] / size, map[0] / size}};
     for (long k = 0;; k++) {
