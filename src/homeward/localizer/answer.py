@@ -86,13 +86,17 @@ def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
 def unchecked(fit: HomeFit) -> np.ndarray | None:
     """Return the covariance (3, 3) of the answer by faults that no home bearing could contradict.
 
-    Of more bearings than fix home, the sets without one of them are hypotheses of their own; three
-    alone may be wrong and agree all the same. None where there are more.
+    A bearing that all others together predict too vaguely agrees, right or wrong; so does any of
+    three alone. Where there are more, the sets without one of them are hypotheses of their own.
+    None where every bearing is checked.
     """
     problem = fit.problem
-    if problem.prior is not None or fit.right.sum() > problem.fewest:
+    if problem.prior is not None:
         return None
-    by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision)
+    alone = fit.right & ~fit.checked
+    if not alone.any():
+        return None
+    by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision[:, alone])
     lever = math.sqrt(problem.moved_prior) * SCALE * _derivatives(fit)[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(lever[:2], 2), np.linalg.norm(lever[2])

@@ -11,8 +11,7 @@ from homeward.localizer.problem import HomeProblem
 
 STEPS = 6
 SETTLED = 1e-4
-"""A step of home smaller than this ends the iteration [m or rad]."""
-LONGEST_STEP_M = 1.0
+"""A step of home smaller than this ends the iteration [of the longest one]."""
 
 
 def fit(
@@ -46,7 +45,7 @@ def _iterated(
         known, now = problem.mean, None
         for _ in range(steps):
             now = solved(linearised(problem, home, known), right)
-            if now is None or np.abs(now.step).max() < SETTLED:
+            if now is None or problem.length(now.step) < SETTLED:
                 break
             home, known = now.home, now.known
         return now
@@ -55,8 +54,7 @@ def _iterated(
     arrays = (linear.residual, linear.by_place, linear.by_home, linear.correlated, linear.spread)
     found = information, precision, step, log_volume = _room(q)
     given = (right.astype(float), at, *room, *arrays, *found)
-    settings = (steps, LONGEST_STEP_M, SETTLED)
-    if native.fit_home(problem.in_c, *settings, *given):
+    if native.fit_home(problem.in_c, steps, SETTLED, *given):
         return None
     return HomeFit(linear, right, step, precision, information, float(log_volume[0]))
 
@@ -87,7 +85,7 @@ def solved(linear: Linear, right: np.ndarray, doubt: np.ndarray | None = None) -
             return None
     else:
         given = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
-        if native.solve_home(problem.in_c, *given, LONGEST_STEP_M, *found):
+        if native.solve_home(problem.in_c, *given, *found):
             return None
     return HomeFit(linear, right, step, precision, information, float(log_volume[0]), doubt)
 
@@ -119,4 +117,4 @@ def _solve(
     step[:] = np.linalg.solve(information, slope)
     if not np.isfinite(step).all():
         raise np.linalg.LinAlgError("home is not finite")
-    step *= min(1.0, LONGEST_STEP_M / max(float(np.abs(step).max()), 1e-12))
+    step /= max(1.0, problem.length(step))

@@ -14,11 +14,15 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.doubt import doubt
-from homeward.localizer.faults import log_odds
+from homeward.localizer.faults import SCALE, log_odds
 from homeward.localizer.linear import Linear, expected
 from homeward.localizer.problem import HEAD, YAW, HomeProblem
 from homeward.localizer.verdict import Verdict, judged
 
+BESIDE = 1.0
+"""Homes that are so near are the same one [standard deviations]."""
+CUT_SHORT = 0.999
+"""A longer step was cut short to the longest that is taken at once."""
 UNSETTLED = 0.5
 """A last step longer than this says that the fit has not come to rest [standard deviations]."""
 
@@ -53,8 +57,15 @@ class HomeFit:
 
     @cached_property
     def settled(self) -> bool:
-        """Whether the last step was small against home's own uncertainty."""
-        return bool(self.step @ self.information @ self.step < UNSETTLED**2)
+        """Whether the last step was small against home's own uncertainty, and not cut short."""
+        whole = self.problem.length(self.step) < CUT_SHORT
+        return bool(whole and self.step @ self.information @ self.step < UNSETTLED**2)
+
+    def is_beside(self, home: np.ndarray) -> bool:
+        """Return whether another home (3,) is this one, within its uncertainty."""
+        off = self.home - home
+        off[2] = wrap(off[2])
+        return bool(off @ self.information @ off < BESIDE**2)
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -109,12 +120,19 @@ class HomeFit:
     @cached_property
     def evidence(self) -> float:
         """Log of the evidence of the set, up to a constant that all sets share."""
-        return self.verdict.evidence
+        return self.verdict.evidence + self.problem.log_density(self.home)
 
     @property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
         """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
         return self.verdict.innovation, self.verdict.variance
+
+    @cached_property
+    def checked(self) -> np.ndarray:
+        """(q,), bool: those of the set that the others predict well enough to contradict them."""
+        if self.right.sum() <= self.problem.fewest:
+            return np.zeros_like(self.right)
+        return np.asarray(self.right & (self.verdict.variance < SCALE**2))
 
     @property
     def odds(self) -> np.ndarray:

@@ -252,6 +252,6 @@ def _fit_beside(
     """Fit home from `home` (3,), with no new linearisation if it is where another fit has it."""
     if lead is not None and right.sum() >= problem.fewest:
         quick = solved(lead.linear, right, lead.doubt)
-        if quick is not None and quick.settled:
+        if quick is not None and quick.settled and quick.is_beside(home):
             return quick
     return fit(problem, home, right, steps=3)

@@ -18,6 +18,12 @@ from homeward.localizer.resection import REACH
 HEAD = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
+HOME_SHARE = 0.5
+"""Home is about so far from the middle of its landmarks [of their range]."""
+LONGEST_SHARE = 0.2
+"""A fit moves home by so much at once at most [of the range] ..."""
+LONGEST_TURN = 1.0
+"""... and turns it by so much [rad]."""
 
 
 class ProblemInC(ctypes.Structure):
@@ -25,7 +31,7 @@ class ProblemInC(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_long) for name in ("q", "size", "same_camera", "has_prior")),
-        ("moved_prior", ctypes.c_double),
+        *((name, ctypes.c_double) for name in ("moved_prior", "longest_step")),
         *((name, ctypes.c_void_p) for name in ("mean", "covariance", "bearings", "sigmas")),
         *((name, ctypes.c_void_p) for name in ("mount", "before", "prior")),
     )
@@ -70,6 +76,33 @@ class HomeProblem:
         x, y = self.landmarks.mean(axis=0).tolist()
         return x, y
 
+    @cached_property
+    def range(self) -> float:
+        """How far landmarks are from where they are seen, for all one can say [m]."""
+        if not self.bearings.size:
+            return 1.0
+        x, y = (self.landmarks - self.mean[:2]).T
+        return max(self.extent, float(np.median(np.hypot(x, y))), 1e-3)
+
+    def length(self, step: np.ndarray) -> float:
+        """Return how long a step of home (3,) is, the longest that is taken at once being one."""
+        dx, dy, turn = np.abs(step).tolist()
+        return float(max(max(dx, dy) / (LONGEST_SHARE * self.range), turn / LONGEST_TURN))
+
+    def log_density(self, home: np.ndarray) -> float:
+        """Return how probable a home (3,) is beforehand, the log of a density up to a constant.
+
+        Home saw its landmarks, and so is hardly farther from them than they are from each other,
+        or from the robot, which sees them too. How much farther it may be all the same nobody
+        knows, so the density falls off slowly: it is Cauchy's in two dimensions. Without it, homes
+        a hundred metres off that explain a few bearings count as much as near ones.
+        """
+        if self.prior is not None or not self.bearings.size:
+            return 0.0
+        x, y = self.centre
+        away = math.hypot(float(home[0]) - x, float(home[1]) - y) / (HOME_SHARE * self.range)
+        return -1.5 * math.log1p(away**2)
+
     def is_near(self, home: np.ndarray) -> bool:
         """Return whether a home (3,) lies within sight of its landmarks, for all one can say."""
         if self.prior is not None or not self.bearings.size:
@@ -105,7 +138,8 @@ class HomeProblem:
         prior = None if self.prior is None else address(self.prior)
         flags = (self.same_camera, self.prior is not None)
         sizes = (self.bearings.size, self.mean.size)
-        return ProblemInC(*sizes, *flags, self.moved_prior, *map(address, given), prior)
+        numbers = (self.moved_prior, LONGEST_SHARE * self.range)
+        return ProblemInC(*sizes, *flags, *numbers, *map(address, given), prior)
 
     @property
     def fewest(self) -> int:

@@ -95,9 +95,11 @@ class Standing:
 
     def status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
-        agreeing = int(best.right.sum())
+        agreeing, checked = int(best.right.sum()), int(best.checked.sum())
         if agreeing < CHECKED:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
+        if checked < CHECKED:
+            return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         if self._rivals > 1.0 - self._settings.sure:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
         if coasting:

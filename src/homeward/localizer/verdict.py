@@ -28,7 +28,8 @@ class Verdict:
     odds: np.ndarray
     """(q,): log odds of right against wrong, the rest of the set given."""
     evidence: float
-    """Log of the evidence of the set, up to a constant that all sets share."""
+    """Log of the evidence of the set, could home be anywhere, up to a constant that all sets share.
+    """
 
 
 def judged(

@@ -2,11 +2,12 @@
 
 #define KNOWN_YAW 3              /* the camera's, among what is known */
 #define PLACES 4                 /* the landmarks', from here on */
+#define LONGEST_TURN 1.0         /* of home, at once */
 
 /* What is known when home is to be found; see HomeProblem. */
 typedef struct {
   long q, size, same_camera, has_prior;
-  double moved_prior;
+  double moved_prior, longest_step;
   const double *mean, *covariance, *bearings, *sigmas, *mount, *before, *prior;
 } Problem;
 
@@ -95,12 +96,18 @@ static void off_prior(const Problem *p, const double *home, double *offset) {
   offset[2] = wrapped(offset[2]);
 }
 
+/* How long a step (3) of home is, the longest that is taken at once being one. */
+static double length(const Problem *p, const double *step) {
+  const double shift = fmax(fabs(step[0]), fabs(step[1]));
+  return fmax(shift / p->longest_step, fabs(step[2]) / LONGEST_TURN);
+}
+
 /* Home where the bearings are linear around `at` (3), for a set: the inverse of the set's spread
- * (q, q), the log of its determinant, the information on home (3, 3), and the step to it (3), no
- * component of which is longer than `longest`. 1 if the set does not fix home. */
+ * (q, q), the log of its determinant, the information on home (3, 3), and the step to it (3),
+ * which is cut short to the longest. 1 if the set does not fix home. */
 int solve_home(const Problem *p, const double *at, const double *right, const double *spread,
-               const double *by_home, const double *residual, double longest, double *information,
-               double *precision, double *step, double *log_volume) {
+               const double *by_home, const double *residual, double *information, double *precision,
+               double *step, double *log_volume) {
   const long q = p->q;
   double offset[3], slope[3], inverse[9];
   if (invert_set(q, right, spread, precision, log_volume)) return 1;
@@ -120,14 +127,13 @@ int solve_home(const Problem *p, const double *at, const double *right, const do
     }
   }
   if (invert(information, inverse)) return 1;
-  double most = 1e-12;
   for (int k = 0; k < 3; k++) {
     const double *row = inverse + 3 * k;
     step[k] = row[0] * slope[0] + row[1] * slope[1] + row[2] * slope[2];
     if (!isfinite(step[k])) return 1;
-    most = fmax(most, fabs(step[k]));
   }
-  for (int k = 0; k < 3; k++) step[k] *= fmin(1.0, longest / most);
+  const double most = length(p, step);
+  for (int k = 0; k < 3; k++) step[k] /= fmax(1.0, most);
   return 0;
 }
 
@@ -152,10 +158,9 @@ static void learn(const Problem *p, const double *correlated, const double *prec
     for (long k = 0; k < p->size; k++) known[k] += weighted[i] * correlated[p->size * i + k];
 }
 
-/* Gauss-Newton from a home (3): at most so many `steps`, none component of which is longer than
- * `longest`, until none is longer than `settled`. `at` is where it begins, and then where the last
+/* Gauss-Newton from a home (3): at most so many `steps`, until one is no longer than `settled`. `at` is where it begins, and then where the last
  * linearisation is; `known` (size) and `weighted` (q) are room. 1 if the set does not fix home. */
-int fit_home(const Problem *p, long steps, double longest, double settled, const double *right,
+int fit_home(const Problem *p, long steps, double settled, const double *right,
              double *at, double *known, double *weighted, double *residual, double *by_place,
              double *by_home, double *correlated, double *spread, double *information,
              double *precision, double *step, double *log_volume) {
@@ -163,11 +168,9 @@ int fit_home(const Problem *p, long steps, double longest, double settled, const
   for (long n = 0;; n++) {
     linearise(p, at, known, residual, by_place, by_home);
     spread_home(p, by_place, correlated, spread);
-    if (solve_home(p, at, right, spread, by_home, residual, longest, information, precision, step,
-                   log_volume))
+    if (solve_home(p, at, right, spread, by_home, residual, information, precision, step, log_volume))
       return 1;
-    const double most = fmax(fabs(step[0]), fmax(fabs(step[1]), fabs(step[2])));
-    if (most < settled || n == steps - 1) return 0;
+    if (length(p, step) < settled || n == steps - 1) return 0;
     learn(p, correlated, precision, by_home, residual, step, weighted, known);
     for (int k = 0; k < 3; k++) at[k] += step[k];
   }
