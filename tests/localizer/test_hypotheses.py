@@ -94,6 +94,17 @@ def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_ar
     assert np.trace(answer.covariance) > 1.05 * np.trace(parts[0].covariance)
 
 
+def test_a_best_hypothesis_that_became_certain_leaves_a_covariance():
+    both = two_hypotheses((0.3, 0.7))
+    loose = dataclasses.replace(both.best.problem, covariance=100.0 * both.best.problem.covariance)
+    vague = fit(loose, both.best.home, both.best.right)
+    others = others_of(Hypotheses((vague, both.fits[1]), both.weights))
+    answer = answer_of(both.best, others)  # carried on since
+    assert (np.linalg.eigvalsh(answer.covariance) > 0.0).all()
+    before = answer_of(vague, others)
+    assert (np.linalg.eigvalsh(before.covariance - answer.covariance) > 0.0).all()
+
+
 def test_alike_hypotheses_are_averaged_and_far_ones_hardly_followed():
     rng = np.random.default_rng(1)
     points, weights = rng.normal(size=(5, 3)), np.array([0.3, 0.25, 0.2, 0.15, 0.1])

@@ -105,12 +105,19 @@ def unchecked(fit: HomeFit) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class Others:
-    """What the other hypotheses change in the best one's answer."""
+    """What other hypotheses add to the best one's answer."""
 
     shift: np.ndarray
-    """(3,): of the pose [m, m, rad]."""
+    """(3,): of the pose."""
+    share: float
+    """Probability of the best one."""
     covariance: np.ndarray
-    """(3, 3): added to its covariance."""
+    """(3, 3): what the others have of the covariance, and how far all are apart."""
+
+    @staticmethod
+    def none() -> Others:
+        """Return what there is without any: nothing."""
+        return Others(np.zeros(3), 1.0, np.zeros((3, 3)))
 
 
 def others_of(hypotheses: Hypotheses) -> Others:
@@ -118,16 +125,16 @@ def others_of(hypotheses: Hypotheses) -> Others:
     answers, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
     off = np.array([a.pose for a in answers]) - np.array(answers[0].pose)
     off[:, 2] = wrap(off[:, 2])
-    within = np.tensordot(weights, np.array([a.covariance for a in answers]), axes=1)
-    middle = centre(off, weights, within)
+    each = weights[:, None, None] * np.array([a.covariance for a in answers])
+    middle = centre(off, weights, each.sum(axis=0))
     off -= middle
-    return Others(middle, within + (weights * off.T) @ off - answers[0].covariance)
+    return Others(middle, float(weights[0]), each[1:].sum(axis=0) + (weights * off.T) @ off)
 
 
 def answer_of(best: HomeFit, others: Others, more: np.ndarray | None = None) -> Answer:
     """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
     alone = in_home_frame(best)
-    covariance = alone.covariance + others.covariance
+    covariance = others.share * alone.covariance + others.covariance
     if more is not None:
         covariance += more
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.

@@ -44,7 +44,7 @@ class Standing:
         self._settings, self._speed_scale = settings, speed_scale
         self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
         """At the newest keyframe, the speed taken at its word."""
-        self._others = Others(np.zeros(3), np.zeros((3, 3)))
+        self._others = Others.none()
         self._weights: np.ndarray | None = None
         """Of the hypotheses that `_others` comes from."""
         self._rivals = 0.0
