@@ -11,8 +11,11 @@ from homeward.angles import wrap
 from homeward.frames import Pose, bearing
 from homeward.localizer.answer import unchecked
 from homeward.localizer.fitting import fit
+from homeward.localizer.linear import expected
 from homeward.localizer.moved import Hypotheses, follow, search
 from homeward.localizer.problem import HomeProblem
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.standing import Standing
 
 NEAR, FAR = Pose(0.5, 0.6, -0.4), Pose(-18.0, -4.0, 0.2)
 
@@ -91,3 +94,18 @@ def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
     assert unchecked(lone) is not None
     assert unchecked(fit(known, np.zeros(3), np.ones(6, bool))) is None
     assert math.sqrt(unchecked(fit(known, np.zeros(3), np.arange(6) < 3))[0, 0]) > 0.05
+
+
+def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_something_of_it():
+    _, known = problem({}, q=6)
+    right = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
+    standing = Standing(LocalizerSettings(), 0.03)
+    standing.take(Hypotheses((fit(known, np.zeros(3), right),), np.ones(1)), firm=True)
+    assert standing.fixed
+    away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]
+    close = known.mean + 8.0 * away  # the same landmarks, all on one side
+    home = np.array([0.2, -0.1, 0.7])
+    stored = expected(known, home, close[4:].reshape(-1, 2), 0.0)[0]
+    narrow = replace(known, mean=close, bearings=wrap(stored))
+    standing.take(Hypotheses((fit(narrow, home, right, 30),), np.ones(1)), firm=True)
+    assert not standing.fixed

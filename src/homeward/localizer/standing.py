@@ -76,6 +76,7 @@ class Standing:
         faults = unchecked(now.best)
         if faults is not None:
             self._answer = answer_of(now.best, self._others, faults)
+            self.fixed &= _sigma(self._answer.covariance) <= self._most
 
     def answer(self, motion: Motion, calibration: np.ndarray) -> Answer:
         """Return the answer after a motion since the newest keyframe.
