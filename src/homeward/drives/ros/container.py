@@ -10,6 +10,7 @@ from __future__ import annotations
 import bz2
 import struct
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -112,6 +113,28 @@ class Source:
                 f"and {self.size - self.at} are left",
                 self.path,
             )
+
+
+class RecordFile(ABC):
+    """A `Log` that is one file of records behind a line that says what it is."""
+
+    kind: str
+    magic: bytes
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.done = 0.0
+
+    def messages(self) -> Iterator[Message]:
+        """Walk the messages; see `Log`."""
+        with walking(self.path), self.path.open("rb") as stream:
+            source = Source(self.path, stream)
+            source.take(len(self.magic), "the first line")
+            yield from self.walk(source)
+
+    @abstractmethod
+    def walk(self, source: Source) -> Iterator[Message]:
+        """Walk the messages behind the first line."""
 
 
 class Unpacker:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import struct
 from binascii import crc32
 from collections.abc import Iterator
-from pathlib import Path
 
-from homeward.drives.ros.container import Channel, Message, Source, Unpacker, ros2_type, walking
+from homeward.drives.ros.container import Channel, Message, RecordFile, Source, Unpacker, ros2_type
 from homeward.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -17,21 +16,14 @@ _KEPT = (_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX, _STATISTICS
 _SYNTAX = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
-class Mcap:
+class Mcap(RecordFile):
     """An MCAP file."""
 
-    kind = "MCAP"
+    kind, magic = "MCAP", MAGIC
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.done = 0.0
-
-    def messages(self) -> Iterator[Message]:
-        """Walk the messages; see `Log`."""
-        with walking(self.path), self.path.open("rb") as stream:
-            source = Source(self.path, stream)
-            source.take(len(MAGIC), "the first line")
-            yield from _Walk(self, source).messages()
+    def walk(self, source: Source) -> Iterator[Message]:
+        """Walk the messages behind the first line."""
+        return _Walk(self, source).messages()
 
 
 class _Walk:

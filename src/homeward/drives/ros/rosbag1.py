@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TypeAlias
 
-from homeward.drives.ros.container import Channel, Message, Source, Unpacker, ros2_type, walking
+from homeward.drives.ros.container import Channel, Message, RecordFile, Source, Unpacker, ros2_type
 from homeward.errors import InputError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -18,21 +17,14 @@ LARGEST_HEADER = 2**20
 Fields: TypeAlias = dict[bytes, memoryview]
 
 
-class Rosbag1:
+class Rosbag1(RecordFile):
     """A ROS 1 bag."""
 
-    kind = "ROS 1 bag"
+    kind, magic = "ROS 1 bag", MAGIC
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.done = 0.0
-
-    def messages(self) -> Iterator[Message]:
-        """Walk the messages; see `Log`."""
-        with walking(self.path), self.path.open("rb") as stream:
-            source = Source(self.path, stream)
-            source.take(len(MAGIC), "the first line")
-            yield from _Walk(self, source).messages()
+    def walk(self, source: Source) -> Iterator[Message]:
+        """Walk the messages behind the first line."""
+        return _Walk(self, source).messages()
 
 
 class _Walk:
