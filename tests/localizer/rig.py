@@ -36,6 +36,11 @@ def eight(t):
     return Twist(0.2, 0.4 if (t // 15.7) % 2 == 0 else -0.4)
 
 
+def still(_):
+    """Twist of a robot that stands."""
+    return Twist(0.0, 0.0)
+
+
 @dataclass
 class Rig:
     """Truth, noise, and everything that the estimator answered."""

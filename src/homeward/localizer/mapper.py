@@ -193,10 +193,8 @@ class Mapper:
         self, motion: Motion, names: list[str], bearings: np.ndarray, sigmas: np.ndarray
     ) -> np.ndarray:
         """Return sightings as rows of the window's table, seen after a motion since its newest."""
-        window = self.window
-        rows = sighting_rows(
-            window.newest, bearings, sigmas, motion, self._mount, window.calibration
-        )
+        w = self.window
+        rows = sighting_rows(w.newest, bearings, sigmas, motion, self._mount, w.calibration)
         rows[:, LANDMARK] = self.landmarks.number(names)
         return rows
 

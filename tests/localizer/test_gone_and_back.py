@@ -1,0 +1,120 @@
+"""Samples that stop and begin again, a robot that was carried: found again, never sure before."""
+
+import math
+
+import pytest
+from rig import Rig, eight, ring, still
+
+from homeward.control import Twist
+from homeward.estimator import Status
+from homeward.frames import Pose
+
+
+def test_bearings_gone_for_a_minute_and_back():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    before = rig.localizer.estimate(rig.t).sigmas[:2].max()
+    assert rig.drive(60, see=lambda _: {}).status is Status.COASTING
+    assert rig.localizer.estimate(rig.t).sigmas[:2].max() > 1.5 * before
+    assert rig.drive(15).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.wrong_share() == 0
+
+
+def test_odometry_gone_and_back():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    rig.drive(20, feel=False)
+    assert rig.drive(40).status is Status.LOCALISED
+    assert rig.error() < 0.15
+    assert rig.wrong_share() < 0.02
+
+
+@pytest.mark.parametrize("law", [still, eight])
+def test_odometry_that_begins_late_costs_its_delay_only(law):
+    rig = Rig(ring(10))
+    assert rig.drive(20, law, feel=False).pose is None
+    assert not rig.localizer.mapper.feels
+    assert rig.drive(6).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.drive(40).status is Status.LOCALISED
+    assert rig.wrong_share() == 0
+    assert rig.localizer.mapper.feels
+
+
+def test_a_robot_without_a_map_is_not_lost_in_it():
+    rig = Rig(ring(10))
+    rig.drive(1, still)
+    rig.t += 60
+    assert rig.drive(20).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.wrong_share() == 0
+
+
+def test_odometry_of_a_fast_robot_gone_and_back():
+    rig = Rig(ring(10, 0, 10.0, 20.0), pose=Pose(4.0, -2.0, 0.6))
+
+    def fast(t):
+        return Twist(2.0, eight(t).omega)
+
+    rig.drive(40, fast)
+    rig.drive(30, fast, feel=False)
+    assert rig.drive(30, fast).status is Status.LOCALISED
+    assert rig.error() < 0.3
+    assert rig.wrong_share() < 0.01
+
+
+def test_kidnapped_and_localised_again():
+    rig = Rig(ring(10))
+    rig.drive(60)
+    rig.pose = Pose(-1.2, 1.0, -2.0)
+    said = len(rig.answers)
+    rig.drive(60)
+    assert rig.error() < 0.15
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    lying = [
+        a.status is Status.LOCALISED and math.hypot(a.pose.x - p.x, a.pose.y - p.y) > 0.5
+        for a, p in rig.answers[said:]
+    ]
+    # Nobody can know at once; it must not go on for more than a few seconds.
+    assert sum(lying) * 0.2 < 5.0
+
+
+@pytest.mark.parametrize("gap", [0.0, 7200.0])
+@pytest.mark.parametrize("metres", [0.1, 20.0])
+def test_found_again_in_a_place_of_any_size(metres, gap):
+    start = Pose(0.8 * metres, -0.4 * metres, 0.6)
+    rig = Rig(ring(10, 1, 2 * metres, 4 * metres), pose=start, speed_sigma=0.01 * metres)
+
+    def eight_across(t):
+        return Twist(0.1 * metres, 0.5 * eight(t).omega)
+
+    rig.drive(40, eight_across)
+    rig.t += gap
+    rig.pose = Pose(-0.5 * metres, 0.9 * metres, 2.5)
+    assert rig.drive(20, eight_across).status is Status.LOCALISED
+    assert rig.error() < 0.1 * metres
+    assert rig.wrong_share() < 0.1  # before anybody can know that it was lifted
+
+
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_a_clock_that_jumps_by_an_hour(jump):
+    rig = Rig(ring(8))
+    rig.drive(40)
+    rig.t += jump
+    rig.drive(60)
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.error() < 0.15
+    assert rig.wrong_share() < 0.02
+
+
+def test_standing_still_for_an_hour():
+    rig = Rig(ring(8))
+    rig.drive(40)
+    sigma = rig.localizer.estimate(rig.t).sigmas[:2].max()
+    rig.drive(3600, still, see=lambda seen: seen if rig.rng.random() < 0.1 else {})
+    assert rig.error() < 0.1
+    assert rig.localizer.estimate(rig.t).sigmas[:2].max() < 3 * sigma
+    rig.drive(20)
+    assert rig.error() < 0.1
+    assert rig.wrong_share() < 0.01
