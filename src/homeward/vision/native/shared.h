@@ -4,6 +4,7 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
 /* Runs side by side: one. It is what a library is asked to prove that it can be loaded. */
 int homeward_lanes(void) { return 1; }
