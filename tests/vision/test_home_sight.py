@@ -126,7 +126,7 @@ def compared(points, camera, accepted=True, direction_sigma=0.01):
     rows = np.arange(n)
     return Comparison(
         Verdict(accepted, "", -10.0),
-        Pairs(*(np.column_stack([a, flat]) for a in angles), spread, flat),
+        Pairs.of(*(np.column_stack([a, flat]) for a in angles), spread, flat),
         rows,
         rows,
         np.zeros((n, 2)),

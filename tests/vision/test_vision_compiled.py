@@ -76,7 +76,7 @@ def matches(rng, n):
     home = np.column_stack([rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.3, n)])
     now = home + rng.normal(0, 0.05, (n, 2))
     root = rng.uniform(0.001, 0.01, (n, 2, 2))
-    return Pairs(home, now, root @ root.swapaxes(1, 2), rng.normal(0, 0.3, n))
+    return Pairs.of(home, now, root @ root.swapaxes(1, 2), rng.normal(0, 0.3, n))
 
 
 @pytest.mark.parametrize("looseness", [0.0, 0.02])

@@ -9,7 +9,7 @@ home direction with the now directions of other matches.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -84,8 +84,7 @@ def _chance(fit: Fit, pairs: Pairs) -> float:
     other = np.empty((shifts.size, n), int)
     for row, shift in zip(other, shifts, strict=True):
         row[order] = np.roll(order, shift)
-    home, now = pairs[np.tile(np.arange(n), shifts.size)], pairs[other.ravel()]
-    shuffled = replace(home, now=now.now, spread=now.spread, growth=now.growth)
+    shuffled = pairs.mixed(np.tile(np.arange(n), shifts.size), other.ravel())
     found = residuals(np.array([fit.motion]), shuffled)
     fits = int((squares(found) <= INLIER**2).sum())
     return (fits + 1) / (len(shuffled) + 2)

@@ -79,6 +79,11 @@ class Alignment:
         """Column and row, (n, 2) [px]."""
         return np.column_stack([self.column, self.row])
 
+    @property
+    def area(self) -> np.ndarray:
+        """How many times larger an area is now, (n,)."""
+        return areas(self.shape)
+
     def __getitem__(self, rows: np.ndarray) -> Alignment:
         return Alignment(*(getattr(self, part.name)[rows] for part in fields(self)))
 
@@ -142,7 +147,7 @@ def lay(
     radius = radius_of(size, home)
     begun = start.copy()
     begun[:, :, :2] *= radius[:, None, None]
-    reach = np.sqrt(np.abs(np.linalg.det(begun[:, :, :2])))
+    reach = np.sqrt(areas(begun))
     carried, likeness, spread = _lay(home, now, at_home, radius, begun, reach, steps)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
@@ -156,6 +161,11 @@ def lay(
         likeness=likeness,
         found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
     )
+
+
+def areas(maps: np.ndarray) -> np.ndarray:
+    """Return how many times larger maps, (n, 2, 2 or 3), make an area."""
+    return np.asarray(np.abs(maps[:, 0, 0] * maps[:, 1, 1] - maps[:, 0, 1] * maps[:, 1, 0]))
 
 
 def radius_of(size: np.ndarray, home: Picture) -> np.ndarray:
@@ -184,8 +194,9 @@ def _lay(
     information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
     back, carried = np.linalg.inv(start[:, :, :2]), start
     for _ in range(steps):
-        off = _normal(now.sample(carried @ _GRID, reach / HALF))[0] - patch
-        gradient = (off[:, None, :] @ slopes)[:, 0]
+        laid = _normal(now.sample(carried @ _GRID, reach / HALF))[0]
+        # To which the patch itself adds nothing: slopes are at right angles to it.
+        gradient = (laid[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
         step = np.linalg.solve(information, gradient[..., None])[..., 0]
         carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))

@@ -62,14 +62,11 @@ class Panorama(Strict):
         self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return `directions`, (n, 2), and their derivatives by column and row, (n, 2, 2)."""
-        here = np.column_stack(self.directions(columns, rows, shape))
-        slope = np.empty((len(here), 2, 2))
-        for k, (dx, dy) in enumerate(((0.5, 0.0), (0.0, 0.5))):
-            ahead, behind = (
-                np.column_stack(self.directions(columns + s * dx, rows + s * dy, shape))
-                for s in (1, -1)
-            )
-            slope[:, :, k] = wrap(ahead - behind)
+        right, down = np.array([[0.0, 0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 0.5, -0.5]])[..., None]
+        told = self.directions((columns + right).ravel(), (rows + down).ravel(), shape)
+        here, *ahead_and_behind = np.stack(told, axis=-1).reshape(5, -1, 2)
+        right_of, left_of, below, above = ahead_and_behind
+        slope = np.stack([wrap(right_of - left_of), wrap(below - above)], axis=-1)
         return here, slope
 
     @staticmethod

@@ -123,8 +123,9 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     spread = np.full((2, 2), np.inf)
     if fit is not None:
         if verdict.accepted:
-            beside = neighbours(home, now, i, laid)
-            fit, spread = _sharpened(fit, pairs, _pairs(home, now, *beside, camera), camera)
+            rest, there = neighbours(home, now, i, laid)
+            beside = _pairs(home, now, rest, there, np.log(there.area) / 2, camera)
+            fit, spread = _sharpened(fit, pairs, beside, camera)
         agrees = fit.inlier[: len(pairs)]
     if verdict.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
@@ -163,20 +164,18 @@ def paired(
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
     laid = align(home.picture, now.picture, at_home, at_now, home.size[i], growth, turn)
-    pairs = replace(_pairs(home, now, i, laid, camera), growth=np.log(growth))
+    pairs = _pairs(home, now, i, laid, np.log(growth), camera)
     found = laid.found
     return rows[kept][found], pairs[found], laid[found], quality[kept][found]
 
 
-def _pairs(home: View, now: View, rows: np.ndarray, laid: Alignment, camera: Panorama) -> Pairs:
+def _pairs(
+    home: View, now: View, rows: np.ndarray, laid: Alignment, growth: np.ndarray, camera: Panorama
+) -> Pairs:
     """Return the directions of features of home, and of where they lie now."""
     directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
-    return Pairs(
-        np.column_stack([home.azimuth[rows], home.elevation[rows]]),
-        directions,
-        slope @ laid.spread @ slope.swapaxes(1, 2),
-        np.log(np.abs(np.linalg.det(laid.shape))) / 2,
-    )
+    at_home = np.column_stack([home.azimuth[rows], home.elevation[rows]])
+    return Pairs.of(at_home, directions, slope @ laid.spread @ slope.swapaxes(1, 2), growth)
 
 
 def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:

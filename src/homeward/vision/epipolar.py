@@ -8,8 +8,7 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -35,65 +34,89 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Pairs:
-    """Matched directions, n of them."""
+    """Matched directions, n of them, with all that is worked out of each by itself."""
 
-    home: np.ndarray
-    """(n, 2): azimuth and elevation at home [rad]."""
-    now: np.ndarray
-    """(n, 2): azimuth and elevation now [rad]."""
-    spread: np.ndarray
-    """(n, 2, 2): covariance of azimuth and elevation now [rad^2]. Those at home are exact: what was
-    seen there is what is looked for."""
-    growth: np.ndarray
-    """(n,): logarithm of how much larger the feature looks now than at home."""
+    table: np.ndarray
+    """(n, 21): for compiled code, too; what the columns are, the properties say."""
+
+    @classmethod
+    def of(cls, home: np.ndarray, now: np.ndarray, spread: np.ndarray, growth: np.ndarray) -> Pairs:
+        """Return pairs of directions.
+
+        Parameters
+        ----------
+        home, now : ndarray, shape (n, 2)
+            Azimuth and elevation [rad].
+        spread : ndarray, shape (n, 2, 2)
+            Covariance of azimuth and elevation now [rad^2]. Those at home are exact: what was seen
+            there is what is looked for.
+        growth : ndarray, shape (n,)
+            Logarithm of how much larger the feature looks now than at home.
+        """
+        first, both, second = spread.reshape(-1, 4).T[[0, 1, 3]]
+        largest = np.sqrt((first + second) / 2 + np.hypot((first - second) / 2, both))
+        at_home = unit_vectors(*home.T), home
+        at_now = unit_vectors(*now.T), *tangents(*now.T), now
+        return cls(np.column_stack([*at_home, *at_now, first, both, second, largest, growth]))
 
     def __len__(self) -> int:
-        return len(self.home)
+        return len(self.table)
 
-    @cached_property
+    @property
     def home_vectors(self) -> np.ndarray:
         """Unit vectors at home, (n, 3)."""
-        return unit_vectors(*self.home.T)
+        return self.table[:, :3]
 
-    @cached_property
+    @property
+    def home(self) -> np.ndarray:
+        """Azimuth and elevation at home, (n, 2) [rad]."""
+        return self.table[:, 3:5]
+
+    @property
     def now_vectors(self) -> np.ndarray:
         """Unit vectors now, (n, 3)."""
-        return unit_vectors(*self.now.T)
+        return self.table[:, 5:8]
 
-    @cached_property
+    @property
+    def now_tangents(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of `now_vectors` by azimuth and elevation, (n, 3) each."""
+        return self.table[:, 8:11], self.table[:, 11:14]
+
+    @property
+    def now(self) -> np.ndarray:
+        """Azimuth and elevation now, (n, 2) [rad]."""
+        return self.table[:, 14:16]
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Variance of the azimuth now, covariance, variance of the elevation: (n, 3) [rad^2]."""
+        return self.table[:, 16:19]
+
+    @property
     def sigma(self) -> np.ndarray:
         """Standard deviation of the azimuth now, (n,) [rad]."""
-        return np.asarray(np.sqrt(self.spread[:, 0, 0]))
+        return np.asarray(np.sqrt(self.table[:, 16]))
 
-    @cached_property
+    @property
     def largest_sigma(self) -> np.ndarray:
         """Standard deviation along the way in which a place now is least known, (n,) [rad]."""
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.spread)[:, 1]))
+        return self.table[:, 19]
 
-    @cached_property
-    def now_tangents(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of `now_vectors` by azimuth and elevation."""
-        return tangents(*self.now.T)
-
-    @cached_property
-    def table(self) -> np.ndarray:
-        """All of it, (n, 17): for compiled code."""
-        vectors = self.home_vectors, self.now_vectors, *self.now_tangents
-        spread = self.spread.reshape(-1, 4)[:, [0, 1, 3]]
-        return np.column_stack([*vectors, spread, self.largest_sigma, self.growth])
+    @property
+    def growth(self) -> np.ndarray:
+        """Logarithm of how much larger the feature looks now than at home, (n,)."""
+        return self.table[:, 20]
 
     def __getitem__(self, rows: np.ndarray) -> Pairs:
-        return Pairs(
-            self.home[rows],
-            self.now[rows],
-            self.spread[rows],
-            self.growth[rows],
-        )
+        return Pairs(self.table[rows])
 
     def __add__(self, other: Pairs) -> Pairs:
         """Return these pairs and others after them."""
-        parts = ((getattr(p, part.name) for p in (self, other)) for part in fields(self))
-        return Pairs(*(np.concatenate(list(both)) for both in parts))
+        return Pairs(np.concatenate([self.table, other.table]))
+
+    def mixed(self, home: np.ndarray, now: np.ndarray) -> Pairs:
+        """Return what home saw in some rows, (k,), paired with what is seen in others now, (k,)."""
+        return Pairs(np.hstack([self.table[home, :5], self.table[now, 5:]]))
 
 
 def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,11 +197,11 @@ def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarr
 
     Those by theta and by rise: where there is no parallax, noise looks like it.
     """
-    theta, alpha, _, _, rise = np.array([motion]).T[..., None]
-    x1 = _parts(pairs.home_vectors)
-    own, by_theta, by_rise = (
-        _deviation(alpha, _cross(way, x1), pairs)[0] for way in _direction(theta, rise)
-    )
+    theta, alpha, _, _, rise = np.array(motion)[:, None, None]
+    # Three motions along t and its derivatives.
+    ways = np.array([np.broadcast_arrays(*way) for way in _direction(theta, rise)])[..., 0]
+    x, y, z = ways.swapaxes(0, 1)
+    own, by_theta, by_rise = _deviation(alpha, _cross((x, y, z), _parts(pairs.home_vectors)), pairs)
     return (by_theta / own) ** 2 + 1e-12, (by_rise / own) ** 2 + 1e-12
 
 
@@ -190,10 +213,9 @@ def _deviation(
     # the tilt does to the directions of azimuth and elevation is of no account.
     gradient = _about_z(-alpha, lever)
     across, up = (_dot(gradient, _parts(tangent)) for tangent in pairs.now_tangents)
-    spread = pairs.spread + looseness**2 * np.eye(2)
-    variance = (
-        spread[:, 0, 0] * across**2 + 2 * spread[:, 0, 1] * across * up + spread[:, 1, 1] * up**2
-    )
+    first, both, second = pairs.spread.T
+    loose = looseness**2
+    variance = (first + loose) * across**2 + 2 * both * across * up + (second + loose) * up**2
     return np.asarray(np.sqrt(np.maximum(variance, 1e-18)))
 
 

@@ -28,19 +28,18 @@ def match(a: np.ndarray, b: np.ndarray, ratio: float = RATIO) -> tuple[np.ndarra
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), int), np.zeros(0)
     likeness = a @ b.T
-    forth, forth_ratio = _nearest(likeness)
-    back, back_ratio = _nearest(likeness.T)
-    rows = np.arange(len(a))
-    worst = np.maximum(forth_ratio, back_ratio[forth])
-    kept = (back[forth] == rows) & (worst < ratio)
-    return np.column_stack([rows, forth])[kept], worst[kept]
+    forth = likeness.argmax(axis=1)
+    nearest = likeness[np.arange(len(a)), forth]
+    rows = np.flatnonzero(nearest == likeness.max(axis=0)[forth])
+    # Of several rows that are the same, the first: the others are then its seconds.
+    rows = np.sort(rows[np.unique(forth[rows], return_index=True)[1]])
+    nearest, columns = nearest[rows], forth[rows]
+    likeness[rows, columns] = -np.inf
+    second = np.maximum(likeness.max(axis=1)[rows], likeness.max(axis=0)[columns])
+    ratios = np.sqrt(_squared_distance(nearest) / _squared_distance(second))
+    kept = ratios < ratio
+    return np.column_stack([rows, columns])[kept], ratios[kept]
 
 
-def _nearest(likeness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the column of each row's greatest value, and the ratio of the two least distances."""
-    rows, best = np.arange(len(likeness)), likeness.argmax(axis=1)
-    others = likeness.copy()
-    others[rows, best] = -np.inf
-    nearest, second = likeness[rows, best], others.max(axis=1)
-    squared = np.maximum(2.0 - 2.0 * np.stack([second, nearest]), 1e-12)
-    return best, np.sqrt(squared[1] / squared[0])
+def _squared_distance(likeness: np.ndarray) -> np.ndarray:
+    return np.asarray(np.maximum(2.0 - 2.0 * likeness, 1e-12))

@@ -73,7 +73,7 @@ def _beside(
     """Return those of the others that lie where a guide's map takes them, and where that is."""
     which, guide, step = _near(home, others, guides)
     carried = (laid.shape[guide] @ step[..., None])[..., 0] + laid.place[guide]
-    area = np.abs(np.linalg.det(laid.shape[guide]))
+    area = laid.area[guide]
     inside = (carried[:, 1] > 0) & (carried[:, 1] < now.shape[0] - 1)
     kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
     which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
@@ -90,12 +90,14 @@ def _near(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which others lie near which guides, (k,) places in both, and steps there, (k, 2)."""
     width = home.shape[1]
-    across = home.column[others, None] - home.column[guides]
-    across -= width * np.round(across / width)
-    down = home.row[others, None] - home.row[guides]
-    apart = (across**2 + down**2) / radius_of(home.size[guides], home.picture) ** 2
-    near = apart < NEAR**2
-    if len(guides) > GUIDES:
-        near &= apart <= np.partition(apart, GUIDES - 1, axis=1)[:, GUIDES - 1 : GUIDES]
-    which, guide = np.nonzero(near)
-    return which, guide, np.column_stack([across[near], down[near]])
+    # Guides down, others across: what is least in each column is found fastest.
+    across = home.column[others] - home.column[guides, None]
+    across -= width * np.rint(across / width)
+    down = home.row[others] - home.row[guides, None]
+    apart = (across**2 + down**2) / radius_of(home.size[guides, None], home.picture) ** 2
+    farther = apart.copy()
+    for _ in range(min(GUIDES, len(guides)) - 1):
+        farther[farther.argmin(axis=0), np.arange(len(others))] = np.inf
+    near = (apart < NEAR**2) & (apart <= farther.min(axis=0, initial=np.inf))
+    which, guide = np.nonzero(near.T)  # what is laid after several maps, in turn
+    return which, guide, np.column_stack([across[guide, which], down[guide, which]])

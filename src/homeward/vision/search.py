@@ -66,13 +66,12 @@ def _distinct(motions: np.ndarray) -> np.ndarray:
     """Return the first motions, (k, 2), that differ from all before, whichever way travelled."""
     free = np.ones(len(motions), bool)
     chosen: list[int] = []
-    (ct, ca), (st, sa) = np.cos(motions.T), np.sin(motions.T)
+    way, turned = np.exp(1j * motions.T)
     while len(chosen) < CANDIDATES and free.any():
         i = int(free.argmax())
         chosen.append(i)
-        theta_apart = np.abs(st * ct[i] - ct * st[i]) > APART
-        alpha_apart = 1 - (ca * ca[i] + sa * sa[i]) > APART**2 / 2
-        free &= theta_apart | alpha_apart
+        apart = np.abs((way * way[i].conj()).imag) > APART
+        free &= apart | ((turned * turned[i].conj()).real < 1 - APART**2 / 2)
     return motions[chosen]
 
 

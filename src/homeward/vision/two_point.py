@@ -91,7 +91,7 @@ def costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> n
     k = np.stack([np.cos(theta), np.sin(theta), np.cos(turn), np.sin(turn)]).astype(np.float32)
     x1, x2 = pairs.home_vectors, pairs.now_vectors
     by_azimuth, by_elevation = pairs.now_tangents
-    first, both, second = pairs.spread.reshape(-1, 4).T[[0, 1, 3], :, None]
+    first, both, second = pairs.spread.T[..., None]
     # The lower Cholesky root.
     along = np.sqrt(first + 1e-12)
     mixed = both / along

@@ -1,12 +1,12 @@
 /* A motion against matches, and fitted to them: as in epipolar.py and refine.py. */
 
 #define UNKNOWNS 5 /* theta, alpha, roll, pitch, rise */
-enum {             /* columns of a table of matches */
+enum {             /* columns of a table of matches, as Pairs names them */
   HOME = 0,
-  NOW = 3,
-  NOW_TANGENTS = 6,
-  SPREAD = 12, /* variance of the azimuth now, covariance, variance of the elevation */
-  LARGEST_SIGMA = 15,
+  NOW = 5,
+  NOW_TANGENTS = 8,
+  SPREAD = 16, /* variance of the azimuth now, covariance, variance of the elevation */
+  LARGEST_SIGMA = 19,
   GROWTH,
   COLUMNS
 };
