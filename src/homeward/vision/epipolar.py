@@ -9,6 +9,7 @@ and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +33,16 @@ class Motion(NamedTuple):
     """Its elevation seen from home [rad]."""
 
 
+WIDE = 8
+"""Matches that compiled code takes side by side."""
+
+
 @dataclass(frozen=True)
 class Pairs:
     """Matched directions, n of them, with all that is worked out of each by itself."""
 
     table: np.ndarray
-    """(n, 21): for compiled code, too; what the columns are, the properties say."""
+    """(n, 21): what its columns are, the properties say."""
 
     @classmethod
     def of(cls, home: np.ndarray, now: np.ndarray, spread: np.ndarray, growth: np.ndarray) -> Pairs:
@@ -107,6 +112,13 @@ class Pairs:
         """Logarithm of how much larger the feature looks now than at home, (n,)."""
         return self.table[:, 20]
 
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """The table for compiled code, (21, n or more): up to a multiple of `WIDE`, with zeros."""
+        columns = np.zeros((self.table.shape[1], -(-len(self) // WIDE) * WIDE))
+        columns[:, : len(self)] = self.table.T
+        return columns
+
     def __getitem__(self, rows: np.ndarray) -> Pairs:
         return Pairs(self.table[rows])
 
@@ -167,12 +179,15 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     """
     native = compiled()
     if native is not None:
-        m, n = len(motions), len(pairs)
-        found = Residuals(np.empty((m, n)), np.empty((m, n, 5)), np.empty((m, n), bool))
-        told, table = np.array(motions, float, order="C"), pairs.table
-        if native.residuals(m, n, table.shape[1], told, table, looseness, LIMITS, *found):
+        count, wide = pairs.columns.shape
+        shape = len(motions), wide
+        value, jacobian = np.empty(shape), np.empty((5, *shape))
+        possible, told = np.empty(shape, bool), np.array(motions, float, order="C")
+        given = (told, pairs.columns, looseness, LIMITS)
+        if native.residuals(*shape, count, *given, value, jacobian, possible):
             raise ValueError("not the columns of compiled code")
-        return found
+        n = len(pairs)
+        return Residuals(value[:, :n], np.moveaxis(jacobian[..., :n], 0, -1), possible[:, :n])
     theta, alpha, roll, pitch, rise = motions.T[..., None]
     t, t_theta, t_rise = _direction(theta, rise)
     x1, x2 = _parts(pairs.home_vectors), _parts(pairs.now_vectors)

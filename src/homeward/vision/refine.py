@@ -93,21 +93,18 @@ def descend(
     counts : ndarray, shape (m, n), or 1
         What each match counts for in each of the fits.
     """
-    x, prior = np.array(starts, float, order="C"), prior_information(tilt_sigma)
-    if not _descended(x, pairs, tilt_sigma, counts, prior):
-        x = _steps(np.array(starts), pairs, tilt_sigma, counts, prior)
+    x = np.array(starts, float, order="C")
+    if not _descended(x, pairs, tilt_sigma, counts):
+        x = _steps(np.array(starts), pairs, tilt_sigma, counts)
     x[:, :2] = wrap(x[:, :2])
     return x
 
 
 def _steps(
-    x: np.ndarray,
-    pairs: Pairs,
-    tilt_sigma: float,
-    counts: np.ndarray | float,
-    prior: np.ndarray,
+    x: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float
 ) -> np.ndarray:
     """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
+    prior = prior_information(tilt_sigma)
     for looseness in LOOSENESS:
         found = residuals(x, pairs, looseness * tilt_sigma)
         weight = _weight(found) * counts
@@ -119,22 +116,18 @@ def _steps(
     return x
 
 
-def _descended(
-    x: np.ndarray,
-    pairs: Pairs,
-    tilt_sigma: float,
-    counts: np.ndarray | float,
-    prior: np.ndarray,
-) -> bool:
+def _descended(x: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float) -> bool:
     """Do in place, in compiled code, what `_steps` does; False where that cannot be."""
-    native, shape = compiled(), (len(x), len(pairs))
+    native = compiled()
     if native is None:
         return False
-    counted = np.array(np.broadcast_to(counts, shape), float, order="C")
+    count, wide = pairs.columns.shape
+    counted = np.zeros((len(x), wide))
+    counted[:, : len(pairs)] = counts
     looseness = np.array(LOOSENESS) * tilt_sigma
-    given = (counted, looseness, np.diag(prior).copy(), SCALE, LONGEST_STEP, LIMITS)
-    sizes = (*shape, pairs.table.shape[1], len(looseness))
-    return not native.descend(*sizes, x, pairs.table, *given)
+    prior = np.diag(prior_information(tilt_sigma)).copy()
+    given = (pairs.columns, counted, looseness, prior, SCALE, LONGEST_STEP, LIMITS)
+    return not native.descend(len(x), wide, count, len(looseness), x, *given)
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:
