@@ -148,7 +148,8 @@ def lay(
     begun = start.copy()
     begun[:, :, :2] *= radius[:, None, None]
     reach = np.sqrt(areas(begun))
-    carried, likeness, spread = _lay(home, now, at_home, radius, begun, reach, steps)
+    task = _Task(home, now, at_home, radius, begun, reach, steps)
+    carried, likeness, spread = _lay(task)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
     noise = shape @ spread @ shape.swapaxes(1, 2)
@@ -173,15 +174,24 @@ def radius_of(size: np.ndarray, home: Picture) -> np.ndarray:
     return np.asarray(np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times)
 
 
-def _lay(
-    home: Picture,
-    now: Picture,
-    at: np.ndarray,
-    radius: np.ndarray,
-    start: np.ndarray,
-    reach: np.ndarray,
-    steps: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Task:
+    """What is to be laid: n patches."""
+
+    home: Picture
+    now: Picture
+    at: np.ndarray
+    """(n, 2): column and row at home [px]."""
+    radius: np.ndarray
+    """(n,): there [px]."""
+    start: np.ndarray
+    """(n, 2, 3): maps from a patch's own coordinates to columns and rows now."""
+    reach: np.ndarray
+    """(n,): radius now, as they say [px]."""
+    steps: int
+
+
+def _lay(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
 
     That is how alike patches then are, (n,), and the covariance of places, (n, 2, 2) [radii^2], for
@@ -189,38 +199,32 @@ def _lay(
     """
     native = compiled()
     if native is not None:
-        return _lay_compiled(native, home, now, at, radius, start, reach, steps)
-    patch, slopes = _template(home, at, radius)
+        return _lay_compiled(native, task)
+    patch, slopes = _template(task.home, task.at, task.radius)
     information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
-    back, carried = np.linalg.inv(start[:, :, :2]), start
-    for _ in range(steps):
-        laid = _normal(now.sample(carried @ _GRID, reach / HALF))[0]
+    known, spacing = np.linalg.inv(information), task.reach / HALF
+    back, carried = np.linalg.inv(task.start[:, :, :2]), task.start
+    for _ in range(task.steps):
+        laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
         # To which the patch itself adds nothing: slopes are at right angles to it.
         gradient = (laid[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
-        step = np.linalg.solve(information, gradient[..., None])[..., 0]
+        step = (known @ gradient[..., None])[..., 0]
         carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
-    laid = _normal(now.sample(carried @ _GRID, reach / HALF))[0]
-    return carried, (laid * patch).sum(axis=1), np.linalg.inv(information)[:, :2, :2]
+    laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
+    return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
 
 
-def _lay_compiled(
-    native: CDLL,
-    home: Picture,
-    now: Picture,
-    at: np.ndarray,
-    radius: np.ndarray,
-    start: np.ndarray,
-    reach: np.ndarray,
-    steps: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _lay_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `_lay` does, in compiled code."""
-    pictures = [(len(p.levels), p.table(), p.layout()) for p in (home, now)]
+    pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
     limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
-    told = [np.array(a, float, order="C") for a in (at, radius, reach, start)]
-    likeness, spread = np.empty(len(at)), np.empty((len(at), 2, 2))
+    given = (task.at, task.radius, task.reach, task.start)
+    told = [np.array(a, float, order="C") for a in given]
+    n = len(task.at)
+    likeness, spread = np.empty(n), np.empty((n, 2, 2))
     if native.lay(
-        *(len(at), _GRIDS.shape[1], steps, limits, _PRIOR, _GRIDS),
+        *(n, _GRIDS.shape[1], task.steps, limits, _PRIOR, _GRIDS),
         *(*pictures[0], *pictures[1], *told, likeness, spread),
     ):
         raise ValueError("patches that cannot be laid")
