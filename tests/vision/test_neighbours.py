@@ -116,3 +116,16 @@ def test_maps_that_carry_nothing_are_left_alone(times):
     told.shape[:] *= times
     rows, _ = neighbours(home, home, known, told)
     assert len(rows) == 0
+
+
+def test_of_too_many_only_some_are_tried(monkeypatch):
+    home = seen(blots(7))
+    known = np.arange(0, len(home), 10)
+    told = laid(home, home, known, place(home, known))
+    every, _ = neighbours(home, home, known, told)
+    monkeypatch.setattr("homeward.vision.neighbours.MOST_FEATURES", 12)
+    monkeypatch.setattr("homeward.vision.neighbours.MOST_GUIDES", 5)
+    some, found = neighbours(home, home, known, told)
+    assert len(every) > 12
+    assert 0 < len(some) <= 12
+    assert np.abs(found.place - place(home, some)).max() < 0.1

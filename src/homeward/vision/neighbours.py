@@ -25,6 +25,9 @@ STEPS = 4
 """Half of what a match takes: a map begins nearer than a feature's own size and turn."""
 LEAST_LIKENESS = 0.9
 """More than of a match, for which its descriptor speaks, too."""
+MOST_FEATURES, MOST_GUIDES = 1500, 300
+"""More of a picture are thinned out evenly: its own matches tell enough, and a comparison takes no
+longer than it may. Rooms have half as many, even with 2048 columns."""
 MOST_GROWTH = 10.0
 """Of an area: maps that change it more, either way, carry nothing."""
 
@@ -50,9 +53,10 @@ def neighbours(
     laid : Alignment
         Where they lie now.
     """
-    others, found = _others(home, known), []
+    others, found = _thinned(_others(home, known), MOST_FEATURES), []
     for _ in range(ROUNDS):
-        known, laid = _beside(home, now, others, known, laid)
+        guides = _thinned(np.arange(len(known)), MOST_GUIDES)
+        known, laid = _beside(home, now, others, known[guides], laid[guides])
         others = np.setdiff1d(others, known, assume_unique=True)
         found.append((known, laid))
     rows, parts = zip(*found, strict=True)
@@ -65,6 +69,11 @@ def _others(home: View, known: np.ndarray) -> np.ndarray:
     place = home.column[order].round() + 1j * home.row[order].round()
     first = np.unique(place, return_index=True)[1]
     return np.sort(order[first[first >= len(known)]])
+
+
+def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
+    """Return the rows, or evenly chosen ones of too many."""
+    return rows if len(rows) <= most else rows[np.arange(most) * len(rows) // most]
 
 
 def _beside(
