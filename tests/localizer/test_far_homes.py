@@ -80,6 +80,16 @@ def test_a_step_that_was_cut_short_is_not_rest():
     assert fit(known, np.array(FAR) / 2, near, 60).settled
 
 
+def test_doubt_is_a_covariance_where_next_to_nothing_is_known_too():
+    for seed in range(20):
+        known, near = divided(sigma=10.0, seed=seed)
+        for right in (near, ~near):
+            found = fit(known, np.array(NEAR), right, 1)
+            assert np.linalg.eigvalsh(found.doubt)[0] > -1e-9 * np.trace(found.doubt) - 1e-12
+            crisp = replace(found, information=1e6 * np.eye(3), known_doubt=found.doubt)
+            assert (np.linalg.eigvalsh(crisp.spread) > 0.0).all()
+
+
 def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
     _, known = problem({}, q=6)
     assert fit(known, np.zeros(3), np.ones(6, bool)).checked.all()

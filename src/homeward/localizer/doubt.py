@@ -46,9 +46,11 @@ def doubt(
         if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *told):
             raise np.linalg.LinAlgError("home is not fixed")
         return found
-    left = information + problem.vague
+    whole = information + problem.vague
+    left = whole.copy()
     left[:2, :2] -= _by_chance(information, _bend(linear, right, known))
-    return np.asarray(np.linalg.inv(left) - np.linalg.inv(information))
+    # Both with what is there always: so it is a covariance, where next to nothing is known, too.
+    return np.asarray(np.linalg.inv(left) - np.linalg.inv(whole))
 
 
 def _by_chance(information: np.ndarray, bend: np.ndarray) -> np.ndarray:

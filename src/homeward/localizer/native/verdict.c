@@ -169,13 +169,13 @@ static void by_chance(const double *information, const double *bend, double most
 int doubt_home(const Problem *p, double most, const double *at, const double *right,
                const double *known, const double *spread, const double *information,
                const double *vague, double *scratch, double *doubt) {
-  double bend[4], chance[4], left[9], inverse[9];
+  double bend[4], chance[4], whole[9], left[9], inverse[9];
   bend_home(p, at, right, known, spread, scratch, bend);
   by_chance(information, bend, most, chance);
-  for (int k = 0; k < 9; k++) left[k] = information[k] + vague[k];
+  for (int k = 0; k < 9; k++) whole[k] = left[k] = information[k] + vague[k];
   for (int i = 0; i < 2; i++)
     for (int j = 0; j < 2; j++) left[3 * i + j] -= chance[2 * i + j];
-  if (invert(left, doubt) || invert(information, inverse)) return 1;
+  if (invert(left, doubt) || invert(whole, inverse)) return 1;
   for (int k = 0; k < 9; k++) doubt[k] -= inverse[k];
   return 0;
 }
