@@ -101,9 +101,11 @@ def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
     four = np.arange(6) < 4
     lone = fit(vague, np.zeros(3), four)
     assert not lone.checked.all()  # without the first one, three are left
-    assert unchecked(lone) is not None
-    assert unchecked(fit(known, np.zeros(3), np.ones(6, bool))) is None
-    assert math.sqrt(unchecked(fit(known, np.zeros(3), np.arange(6) < 3))[0, 0]) > 0.05
+    assert unchecked(lone, lone.checked) is not None
+    assert unchecked(loose, np.ones(6, bool)) is None
+    three = fit(known, np.zeros(3), np.arange(6) < 3)
+    assert not three.checked.any()
+    assert math.sqrt(unchecked(three, three.checked)[0, 0]) > 0.05
 
 
 def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_something_of_it():

@@ -83,18 +83,15 @@ def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
     return in_all, by_pose, Pose(px, py, wrap(heading - home_heading))
 
 
-def unchecked(fit: HomeFit) -> np.ndarray | None:
+def unchecked(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
     """Return the covariance (3, 3) of the answer by faults that no home bearing could contradict.
 
     A bearing that all others together predict too vaguely agrees, right or wrong; so does any of
     three alone. Where there are more, the sets without one of them are hypotheses of their own.
-    None where every bearing is checked.
+    None where every bearing is `checked` (q,).
     """
-    problem = fit.problem
-    if problem.prior is not None:
-        return None
-    alone = fit.right & ~fit.checked
-    if not alone.any():
+    problem, alone = fit.problem, fit.right & ~checked
+    if problem.prior is not None or not alone.any():
         return None
     by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision[:, alone])
     lever = math.sqrt(problem.moved_prior) * SCALE * _derivatives(fit)[0] @ by_bearing

@@ -67,22 +67,23 @@ class HomeProblem:
     @cached_property
     def extent(self) -> float:
         """The longer side of the box round the landmarks [m]."""
-        landmarks = self.landmarks
-        return float((landmarks.max(axis=0) - landmarks.min(axis=0)).max())
+        # Of so few numbers, lists are quicker than arrays.
+        x, y = self.landmarks.T.tolist()
+        return float(max(max(x) - min(x), max(y) - min(y)))
 
     @cached_property
     def centre(self) -> tuple[float, float]:
         """Mean of the landmarks' positions [m]."""
-        x, y = self.landmarks.mean(axis=0).tolist()
-        return x, y
+        x, y = self.landmarks.T.tolist()
+        return sum(x) / len(x), sum(y) / len(y)
 
     @cached_property
     def range(self) -> float:
         """How far landmarks are from where they are seen, for all one can say [m]."""
         if not self.bearings.size:
             return 1.0
-        x, y = (self.landmarks - self.mean[:2]).T
-        return max(self.extent, float(np.median(np.hypot(x, y))), 1e-3)
+        (x, y), robot = self.centre, self.mean[:2].tolist()
+        return max(self.extent, math.hypot(x - robot[0], y - robot[1]), 1e-3)
 
     def length(self, step: np.ndarray) -> float:
         """Return how long a step of home (3,) is, the longest that is taken at once being one."""

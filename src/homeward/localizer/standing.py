@@ -47,6 +47,8 @@ class Standing:
         self._others = Others.none()
         self._weights: np.ndarray | None = None
         """Of the hypotheses that `_others` comes from."""
+        self._checked = np.zeros(0, bool)
+        """The home bearings of the best one that the others check."""
         self._rivals = 0.0
         self._most = math.inf
         """How uncertain a pose may be that was given [m]."""
@@ -69,11 +71,12 @@ class Standing:
             return
         if now.weights is not self._weights:  # not only carried on
             self._others, self._weights = others_of(now), now.weights
+            self._checked = now.best.checked
         self._answer = answer_of(now.best, self._others)
         if firm or not self.fixed:
             self.fixed = self._is_fixed(now.best)
             self._rivals = now.rivals(ELSEWHERE)
-        faults = unchecked(now.best)
+        faults = unchecked(now.best, self._checked)
         if faults is not None:
             self._answer = answer_of(now.best, self._others, faults)
             self.fixed &= _sigma(self._answer.covariance) <= self._most
@@ -96,7 +99,7 @@ class Standing:
 
     def status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
-        agreeing, checked = int(best.right.sum()), int(best.checked.sum())
+        agreeing, checked = int(best.right.sum()), int(self._checked.sum())
         if agreeing < CHECKED:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
         if checked < CHECKED:
