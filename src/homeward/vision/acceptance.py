@@ -48,12 +48,11 @@ def judge(fit: Fit | None, pairs: Pairs) -> Verdict:
     if fit is None or fit.inlier.sum() < 3:
         return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
     good = fit.inlier
-    sectors = [_sectors(side[good, 0]) for side in (pairs.home, pairs.now)]
-    occupied = min(np.unique(s).size for s in sectors)
+    sectors, occupied = _occupied(good, pairs)
     low = np.abs(pairs.home[good, 1]) < CEILING
     low_sectors = min(np.unique(s[low]).size for s in sectors)
     alarms = _log_false_alarms(fit, pairs)
-    words = f"{int(good.sum())} of {len(pairs)} matches agree, in {occupied} directions"
+    words = agreement(good, pairs)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
     if occupied < FEWEST_SECTORS:
@@ -61,6 +60,18 @@ def judge(fit: Fit | None, pairs: Pairs) -> Verdict:
     if low_sectors < FEWEST_LOW_SECTORS:
         return Verdict(False, f"not enough in common: {words}, most of them overhead", alarms)
     return Verdict(True, words, alarms)
+
+
+def agreement(good: np.ndarray, pairs: Pairs) -> str:
+    """Say how many matches agree: `good` (n,), bool."""
+    directions = _occupied(good, pairs)[1]
+    return f"{int(good.sum())} of {len(pairs)} matches agree, in {directions} directions"
+
+
+def _occupied(good: np.ndarray, pairs: Pairs) -> tuple[list[np.ndarray], int]:
+    """Return the sectors of good matches in both panoramas, and how many are not empty in both."""
+    sectors = [_sectors(side[good, 0]) for side in (pairs.home, pairs.now)]
+    return sectors, min(np.unique(s).size for s in sectors)
 
 
 def _log_false_alarms(fit: Fit, pairs: Pairs) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.acceptance import Verdict, judge
+from homeward.vision.acceptance import Verdict, agreement, judge
 from homeward.vision.alignment import Alignment, align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
@@ -128,6 +128,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
             fit, spread = _sharpened(fit, pairs, beside, camera)
         agrees = fit.inlier[: len(pairs)]
     if verdict.accepted:
+        verdict = replace(verdict, reason=agreement(agrees, pairs))
         moved = moved_groups(home, now, rows, ~agrees)
     return Comparison(
         verdict=verdict,
