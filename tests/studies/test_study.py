@@ -294,6 +294,8 @@ def test_a_stopped_study_goes_on_from_its_finished_blocks(tmp_path, how, monkeyp
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,
+        # Tests that run in the background are started with it ignored, and so is what they start.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     blocks = out / "blocks"
     deadline = time.monotonic() + 240  # of a busy machine
