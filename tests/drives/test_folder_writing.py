@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from valid_drive import VALID, put
+from valid_drive import VALID, put, spoilt
 
 from homeward.drives.drive import (
     Drive,
@@ -165,18 +165,6 @@ def test_refuses_to_write_over_a_file(tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@st.composite
-def mutated(draw):
-    """Draw one of the valid files, with some of its bytes cut, doubled or replaced."""
-    name = draw(st.sampled_from(sorted(VALID)))
-    content = VALID[name]
-    for _ in range(draw(st.integers(1, 4))):
-        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
-        filling = draw(st.sampled_from(FILLINGS) | st.binary(max_size=3))
-        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
-    return name, content
-
-
 FILLINGS = [
     b"", b",", b'"', b"\n", b"\r", b"\0", b"\xff", b"nan", b"-", b"e", b"9" * 400, b"\xe2\x80\xa8",
     b"\xef\xbb\xbf", b": ", b"&a ", b"*a", b"[", b"{", b"!!int ", b"%", b"? ", b"<<: ", b"\t", b"|",
@@ -184,7 +172,7 @@ FILLINGS = [
 
 
 @settings(deadline=None, max_examples=300)
-@given(case=mutated())
+@given(case=spoilt(VALID, FILLINGS))
 def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
     name, content = case
     folder = put(tmp_path_factory.mktemp("fuzz") / "run", **{name.replace(".", "_"): content})

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
+from valid_drive import spoilt
 
 from homeward.angles import wrap
 from homeward.drives.mrclam import read_mrclam
@@ -154,22 +154,8 @@ def test_refuses_choices_that_make_no_sense(tmp_path):
     assert "seed is -1" in refusal(folder, home_noise=0.1, seed=-1)
 
 
-@st.composite
-def mutated(draw):
-    """Draw one of the valid files, with some of its bytes cut or replaced."""
-    name = draw(st.sampled_from(sorted(VALID)))
-    content = VALID[name]
-    for _ in range(draw(st.integers(1, 4))):
-        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
-        filling = draw(
-            st.sampled_from([b"", b"#", b"\n", b"-", b"9" * 400]) | st.binary(max_size=3)
-        )
-        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
-    return name, content
-
-
 @settings(deadline=None, max_examples=200)
-@given(case=mutated())
+@given(case=spoilt(VALID, [b"", b"#", b"\n", b"-", b"9" * 400]))
 def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
     drive, message = outcome(put(tmp_path_factory.mktemp("fuzz") / "set", dict([case])))
     if drive is None:

@@ -31,6 +31,7 @@ _MAY_FAIL = (
     *("add_sightings", "eliminate", "predict", "correct"),
     *("solve_home", "fit_home", "judge_home", "doubt_home"),
 )
+"""Where an index is out of range or a matrix not positive definite."""
 
 compiled = Program("homeward.localizer", _SOURCES, _FUNCTIONS, _MAY_FAIL)
 

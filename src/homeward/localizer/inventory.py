@@ -13,7 +13,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.estimator import LandmarkEstimate
 from homeward.localizer.glimpses import Glimpse
 from homeward.localizer.landmarks import Landmarks
-from homeward.localizer.marginal import HEAD, Marginal, landmark_columns
+from homeward.localizer.marginal import Marginal
 from homeward.localizer.moved import Hypotheses
 
 
@@ -93,9 +93,8 @@ class Inventory:
         """Return where a landmark may stand; None where nothing is known of that."""
         if name not in self.known.mapped:
             return self.known.glimpsed.get(name)
-        columns = landmark_columns(self.known.mapped[name].number)
-        at, spread = self.marginal.mean[columns], self.marginal.covariance[columns, columns]
-        return Glimpse(at[None], spread[None], np.ones(1))
+        number = np.array([self.known.mapped[name].number])
+        return Glimpse(*self.marginal.places(number), np.ones(1))
 
     def _from_home(self) -> dict[str, tuple[float, float, float]]:
         """Return where landmarks stand in the home frame [m], and the deviation of the distance."""
@@ -103,14 +102,12 @@ class Inventory:
         if self.hypotheses is None or not mapped:
             return {}
         best = self.hypotheses.best
-        columns = HEAD + 2 * np.array([m.number for m in mapped.values()])[:, None] + np.arange(2)
-        at = self.marginal.mean[columns]
+        at, spread = self.marginal.places(np.array([m.number for m in mapped.values()]))
         index = {name: i for i, name in enumerate(mapped)}
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:
                 at[index[name]] = place
-        spread = self.marginal.covariance[columns[:, :, None], columns[:, None, :]]
-        spread = spread + best.covariance[:2, :2]
+        spread += best.covariance[:2, :2]
         away = at - best.home[:2]
         c, s = math.cos(best.home[2]), math.sin(best.home[2])
         towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.estimator import Innovation
 from homeward.localizer.landmarks import Landmarks
-from homeward.localizer.marginal import HEAD, Marginal
+from homeward.localizer.marginal import Marginal
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
@@ -76,7 +76,7 @@ class Lost:
             return None
         rows = np.array([r for _, r in known])
         numbers = landmarks.number([n for n, _ in known])
-        columns = HEAD + 2 * numbers[:, None] + np.arange(2)
+        positions, covariances = marginal.places(numbers)
         by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
         return relocate(
             SightLines(
@@ -84,8 +84,8 @@ class Lost:
                 bearings=rows[:, BEARING],
                 sigmas=rows[:, SIGMA],
                 names=numbers,
-                positions=marginal.mean[columns],
-                covariances=marginal.covariance[columns[:, :, None], columns[:, None, :]],
+                positions=positions,
+                covariances=covariances,
             )
         )
 

@@ -138,7 +138,7 @@ class Marginal:
         covariance -= seen.correlated.T @ gain
         return Marginal(mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
-
-def landmark_columns(number: int) -> slice:
-    """Return where landmark `number` stands in a `Marginal`."""
-    return slice(HEAD + 2 * number, HEAD + 2 + 2 * number)
+    def places(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where landmarks (k,) stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
+        columns = HEAD + 2 * numbers[:, None] + np.arange(2)
+        return self.mean[columns], self.covariance[columns[:, :, None], columns[:, None, :]]

@@ -18,6 +18,8 @@ from homeward.localizer.resection import REACH
 HEAD = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
+FEWEST = 3
+"""Home bearings that fix home where there is no start prior."""
 HOME_SHARE = 0.5
 """Home is about so far from the middle of its landmarks [of their range]."""
 LONGEST_SHARE = 0.2
@@ -145,7 +147,7 @@ class HomeProblem:
     @property
     def fewest(self) -> int:
         """Home bearings that fix home."""
-        return 3 if self.prior is None else 0
+        return FEWEST if self.prior is None else 0
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from homeward.localizer.mapper import Mapper
-
-FEWEST = 3
-"""Home bearings that fix home where there is no start prior."""
+from homeward.localizer.problem import FEWEST
 
 
 def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collection[str]) -> str:

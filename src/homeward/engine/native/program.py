@@ -58,8 +58,7 @@ class Program:
         What each function takes, in order: ``i`` an integer, ``d`` a double, ``a`` an array of
         doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool, ``s`` a structure.
     may_fail : collection of str
-        Those that return 0, or 1 where an index is out of range or a matrix not positive definite;
-        the others return nothing.
+        Those that return 0, or 1 where they fail; the others return nothing.
     """
 
     def __init__(
