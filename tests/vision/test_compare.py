@@ -79,7 +79,7 @@ def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, column
 
 def without_neighbours(patch):
     """Have comparisons rely on matches alone."""
-    patch.setattr(COMPARE, "neighbours", lambda _, __, known, laid: (known[:0], laid[:0]))
+    patch.setattr(COMPARE, "neighbours", lambda _, __, known, laid: (np.zeros((2, 0)), laid[:0]))
 
 
 def test_what_lies_beside_the_matches_makes_the_direction_better():

@@ -106,8 +106,8 @@ def test_motions_are_fitted_alike(both):
     starts = rng.normal(0, 1, (m, 5)) * [3, 0.5, 0.05, 0.05, 0.05]
     kept = rng.random((m, n)) < 0.7
     pairs = matches(rng, n)
-    for counts in (kept, 1.0):
-        native, plain = both(descend, starts, pairs, 0.02, counts)
+    for scale, counts in ((3.0, kept), (1.0, 1.0)):
+        native, plain = both(descend, starts, pairs, 0.02, scale, counts)
         # Some steps are hardly determined, and there rounding grows.
         assert np.median(np.abs(native - plain).max(axis=1)) < 1e-12
         assert np.abs(native - plain).max() < 1e-3
@@ -116,10 +116,10 @@ def test_motions_are_fitted_alike(both):
 def test_motions_without_matches_stay_where_they_are(both):
     starts = np.array([[1.0, 2.0, 0.0, 0.0, 0.0]])
     none = matches(np.random.default_rng(0), 0)
-    for fitted in both(descend, starts, none, 0.02):
+    for fitted in both(descend, starts, none, 0.02, 3.0):
         assert np.allclose(fitted, starts)
     some = matches(np.random.default_rng(0), 5)
-    for fitted in both(descend, starts, some, 0.02, np.zeros((1, 5))):
+    for fitted in both(descend, starts, some, 0.02, 3.0, np.zeros((1, 5))):
         assert np.allclose(fitted, starts)
 
 

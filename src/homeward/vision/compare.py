@@ -27,6 +27,8 @@ LEAST_PARALLAX = 5.0
 ALONE = 0.1
 """What the covariance of matches alone counts, beside that of all that was found, as was found on
 rendered rooms: the first is too large for what all say, the second at times far too small."""
+SHARP = 1.0
+"""Scale of the robust loss once much has been found [standard deviations]: the best ones speak."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 
@@ -123,8 +125,10 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     spread = np.full((2, 2), np.inf)
     if fit is not None:
         if verdict.accepted:
-            rest, there = neighbours(home, now, i, laid)
-            beside = _pairs(home, now, rest, there, np.log(there.area) / 2, camera)
+            fits = fit.inlier
+            (column, row), there = neighbours(home, now, i[fits], laid[fits])
+            at_home = np.column_stack(camera.directions(column, row, home.shape))
+            beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
         agrees = fit.inlier[: len(pairs)]
     if verdict.accepted:
@@ -165,17 +169,17 @@ def paired(
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
     laid = align(home.picture, now.picture, at_home, at_now, home.size[i], growth, turn)
-    pairs = _pairs(home, now, i, laid, np.log(growth), camera)
+    directions = np.column_stack([home.azimuth[i], home.elevation[i]])
+    pairs = _pairs(directions, now, laid, np.log(growth), camera)
     found = laid.found
     return rows[kept][found], pairs[found], laid[found], quality[kept][found]
 
 
 def _pairs(
-    home: View, now: View, rows: np.ndarray, laid: Alignment, growth: np.ndarray, camera: Panorama
+    at_home: np.ndarray, now: View, laid: Alignment, growth: np.ndarray, camera: Panorama
 ) -> Pairs:
-    """Return the directions of features of home, and of where they lie now."""
+    """Return directions at home, (n, 2) [rad], with those of where their patches lie now."""
     directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
-    at_home = np.column_stack([home.azimuth[rows], home.elevation[rows]])
     return Pairs.of(at_home, directions, slope @ laid.spread @ slope.swapaxes(1, 2), growth)
 
 
@@ -187,7 +191,8 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     right one, of which what was found after them knows nothing: then they have the only say.
     """
     alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
-    found = refine(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma)
+    starts = np.vstack([fit.motion, fit.others])
+    found = refine(starts, everything, camera.tilt_sigma, SHARP)
     together = covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
     spread = share * alone + (1.0 - share) * together

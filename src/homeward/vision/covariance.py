@@ -57,7 +57,8 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     by_prior = plain @ prior_information(tilt_sigma) @ plain
     kept = _kept(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)
-    change = descend(_starts(fit, pairs, tilt_sigma, kept), pairs, tilt_sigma, kept) - motion
+    starts = _starts(fit, pairs, tilt_sigma, kept)
+    change = descend(starts, pairs, tilt_sigma, fit.scale, kept) - motion
     change[:, :2] = wrap(change[:, :2])
     n = int(fit.inlier.sum())
     share = SHARE * n / max(n - motion.size, 1)

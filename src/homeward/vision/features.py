@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,11 @@ CONTRAST = 0.02
 FEWEST_COLUMNS = 360
 """Smaller panoramas are enlarged, for patches need some pixels: of real ones with 3 deg a pixel few
 features are found as they are, and twenty times as many in their enlargement."""
+
+CORNER_SIZE, CORNER_APART = 3.0, 5.0
+"""Diameter of a corner, and how near two of them may be [px, of what was enlarged]."""
+CORNER_LEAST = 0.01
+"""What a corner must have of the strongest one's contrast, squared [1]: weak ones tell little."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,37 @@ class View:
 
     def __len__(self) -> int:
         return self.column.size
+
+    @cached_property
+    def patches(self) -> tuple[np.ndarray, np.ndarray]:
+        """What can be laid onto another panorama: features and corners, one at each place.
+
+        Returns
+        -------
+        patches : ndarray, shape (k, 3)
+            Column, row and diameter [px].
+        of : ndarray of int, shape (n,)
+            Which of them lies where each feature does.
+        """
+        every = np.vstack([np.column_stack([self.column, self.row, self.size]), self._corners()])
+        place = every[:, :2].round() @ [1, 1j]
+        _, first, of = np.unique(place, return_index=True, return_inverse=True)
+        return every[first], of[: len(self)]
+
+    def _corners(self) -> np.ndarray:
+        """Return corners: column, row and diameter, (m, 3) [px].
+
+        They are patches whose place in another panorama is told well (Shi and Tomasi, "Good
+        features to track", CVPR 1994), but nothing describes them by which to find them again.
+        """
+        grey, times, margin = self.picture.levels[0], self.picture.times, self.picture.margin
+        found = opencv().goodFeaturesToTrack(grey, 0, CORNER_LEAST, CORNER_APART, blockSize=5)
+        if found is None:
+            return np.zeros((0, 3))
+        column, row = (found[:, 0] - [margin, 0]).T
+        inside = (column >= 0) & (column < self.shape[1] * times)
+        place = (np.column_stack([column, row])[inside] + 0.5) / times - 0.5
+        return np.insert(place, 2, CORNER_SIZE / times, axis=1)
 
 
 def look(image: np.ndarray, camera: Panorama) -> View:

@@ -24,7 +24,7 @@ worse than places are known, and matches that strict would hold it where it is."
 LONGEST_STEP = 0.3
 """Where home is near, theta is hardly determined: no wild turns on the way [rad]."""
 SCALE = 3.0
-"""Of the robust loss [standard deviations]."""
+"""Of the robust loss [standard deviations]: matches farther off count for less and less."""
 INLIER = 3.0
 """A match fits within this many standard deviations."""
 
@@ -46,11 +46,13 @@ class Fit:
     parallax: float
     """How much more the matches have shifted along their ways than noise alone makes them seem to
     [1, of squares]: one for two images from the same place, and up to three as theta fits noise."""
+    scale: float
+    """Of the robust loss [standard deviations]."""
     others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
     """(m, 5): the motions that other starts led to."""
 
 
-def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
+def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = SCALE) -> Fit:
     """Fit a motion to matches by iteratively reweighted least squares, from several starts.
 
     Parameters
@@ -61,6 +63,8 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
         All matches, wrong ones among them.
     tilt_sigma : float
         How far each camera may be tilted from what is known [rad].
+    scale : float
+        Of the robust loss [standard deviations].
 
     Returns
     -------
@@ -68,17 +72,21 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float) -> Fit:
         The one of least cost.
     """
     prior = prior_information(tilt_sigma)
-    x = descend(starts, pairs, tilt_sigma)
+    x = descend(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
     total = cost(found) + np.sum((x @ prior) * x, axis=1)
     best = int(np.argmin(total))
     chosen = Residuals(*(part[best] for part in found))
-    fit = _judged(x[best], pairs, chosen, float(total[best]), prior)
+    fit = _judged(x[best], pairs, chosen, float(total[best]), prior, scale)
     return replace(fit, others=np.delete(x, best, axis=0))
 
 
 def descend(
-    starts: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float = 1.0
+    starts: np.ndarray,
+    pairs: Pairs,
+    tilt_sigma: float,
+    scale: float,
+    counts: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Return motions, (m, 5), that fit matches robustly, each from its own start.
 
@@ -90,24 +98,26 @@ def descend(
         n matches.
     tilt_sigma : float
         How far each camera may be tilted from what is known [rad].
+    scale : float
+        Of the robust loss [standard deviations].
     counts : ndarray, shape (m, n), or 1
         What each match counts for in each of the fits.
     """
     x = np.array(starts, float, order="C")
-    if not _descended(x, pairs, tilt_sigma, counts):
-        x = _steps(np.array(starts), pairs, tilt_sigma, counts)
+    if not _descended(x, pairs, tilt_sigma, scale, counts):
+        x = _steps(np.array(starts), pairs, tilt_sigma, scale, counts)
     x[:, :2] = wrap(x[:, :2])
     return x
 
 
 def _steps(
-    x: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float
+    x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> np.ndarray:
     """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
     prior = prior_information(tilt_sigma)
     for looseness in LOOSENESS:
         found = residuals(x, pairs, looseness * tilt_sigma)
-        weight = _weight(found) * counts
+        weight = _weight(found, scale) * counts
         weighted = (found.jacobian * weight[..., None]).swapaxes(1, 2)
         normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
         gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
@@ -116,7 +126,9 @@ def _steps(
     return x
 
 
-def _descended(x: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarray | float) -> bool:
+def _descended(
+    x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
+) -> bool:
     """Do in place, in compiled code, what `_steps` does; False where that cannot be."""
     native = compiled()
     if native is None:
@@ -126,7 +138,7 @@ def _descended(x: np.ndarray, pairs: Pairs, tilt_sigma: float, counts: np.ndarra
     counted[:, : len(pairs)] = counts
     looseness = np.array(LOOSENESS) * tilt_sigma
     prior = np.diag(prior_information(tilt_sigma)).copy()
-    given = (pairs.columns, counted, looseness, prior, SCALE, LONGEST_STEP, LIMITS)
+    given = (pairs.columns, counted, looseness, prior, scale, LONGEST_STEP, LIMITS)
     return not native.descend(len(x), wide, count, len(looseness), x, *given)
 
 
@@ -146,9 +158,11 @@ def squares(found: Residuals) -> np.ndarray:
     return np.where(found.possible, found.value**2, np.inf)
 
 
-def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray) -> Fit:
+def _judged(
+    x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray, scale: float
+) -> Fit:
     inlier = squares(found) <= INLIER**2
-    root = np.sqrt(_weight(found) * inlier)
+    root = np.sqrt(_weight(found, scale) * inlier)
     by_theta, by_vertical = (
         _beyond_noise(found.jacobian[:, column], noise, root**2)
         for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True)
@@ -164,6 +178,7 @@ def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: 
         cost=total,
         information=rows.T @ rows + prior,
         parallax=by_theta,
+        scale=scale,
     )
 
 
@@ -173,6 +188,6 @@ def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -
     return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
 
 
-def _weight(found: Residuals) -> np.ndarray:
+def _weight(found: Residuals, scale: float) -> np.ndarray:
     """Return Geman and McClure's weights; impossible matches do not count."""
-    return np.asarray(found.possible / (1.0 + (found.value / SCALE) ** 2) ** 2)
+    return np.asarray(found.possible / (1.0 + (found.value / scale) ** 2) ** 2)
