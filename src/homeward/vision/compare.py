@@ -27,8 +27,8 @@ LEAST_PARALLAX = 5.0
 ALONE = 0.1
 """What the covariance of matches alone counts, beside that of all that was found, as was found on
 rendered rooms: the first is too large for what all say, the second at times far too small."""
-SHARP = 1.0
-"""Scale of the robust loss once much has been found [standard deviations]: the best ones speak."""
+SCALES = (3.0, 1.0)
+"""Of the robust loss once much has been found [standard deviations]: in the end the best speak."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 
@@ -191,8 +191,10 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     right one, of which what was found after them knows nothing: then they have the only say.
     """
     alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
-    starts = np.vstack([fit.motion, fit.others])
-    found = refine(starts, everything, camera.tilt_sigma, SHARP)
+    found = fit
+    for scale in SCALES:
+        starts = np.vstack([found.motion, found.others])
+        found = refine(starts, everything, camera.tilt_sigma, scale)
     together = covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
     spread = share * alone + (1.0 - share) * together

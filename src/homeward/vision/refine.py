@@ -39,8 +39,6 @@ class Fit:
     motion: Motion
     inlier: np.ndarray
     """(n,) bool"""
-    cost: float
-    """MSAC cost over all matches, prior included."""
     information: np.ndarray
     """(5, 5): of the motion, were all errors independent and as large as assumed."""
     parallax: float
@@ -69,15 +67,14 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = S
     Returns
     -------
     Fit
-        The one of least cost.
+        The one of least loss.
     """
     prior = prior_information(tilt_sigma)
     x = descend(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
-    total = cost(found) + np.sum((x @ prior) * x, axis=1)
-    best = int(np.argmin(total))
+    best = int(np.argmin(_loss(found, scale) + np.sum((x @ prior) * x, axis=1)))
     chosen = Residuals(*(part[best] for part in found))
-    fit = _judged(x[best], pairs, chosen, float(total[best]), prior, scale)
+    fit = _judged(x[best], pairs, chosen, prior, scale)
     return replace(fit, others=np.delete(x, best, axis=0))
 
 
@@ -158,9 +155,7 @@ def squares(found: Residuals) -> np.ndarray:
     return np.where(found.possible, found.value**2, np.inf)
 
 
-def _judged(
-    x: np.ndarray, pairs: Pairs, found: Residuals, total: float, prior: np.ndarray, scale: float
-) -> Fit:
+def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, scale: float) -> Fit:
     inlier = squares(found) <= INLIER**2
     root = np.sqrt(_weight(found, scale) * inlier)
     by_theta, by_vertical = (
@@ -175,7 +170,6 @@ def _judged(
     return Fit(
         motion=Motion(*x.tolist()),
         inlier=inlier,
-        cost=total,
         information=rows.T @ rows + prior,
         parallax=by_theta,
         scale=scale,
@@ -186,6 +180,11 @@ def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -
     """Return the mean of a column of the Jacobian, squared, over what noise alone makes of it."""
     ratio = np.minimum(jacobian**2 / noise, MOST_RATIO)
     return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
+
+
+def _loss(found: Residuals, scale: float) -> np.ndarray:
+    """Return Geman and McClure's loss of each motion, (m,): what `descend` makes small."""
+    return np.asarray(scale**2 * (1.0 - np.sqrt(_weight(found, scale))).sum(axis=-1))
 
 
 def _weight(found: Residuals, scale: float) -> np.ndarray:
