@@ -17,7 +17,7 @@ from homeward.vision.features import View
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.neighbours import neighbours
-from homeward.vision.refine import Fit, refine
+from homeward.vision.refine import SCALE, Fit, refine
 from homeward.vision.search import search
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
@@ -27,7 +27,7 @@ LEAST_PARALLAX = 5.0
 ALONE = 0.1
 """What the covariance of matches alone counts, beside that of all that was found, as was found on
 rendered rooms: the first is too large for what all say, the second at times far too small."""
-SCALES = (3.0, 1.0)
+SCALES = (SCALE, 1.0)
 """Of the robust loss once much has been found [standard deviations]: in the end the best speak."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""

@@ -76,14 +76,13 @@ class View:
         They are patches whose place in another panorama is told well (Shi and Tomasi, "Good
         features to track", CVPR 1994), but nothing describes them by which to find them again.
         """
-        grey, times, margin = self.picture.levels[0], self.picture.times, self.picture.margin
+        grey, times = self.picture.levels[0], self.picture.times
         found = opencv().goodFeaturesToTrack(grey, 0, CORNER_LEAST, CORNER_APART, blockSize=5)
         if found is None:
             return np.zeros((0, 3))
-        column, row = (found[:, 0] - [margin, 0]).T
-        inside = (column >= 0) & (column < self.shape[1] * times)
-        place = (np.column_stack([column, row])[inside] + 0.5) / times - 0.5
-        return np.insert(place, 2, CORNER_SIZE / times, axis=1)
+        pad = self.picture.margin // times
+        place, inside = _on_panorama(found[:, 0].astype(float), times, pad, self.shape[1])
+        return np.insert(place[inside], 2, CORNER_SIZE / times, axis=1)
 
 
 def look(image: np.ndarray, camera: Panorama) -> View:
@@ -130,14 +129,24 @@ def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
     if not points:
         return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
     rows = np.array([(*p.pt, p.size, p.angle) for p in points])
-    rows[:, :2] = (rows[:, :2] + 0.5) / times - 0.5
+    rows[:, :2], inside = _on_panorama(rows[:, :2], times, pad, width)
     rows[:, 2] /= times
-    inside = (rows[:, 0] >= pad - 0.5) & (rows[:, 0] < pad + width - 0.5)
     rows, found = rows[inside], found[inside]
     # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
     found /= np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
     column, row, size, degrees = rows.T
-    return column - pad, row, size, np.radians(degrees), np.sqrt(found)
+    return column, row, size, np.radians(degrees), np.sqrt(found)
+
+
+def _on_panorama(
+    places: np.ndarray, times: int, pad: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return column and row [px] of places, (n, 2), in what was padded, then enlarged.
+
+    And which of them, (n,), are not beyond the seam, where all is seen once more.
+    """
+    on = (places + 0.5) / times - [0.5 + pad, 0.5]
+    return on, (on[:, 0] >= -0.5) & (on[:, 0] < width - 0.5)
 
 
 @cache

@@ -28,7 +28,7 @@ STEPS = 4
 """Half of what a match takes: a map begins nearer than a feature's own size and turn."""
 LEAST_LIKENESS = 0.9
 """More than of a match, for which its descriptor speaks, too."""
-TIMES = 1.6
+SIGMA_TIMES = 1.6
 """How much farther off than a match that looks as alike, as was found on rendered rooms: there are
 corners that nothing has, where something near ends before something far away."""
 MOST_PATCHES, MOST_GUIDES = 1500, 300
@@ -70,7 +70,7 @@ def neighbours(
         found.append((guides, laid))
     rows, parts = zip(*found, strict=True)
     laid = Alignment.joined(parts)
-    return patches[np.concatenate(rows), :2].T, replace(laid, spread=TIMES**2 * laid.spread)
+    return patches[np.concatenate(rows), :2].T, replace(laid, spread=SIGMA_TIMES**2 * laid.spread)
 
 
 def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
