@@ -7,7 +7,7 @@ from homeward.angles import wrap
 from homeward.vision.camera import tilt_matrix
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs, residuals
-from homeward.vision.refine import refine
+from homeward.vision.refine import MOST_OTHERS, SAME, refine
 from homeward.vision.search import search
 from homeward.vision.two_point import costs, rows_of, solve
 
@@ -129,6 +129,19 @@ def test_the_motion_is_found_among_wrong_matches(seed):
     assert abs(wrap(fit.motion.alpha - motion.alpha)) < 0.01
     assert fit.inlier[40:].mean() > 0.9
     assert fit.inlier[:40].mean() < 0.2
+
+
+def test_what_else_the_matches_may_say_is_kept_the_likeliest_first():
+    """Two motions have half of the matches each: the one that is not the answer comes next."""
+    truth, other = Motion(1.0, 0.4), Motion(-2.0, -1.5)
+    pairs = made_up(truth, n=30, noise=SIGMA) + made_up(other, n=26, seed=1, noise=SIGMA)
+    fit = search(pairs, np.ones(56), 0.01)
+    motions = np.vstack([fit.motion, fit.others])
+    off = [np.abs(wrap(motions[k, :2] - each[:2])).max() for k, each in enumerate((truth, other))]
+    assert max(off) < 0.02
+    assert 2 <= len(fit.others) <= MOST_OTHERS
+    apart = np.abs(wrap(motions[:, None, :2] - motions[:, :2])).max(axis=2)
+    assert apart[~np.eye(len(motions), dtype=bool)].min() >= SAME
 
 
 def test_tilt_is_taken_up():

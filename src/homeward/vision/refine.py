@@ -27,6 +27,10 @@ SCALE = 3.0
 """Of the robust loss [standard deviations]: matches farther off count for less and less."""
 INLIER = 3.0
 """A match fits within this many standard deviations."""
+SAME = 0.002
+"""Motions whose theta and alpha differ by less are one [rad]."""
+MOST_OTHERS = 9
+"""Of the other motions that starts led to, those of least loss are kept."""
 
 MOST_RATIO = 100.0
 """A single match with much parallax does not speak for all."""
@@ -47,7 +51,7 @@ class Fit:
     scale: float
     """Of the robust loss [standard deviations]."""
     others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
-    """(m, 5): the motions that other starts led to."""
+    """(m, 5): the other motions that starts led to, that of least loss first."""
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = SCALE) -> Fit:
@@ -72,10 +76,16 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = S
     prior = prior_information(tilt_sigma)
     x = descend(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
-    best = int(np.argmin(_loss(found, scale) + np.sum((x @ prior) * x, axis=1)))
-    chosen = Residuals(*(part[best] for part in found))
-    fit = _judged(x[best], pairs, chosen, prior, scale)
-    return replace(fit, others=np.delete(x, best, axis=0))
+    order = np.argsort(_loss(found, scale) + np.sum((x @ prior) * x, axis=1), kind="stable")
+    best = Residuals(*(part[order[0]] for part in found))
+    fit = _judged(x[order[0]], pairs, best, prior, scale)
+    return replace(fit, others=_distinct(x[order])[1 : 1 + MOST_OTHERS])
+
+
+def _distinct(motions: np.ndarray) -> np.ndarray:
+    """Return those motions, (k, 5), that are not the same as one before."""
+    apart = np.abs(wrap(motions[:, None, :2] - motions[:, :2])).max(axis=2)
+    return np.asarray(motions[~np.tril(apart < SAME, -1).any(axis=1)])
 
 
 def descend(
@@ -143,11 +153,6 @@ def prior_information(tilt_sigma: float) -> np.ndarray:
     """Return the information, (5, 5), that both cameras are upright and at one height."""
     known = 1.0 / (2.0 * tilt_sigma**2)
     return np.diag([0.0, 0.0, known, known, known])
-
-
-def cost(found: Residuals) -> np.ndarray:
-    """Return the MSAC cost of each motion, (m,): squared residuals, at most `INLIER`^2 each."""
-    return np.asarray(np.minimum(squares(found), INLIER**2).sum(axis=-1))
 
 
 def squares(found: Residuals) -> np.ndarray:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.epipolar import Pairs, residuals
-from homeward.vision.refine import INLIER, Fit, cost, refine
+from homeward.vision.epipolar import Pairs
+from homeward.vision.refine import INLIER, Fit, refine
 from homeward.vision.two_point import costs, rows_of, solve
 
 SAMPLES = 800
 """Pairs of matches that are tried."""
 CANDIDATES = 12
-"""That are looked at closely."""
-REFINED = 3
-"""The best of them, each travelled both ways."""
+"""The best of them that are refined, each travelled both ways: what else the matches may say is
+what tells how sure an answer is."""
 TURNS = 50
 """Matches from which a mere turn is tried."""
 APART = 0.1
@@ -47,10 +46,8 @@ def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) 
         return None
     starts = np.zeros((2, len(chosen), 5))
     starts[..., :2] = chosen, chosen + np.array([np.pi, 0.0])
-    total = cost(residuals(starts.reshape(-1, 5), pairs, tilt_sigma)).reshape(2, -1)
-    order = np.argsort(total.min(axis=0), kind="stable")[:REFINED]
     # Near home, which way round is told only by places as exactly known as they are.
-    return refine(starts[:, order].reshape(-1, 5), pairs, tilt_sigma)
+    return refine(starts.reshape(-1, 5), pairs, tilt_sigma)
 
 
 def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int) -> np.ndarray:
