@@ -114,6 +114,35 @@ def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
     assert sure or np.allclose(seen.covariance, alone.covariance)
 
 
+@pytest.mark.parametrize("seed", [42, 46])
+def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatch):
+    other, headings, once = make_room(seed), [], COMPARE._compared
+    places = ((3.0, 3.0, 0.4, 1), (5.6, 4.8, 2.0, 2))
+    views = [look(draw(other, *place, seed=noise), CAMERA) for *place, noise in places]
+
+    def compared(home, now, camera, heading=None):
+        headings.append(heading)
+        return once(home, now, camera, heading)
+
+    monkeypatch.setattr(COMPARE, "_compared", compared)
+    seen = compare(*views, CAMERA)
+    assert len(headings) == 2
+    assert not once(*views, CAMERA).knows_direction
+    assert seen.knows_direction
+    assert abs(wrap(seen.heading - 1.6)) < max(3 * seen.heading_sigma, 0.01)
+    assert abs(wrap(seen.direction - np.arctan2(1.8, 2.6) + 0.4)) < 3 * seen.direction_sigma
+    # Matches are within the angle in which they were looked for.
+    turned = wrap(seen.pairs.home[:, 0] - seen.pairs.now[:, 0] - headings[1])
+    assert np.abs(turned).max() < COMPARE.WITHIN + 0.05
+
+
+def test_where_the_first_look_tells_there_is_no_second(room, home, monkeypatch):
+    once = COMPARE._compared
+    monkeypatch.setattr(COMPARE, "_compared", lambda a, b, camera: once(a, b, camera))
+    assert compare(home, look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).knows_direction
+    assert not compare(home, home, CAMERA).shows_parallax
+
+
 def test_light_does_not_matter(room, home):
     image = draw(room, 4.2, 3.5, 2.0, seed=2)
     darker = (0.6 * image.astype(float) + 40).astype(np.uint8)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, squares
 
@@ -28,6 +29,8 @@ CEILING = math.radians(25.0)
 """Matches higher than this may be those of another room's like ceiling."""
 FEWEST_LOW_SECTORS = 3
 """In so many must there be matches that agree below `CEILING`."""
+WITHIN = 0.6
+"""Where the heading is known, a feature lies within this of where a mere turn takes it [rad]."""
 SHUFFLES = 8
 """How many random matches are made of each."""
 
@@ -43,15 +46,25 @@ class Verdict:
     """Logarithm to base 10."""
 
 
-def judge(fit: Fit | None, pairs: Pairs) -> Verdict:
-    """Say whether a fit stands on more than chance."""
+def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdict:
+    """Say whether a fit stands on more than chance.
+
+    Parameters
+    ----------
+    fit : Fit or None
+        None where no motion was found.
+    pairs : Pairs
+        All matches.
+    heading : float, optional
+        Now, where matches were looked for `WITHIN` what it makes of their directions [rad].
+    """
     if fit is None or fit.inlier.sum() < 3:
         return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
     good = fit.inlier
     sectors, occupied = _occupied(good, pairs)
     low = np.abs(pairs.home[good, 1]) < CEILING
     low_sectors = min(np.unique(s[low]).size for s in sectors)
-    alarms = _log_false_alarms(fit, pairs)
+    alarms = _log_false_alarms(fit, pairs, heading)
     words = agreement(good, pairs)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
@@ -74,28 +87,31 @@ def _occupied(good: np.ndarray, pairs: Pairs) -> tuple[list[np.ndarray], int]:
     return sectors, min(np.unique(s).size for s in sectors)
 
 
-def _log_false_alarms(fit: Fit, pairs: Pairs) -> float:
+def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     """Return the logarithm (base 10) of the number of false alarms."""
     sectors = [_sectors(side[:, 0]) for side in (pairs.home, pairs.now)]
     n = min(_capped(s) for s in sectors)
     k = min(_capped(s[fit.inlier]) for s in sectors)
     if k <= 2:
         return 0.0
-    chance = _chance(fit, pairs)
+    chance = _chance(fit, pairs, heading)
     choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
     models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
     return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
 
 
-def _chance(fit: Fit, pairs: Pairs) -> float:
+def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     """Return how probably a wrong match fits the motion."""
-    n = len(pairs)
-    shifts = np.unique(np.linspace(1, n - 1, SHUFFLES).astype(int))
+    n, searched = len(pairs), math.pi if heading is None else WITHIN
+    shifts = np.unique(np.linspace(1, n - 1, round(SHUFFLES * math.pi / searched)).astype(int))
     order = np.argsort(pairs.now[:, 0], kind="stable")
     other = np.empty((shifts.size, n), int)
     for row, shift in zip(other, shifts, strict=True):
         row[order] = np.roll(order, shift)
     shuffled = pairs.mixed(np.tile(np.arange(n), shifts.size), other.ravel())
+    if heading is not None:
+        turned = wrap(shuffled.home[:, 0] - shuffled.now[:, 0] - heading)
+        shuffled = shuffled[np.abs(turned) < WITHIN]
     found = residuals(np.array([fit.motion]), shuffled)
     fits = int((squares(found) <= INLIER**2).sum())
     return (fits + 1) / (len(shuffled) + 2)

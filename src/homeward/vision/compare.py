@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.acceptance import Verdict, agreement, judge
+from homeward.vision.acceptance import WITHIN, Verdict, agreement, judge
 from homeward.vision.alignment import Alignment, align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
-from homeward.vision.matching import match
+from homeward.vision.matching import RATIO, match
 from homeward.vision.moved import moved_groups
 from homeward.vision.neighbours import neighbours
-from homeward.vision.refine import SCALE, Fit, refine
+from homeward.vision.refine import SCALE, Fit, descend, refine
 from homeward.vision.search import search
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
@@ -27,10 +27,13 @@ LEAST_PARALLAX = 5.0
 ALONE = 0.1
 """What the covariance of matches alone counts, beside that of all that was found, as was found on
 rendered rooms: the first is too large for what all say, the second at times far too small."""
-SCALES = (SCALE, 1.0)
-"""Of the robust loss once much has been found [standard deviations]: in the end the best speak."""
+SHARP = 1.0
+"""Scale of the robust loss in the end, once much has been found: then the best speak [standard
+deviations]."""
 LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
+FORGIVING_RATIO = 0.9
+"""Of distances to the nearest and the second, once only a part of the panorama is searched."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,9 @@ class Comparison:
 def compare(home: View, now: View, camera: Panorama) -> Comparison:
     """Compare two views.
 
+    A second time, where the first leaves the answer open: with the heading that it guessed, each
+    feature is looked for only where it can lie, so that fewer others look like it.
+
     Parameters
     ----------
     home, now : View
@@ -117,10 +123,20 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     camera : Panorama
         That took both.
     """
-    rows, pairs, laid, quality = paired(home, now, camera)
+    seen = _compared(home, now, camera)
+    answered = seen.accepted and (seen.knows_direction or not seen.shows_parallax)
+    if answered or seen.motion is None:
+        return seen
+    again = _compared(home, now, camera, seen.motion.alpha)
+    return again if again.direction_sigma < seen.direction_sigma else seen
+
+
+def _compared(home: View, now: View, camera: Panorama, heading: float | None = None) -> Comparison:
+    """Compare two views, of which the heading now may be known to within `WITHIN` [rad]."""
+    rows, pairs, laid, quality = _paired(home, now, camera, heading)
     i, j = rows.T
     fit = search(pairs, quality, camera.tilt_sigma)
-    verdict = judge(fit, pairs)
+    verdict = judge(fit, pairs, heading)
     agrees, moved = np.zeros((2, len(pairs)), bool)
     spread = np.full((2, 2), np.inf)
     if fit is not None:
@@ -148,8 +164,8 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     )
 
 
-def paired(
-    home: View, now: View, camera: Panorama
+def _paired(
+    home: View, now: View, camera: Panorama, heading: float | None
 ) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
     """Return the features that look alike, (n, 2) rows, their directions, places and qualities.
 
@@ -157,7 +173,12 @@ def paired(
     further ones at the same two places, and those whose surroundings do not look alike when laid
     one upon the other.
     """
-    rows, quality = match(home.descriptor, now.descriptor)
+    if heading is None:
+        rows, quality = match(home.descriptor, now.descriptor, RATIO)
+    else:
+        possible = _near(home.angle, now.angle, LARGEST_TURN)
+        possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
+        rows, quality = match(home.descriptor, now.descriptor, FORGIVING_RATIO, possible)
     i, j = rows.T
     upright = np.abs(wrap(now.angle[j] - home.angle[i])) < LARGEST_TURN
     places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
@@ -173,6 +194,12 @@ def paired(
     pairs = _pairs(directions, now, laid, np.log(growth), camera)
     found = laid.found
     return rows[kept][found], pairs[found], laid[found], quality[kept][found]
+
+
+def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:
+    """Return which angles a, (n,), and b, (m,), differ by less: (n, m) bool [rad]."""
+    one, other = (np.column_stack([np.cos(x), np.sin(x)]).astype(np.float32) for x in (a, b))
+    return np.asarray(one @ other.T > math.cos(most))
 
 
 def _pairs(
@@ -191,10 +218,8 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     right one, of which what was found after them knows nothing: then they have the only say.
     """
     alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
-    found = fit
-    for scale in SCALES:
-        starts = np.vstack([found.motion, found.others])
-        found = refine(starts, everything, camera.tilt_sigma, scale)
+    forgiving = descend(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)
+    found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
     together = covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
     spread = share * alone + (1.0 - share) * together

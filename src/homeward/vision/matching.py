@@ -7,8 +7,13 @@ import numpy as np
 RATIO = 0.85
 """The nearest descriptor must be this much nearer than the second (Lowe)."""
 
+NEVER = -1.0
+"""The likeness of what is as far apart as unit vectors can be."""
 
-def match(a: np.ndarray, b: np.ndarray, ratio: float = RATIO) -> tuple[np.ndarray, np.ndarray]:
+
+def match(
+    a: np.ndarray, b: np.ndarray, ratio: float = RATIO, possible: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Match descriptors: each other's nearest, and clearly nearer than the second.
 
     Parameters
@@ -17,6 +22,8 @@ def match(a: np.ndarray, b: np.ndarray, ratio: float = RATIO) -> tuple[np.ndarra
         Unit vectors.
     ratio : float
         Of the distances to the nearest and the second, in both directions.
+    possible : ndarray of bool, shape (n, m), optional
+        Which may show the same; others are neither the nearest nor the second.
 
     Returns
     -------
@@ -28,13 +35,15 @@ def match(a: np.ndarray, b: np.ndarray, ratio: float = RATIO) -> tuple[np.ndarra
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), int), np.zeros(0)
     likeness = a @ b.T
+    if possible is not None:
+        likeness[~possible] = NEVER
     forth = likeness.argmax(axis=1)
     nearest = likeness[np.arange(len(a)), forth]
-    rows = np.flatnonzero(nearest == likeness.max(axis=0)[forth])
+    rows = np.flatnonzero((nearest == likeness.max(axis=0)[forth]) & (nearest > NEVER))
     # Of several rows that are the same, the first: the others are then its seconds.
     rows = np.sort(rows[np.unique(forth[rows], return_index=True)[1]])
     nearest, columns = nearest[rows], forth[rows]
-    likeness[rows, columns] = -np.inf
+    likeness[rows, columns] = NEVER
     second = np.maximum(likeness.max(axis=1)[rows], likeness.max(axis=0)[columns])
     ratios = np.sqrt(_squared_distance(nearest) / _squared_distance(second))
     kept = ratios < ratio
