@@ -15,6 +15,7 @@ from homeward.angles import wrap
 from homeward.vision import Equirectangular, compare, look
 
 CAMERA = Equirectangular()
+UNKNOWN = np.full((2, 2), np.inf)
 COMPARE = import_module("homeward.vision.compare")
 """The package gives its name to the function."""
 
@@ -134,6 +135,23 @@ def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatc
     # Matches are within the angle in which they were looked for.
     turned = wrap(seen.pairs.home[:, 0] - seen.pairs.now[:, 0] - headings[1])
     assert np.abs(turned).max() < COMPARE.WITHIN + 0.05
+
+
+@pytest.mark.parametrize(("off", "believed"), [(0.05, True), (-0.3, False)])
+def test_a_second_look_must_confirm_the_heading_that_it_began_with(
+    home, monkeypatch, off, believed
+):
+    once = COMPARE._compared
+    found = once(home, home, CAMERA)
+
+    def compared(home, now, camera, heading=None):
+        if heading is None:
+            seen = once(home, now, camera)
+            return replace(seen, verdict=replace(seen.verdict, accepted=False), covariance=UNKNOWN)
+        return replace(found, motion=found.motion._replace(alpha=heading + off))
+
+    monkeypatch.setattr(COMPARE, "_compared", compared)
+    assert compare(home, home, CAMERA).accepted is believed
 
 
 def test_where_the_first_look_tells_there_is_no_second(room, home, monkeypatch):

@@ -34,6 +34,9 @@ LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 FORGIVING_RATIO = 0.9
 """Of distances to the nearest and the second, once only a part of the panorama is searched."""
+CONFIRMED = 0.1
+"""What is found there is believed where its heading is the guessed one to within this [rad]: a
+tiled floor has some motion for any guess."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,8 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     if answered or seen.motion is None:
         return seen
     again = _compared(home, now, camera, seen.motion.alpha)
-    return again if again.direction_sigma < seen.direction_sigma else seen
+    confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < CONFIRMED
+    return again if confirmed and again.direction_sigma < seen.direction_sigma else seen
 
 
 def _compared(home: View, now: View, camera: Panorama, heading: float | None = None) -> Comparison:

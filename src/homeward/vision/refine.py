@@ -29,7 +29,7 @@ INLIER = 3.0
 """A match fits within this many standard deviations."""
 SAME = 0.002
 """Motions whose theta and alpha differ by less are one [rad]."""
-MOST_OTHERS = 9
+MOST_OTHERS = 5
 """Of the other motions that starts led to, those of least loss are kept."""
 
 MOST_RATIO = 100.0
