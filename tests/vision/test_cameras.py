@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from homeward.angles import wrap
 from homeward.errors import InputError
-from homeward.vision.camera import Cylindrical, Equirectangular
+from homeward.vision.camera import SECTORS, Cylindrical, Equirectangular, sector_of
 from homeward.vision.ring import Ring, find_ring
 
 cv2 = pytest.importorskip("cv2")
@@ -134,3 +134,11 @@ def test_slopes_are_the_derivatives_of_directions_across_the_seam_too(kind):
     step = np.array([0.03, -0.02])
     there = np.column_stack(camera.directions(columns + step[0], rows + step[1], shape))
     assert np.allclose(slope @ step, wrap(there - here), atol=1e-6)
+
+
+def test_sectors_go_all_round_and_are_alike():
+    azimuth = np.linspace(-np.pi, np.pi, 24 * 100, endpoint=False) + 1e-6
+    sector = sector_of(azimuth)
+    assert np.bincount(sector).tolist() == [100] * SECTORS
+    assert (np.diff(sector) >= 0).all()
+    assert sector_of(np.array([np.pi]))[0] == 0  # where -pi lies, too

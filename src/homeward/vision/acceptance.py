@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.vision.camera import SECTORS, sector_of
 from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, squares
 
 LARGEST_LOG_FALSE_ALARMS = -4.0
 """Accept below this (base 10)."""
-SECTORS = 24
-"""Of azimuth."""
 MOST_PER_SECTOR = 4
 """More matches in one sector count as this many: repeated parts of one thing are one witness."""
 FEWEST_SECTORS = 4
@@ -83,13 +82,13 @@ def agreement(good: np.ndarray, pairs: Pairs) -> str:
 
 def _occupied(good: np.ndarray, pairs: Pairs) -> tuple[list[np.ndarray], int]:
     """Return the sectors of good matches in both panoramas, and how many are not empty in both."""
-    sectors = [_sectors(side[good, 0]) for side in (pairs.home, pairs.now)]
+    sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
     return sectors, min(np.unique(s).size for s in sectors)
 
 
 def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     """Return the logarithm (base 10) of the number of false alarms."""
-    sectors = [_sectors(side[:, 0]) for side in (pairs.home, pairs.now)]
+    sectors = [sector_of(side[:, 0]) for side in (pairs.home, pairs.now)]
     n = min(_capped(s) for s in sectors)
     k = min(_capped(s[fit.inlier]) for s in sectors)
     if k <= 2:
@@ -115,10 +114,6 @@ def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     found = residuals(np.array([fit.motion]), shuffled)
     fits = int((squares(found) <= INLIER**2).sum())
     return (fits + 1) / (len(shuffled) + 2)
-
-
-def _sectors(azimuth: np.ndarray) -> np.ndarray:
-    return np.floor((azimuth + math.pi) / (2 * math.pi) * SECTORS).astype(int) % SECTORS
 
 
 def _capped(sectors: np.ndarray) -> int:

@@ -135,6 +135,15 @@ class Cylindrical(Panorama):
         return np.asarray(np.arctan(above))
 
 
+SECTORS = 24
+"""Of azimuth: the directions that what is spread all round is counted by."""
+
+
+def sector_of(azimuth: np.ndarray) -> np.ndarray:
+    """Return the number, 0 to `SECTORS` - 1, of the sector that each azimuth [rad] lies in."""
+    return np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+
+
 def unit_vectors(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
     """Return unit vectors, shape (n, 3), of azimuths and elevations [rad], shape (n,)."""
     c = np.cos(elevation)

@@ -14,18 +14,16 @@ another one, the answer was not safe, which no derivative tells. What tilt may d
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.vision.camera import SECTORS, sector_of
 from homeward.vision.epipolar import Pairs, residuals
 from homeward.vision.refine import INLIER, Fit, descend, prior_information, squares
 
-SECTORS = 24
-"""Of azimuth at home."""
 WINDOW = 3
-"""So many of them are left out at once: what stands within 45 degrees may be one thing."""
+"""So many sectors of azimuth at home are left out at once: what stands within 45 degrees may be one
+thing."""
 SHARE = 0.25
 """What of the plain covariance and of the changes counts. Windows so wide hold a good part of all
 that there is: without them the fit changes by more than it errs. Divided by the share of matches
@@ -67,9 +65,8 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
 
 def _kept(azimuth: np.ndarray, inlier: np.ndarray) -> np.ndarray:
     """Return which matches are kept, (m, n), as each window of sectors in turn is left out."""
-    sector = np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     first = np.arange(SECTORS)[:, None]
-    left_out = (sector - first) % SECTORS < WINDOW
+    left_out = (sector_of(azimuth) - first) % SECTORS < WINDOW
     return np.asarray(~left_out[(left_out & inlier).any(axis=1)])
 
 

@@ -8,13 +8,12 @@ home itself is out of sight.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.vision.camera import Panorama
+from homeward.vision.camera import Panorama, sector_of
 from homeward.vision.compare import Comparison, compare
 from homeward.vision.features import View, look
 
@@ -28,8 +27,6 @@ HOME_EVERY = 2
 """Where home is out of sight, it is looked for in every so-manieth frame."""
 MOST_KEYFRAMES = 200
 """Older ones, but for home, are forgotten."""
-SECTORS = 24
-"""Of azimuth, over which the landmarks passed on are spread."""
 PROVEN = 5
 """A landmark is passed on from its so-manieth frame: those that come and go only confuse."""
 NOBODY = -1
@@ -195,7 +192,7 @@ class FrontEnd:
         rows, age = rows[age >= PROVEN], age[age >= PROVEN]
         at_home = landmark[rows] < len(self.home)
         order = rows[np.lexsort([view.sigma[rows], -age, ~at_home])]
-        sector = np.floor((view.azimuth[order] / (2 * math.pi) + 0.5) * SECTORS) % SECTORS
+        sector = sector_of(view.azimuth[order])
         # The first of every sector, then the second of every sector, and so on.
         rank = np.zeros(order.size, int)
         for s in np.unique(sector):
