@@ -96,6 +96,8 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     chance = _chance(fit, pairs, heading)
     choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
     models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
+    if heading is not None:
+        models += math.log(math.pi / WITHIN)  # so many others could have been guessed
     return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
 
 

@@ -15,6 +15,9 @@ from homeward.vision.picture import Picture, enlarged
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
+MOST_FEATURES = 5000
+"""The strongest count: of noise, a large picture has ten times as many, and what is compared grows
+with their square. Rooms have up to 2,000 with 2048 columns."""
 
 FEWEST_COLUMNS = 360
 """Smaller panoramas are enlarged, for patches need some pixels: of real ones with 3 deg a pixel few
@@ -152,4 +155,6 @@ def _on_panorama(
 @cache
 def _sift() -> Any:
     # Without the precise upscale every keypoint is a quarter of a pixel off.
-    return opencv().SIFT_create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
+    return opencv().SIFT_create(
+        nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
+    )
