@@ -31,7 +31,7 @@ def test_what_was_looked_for_near_a_heading_agrees_more_easily():
         assert not verdicts[1].accepted
         alarms.append([verdict.log_false_alarms for verdict in verdicts])
     anywhere, near = np.mean(alarms, axis=0)
-    assert near > anywhere + 0.3
+    assert near > anywhere + 1.0  # five guesses alone are 0.7
 
 
 @pytest.mark.parametrize("heading", [None, HEADING])

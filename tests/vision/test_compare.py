@@ -80,6 +80,13 @@ def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, column
     assert abs(wrap(rolled.direction - still.direction)) < 0.03
 
 
+def views_of(seed, x, y):
+    """Return views of a room from home and from another place [m], where the robot has turned."""
+    room = make_room(seed)
+    places = ((3.0, 3.0, 0.4), (x, y, 2.0))
+    return [look(draw(room, *place, seed=noise), CAMERA) for noise, place in enumerate(places, 1)]
+
+
 def without_neighbours(patch):
     """Have comparisons rely on matches alone."""
     patch.setattr(COMPARE, "neighbours", lambda _, __, known, laid: (np.zeros((2, 0)), laid[:0]))
@@ -88,9 +95,7 @@ def without_neighbours(patch):
 def test_what_lies_beside_the_matches_makes_the_direction_better():
     truth, off = np.arctan2(0.5, 1.2) - 0.4, []
     for seed in range(1, 9):
-        other = make_room(seed)
-        places = ((3.0, 3.0, 0.4, 1), (4.2, 3.5, 2.0, 2))
-        views = [look(draw(other, *place, seed=noise), CAMERA) for *place, noise in places]
+        views = views_of(seed, 4.2, 3.5)
         with pytest.MonkeyPatch.context() as patch:
             without_neighbours(patch)
             alone = compare(*views, CAMERA)
@@ -119,9 +124,7 @@ def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
 
 @pytest.mark.parametrize("seed", [42, 82])
 def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatch):
-    other, headings, once = make_room(seed), [], COMPARE._compared
-    places = ((3.0, 3.0, 0.4, 1), (5.6, 4.8, 2.0, 2))
-    views = [look(draw(other, *place, seed=noise), CAMERA) for *place, noise in places]
+    views, headings, once = views_of(seed, 5.6, 4.8), [], COMPARE._compared
 
     def compared(home, now, camera, heading=None):
         headings.append(heading)

@@ -64,7 +64,7 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
     low = np.abs(pairs.home[good, 1]) < CEILING
     low_sectors = min(np.unique(s[low]).size for s in sectors)
     alarms = _log_false_alarms(fit, pairs, heading)
-    words = agreement(good, pairs)
+    words = _words(good, occupied)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
     if occupied < FEWEST_SECTORS:
@@ -76,8 +76,11 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
 
 def agreement(good: np.ndarray, pairs: Pairs) -> str:
     """Say how many matches agree: `good` (n,), bool."""
-    directions = _occupied(good, pairs)[1]
-    return f"{int(good.sum())} of {len(pairs)} matches agree, in {directions} directions"
+    return _words(good, _occupied(good, pairs)[1])
+
+
+def _words(good: np.ndarray, directions: int) -> str:
+    return f"{int(good.sum())} of {len(good)} matches agree, in {directions} directions"
 
 
 def _occupied(good: np.ndarray, pairs: Pairs) -> tuple[list[np.ndarray], int]:

@@ -14,7 +14,7 @@ from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
-from homeward.vision.matching import RATIO, match
+from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.neighbours import neighbours
 from homeward.vision.refine import SCALE, Fit, descend, refine
@@ -178,7 +178,7 @@ def _paired(
     one upon the other.
     """
     if heading is None:
-        rows, quality = match(home.descriptor, now.descriptor, RATIO)
+        rows, quality = match(home.descriptor, now.descriptor)
     else:
         possible = _near(home.angle, now.angle, LARGEST_TURN)
         possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
