@@ -35,13 +35,15 @@ from homeward.simulation.render.rooms import PLANS, room
 from homeward.simulation.render.settings import RenderScenario
 from homeward.vision.camera import unit_vectors
 from homeward.vision.compare import compare
-from homeward.vision.features import look
+from homeward.vision.features import View, look
 from homeward.vision.opencv import opencv
 
 NEAR_HOME = 0.02
 """A homing is good when it ends this near [m]."""
 FEWEST = 2
 """A moved box is one to be named when so many of its features were judged."""
+MOVED, EDGE, STILL = "moved", "edge", "still"
+"""Where a landmark is: on a box that was moved, beside one, on anything else."""
 IMAGES_PER_S = 2.5
 """Taken on the way home, some 6 cm apart far from it."""
 PROCESSES = 2
@@ -103,19 +105,15 @@ class Homing:
     """From home at the end [m]; infinite when it did not get there."""
     sure: bool = False
     """Whether the robot was sure to be home."""
-    verdicts: dict[str, Counter[bool | None]] = field(default_factory=dict)
-    """For each thing that home's landmarks are on: how many are called moved, still, neither."""
-    moved: frozenset[str] = frozenset()
-    """The boxes that were moved."""
+    verdicts: dict[tuple[str, str], Counter[bool | None]] = field(default_factory=dict)
+    """Where home's landmarks are, and on which thing: how many are called moved, still, neither."""
     seconds: Counter[str] = field(default_factory=Counter)
     """Processor time of rendering and of all the rest [s]."""
     images: int = 0
 
-    def count(self, moved: bool, verdict: bool | None) -> int:
-        """Return how many landmarks on boxes that were (not) moved got a verdict."""
-        return sum(
-            v[verdict] for thing, v in self.verdicts.items() if (thing in self.moved) is moved
-        )
+    def count(self, where: str, verdict: bool | None) -> int:
+        """Return how many landmarks there got a verdict."""
+        return sum(v[verdict] for (place, _), v in self.verdicts.items() if place == where)
 
 
 def homing(number: int, width: int) -> Homing:
@@ -137,14 +135,34 @@ def homing(number: int, width: int) -> Homing:
     result.words += f": {drive.ending.value}"
     result.distance, result.sure = drive.final_distance, drive.ending is Ending.DONE
     boxes = loop.eye.scenario.boxes
-    result.moved = frozenset(n for n, box in boxes.items() if box.stood is not None)
-    things = things_seen(loop.eye, loop.front_end.home)
+    moved = frozenset(n for n, box in boxes.items() if box.stood is not None)
+    home = loop.front_end.home
+    things, edge = things_seen(loop.eye, home), at_edge(loop.eye, home, moved)
     for landmark in drive.landmarks:
         if landmark.landmark.startswith("h") and landmark.sightings:
-            thing = things[int(landmark.landmark[1:])]
+            row = int(landmark.landmark[1:])
+            thing = things[row]
+            where = MOVED if thing in moved else EDGE if edge[row] else STILL
             if not thing.startswith("mover"):
-                result.verdicts.setdefault(thing, Counter())[landmark.moved] += 1
+                result.verdicts.setdefault((where, thing), Counter())[landmark.moved] += 1
     return result
+
+
+def at_edge(eye: Eye, home: View, moved: frozenset[str]) -> np.ndarray:
+    """Say of each feature of home's picture whether it lies on or beside a moved box.
+
+    Beside it is where it is no farther off than the feature is large: of what is seen there, the
+    edge moved with the box, and the wall behind it did not.
+    """
+    truth = eye.home_truth()
+    width = truth.thing.shape[1]
+    on_moved = np.isin(truth.thing, [i for i, n in enumerate(eye.then.things) if n in moved])
+    row, column = np.nonzero(on_moved)
+    if not row.size:
+        return np.zeros(len(home), bool)
+    across = np.abs((column - home.column[:, None] + width / 2) % width - width / 2)
+    nearest = np.hypot(row - home.row[:, None], across).min(axis=1)
+    return nearest <= home.size
 
 
 def _timed(call: Callable[..., np.ndarray], seconds: Counter[str], *given: object) -> np.ndarray:
@@ -187,21 +205,25 @@ def print_homings(first: int, number: int, width: int) -> None:
     distance = np.array([h.distance for h in made])
     good = distance < NEAR_HOME
     falsely = sum(h.sure and h.distance >= NEAR_HOME for h in made)
-    judged = [v for h in made for t, v in h.verdicts.items() if t in h.moved]
+    judged = [v for h in made for (where, _), v in h.verdicts.items() if where == MOVED]
     boxes = [v for v in judged if v[True] + v[False] >= FEWEST]
     images, cost = sum(h.images for h in made), sum((h.seconds for h in made), Counter())
     of = {
-        (m, v): sum(h.count(m, v) for h in made) for m in (True, False) for v in (True, False, None)
+        (w, v): sum(h.count(w, v) for h in made)
+        for w in (MOVED, EDGE, STILL)
+        for v in (True, False, None)
     }
     print(
         f"{number} homings from up to 4 m, {width}x{width // 4}: "
         f"{good.sum()} within {100 * NEAR_HOME:.0f} cm (goal 49 of 50), "
         f"{np.sum(distance < 0.05)} within 5 cm; median {100 * np.median(distance):.1f} cm; "
         f"sure of a home that is none: {falsely}\n"
-        f"  landmarks on moved boxes: {of[True, True]} of {of[True, True] + of[True, False]} "
-        f"judged are named, {of[True, None]} not judged\n"
-        f"  on what stayed: {of[False, True]} of {of[False, True] + of[False, False]} judged are "
-        f"named wrongly, {of[False, None]} not judged\n"
+        f"  landmarks on moved boxes: {of[MOVED, True]} of {of[MOVED, True] + of[MOVED, False]} "
+        f"judged are named, {of[MOVED, None]} not judged\n"
+        f"  beside them, showing their edge: {of[EDGE, True]} of "
+        f"{of[EDGE, True] + of[EDGE, False]}, {of[EDGE, None]} not judged\n"
+        f"  on what stayed: {of[STILL, True]} of {of[STILL, True] + of[STILL, False]} judged are "
+        f"named wrongly, {of[STILL, None]} not judged\n"
         f"  moved boxes with at least {FEWEST} landmarks judged: "
         f"{sum(v[True] > v[False] for v in boxes)} of {len(boxes)} named\n"
         f"  {images / number:.0f} images a homing; an image takes "

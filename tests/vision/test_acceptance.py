@@ -1,5 +1,7 @@
 """Matches that agree by chance are not believed, wherever they were looked for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_geometry import SIGMA, made_up, spread
@@ -60,3 +62,22 @@ def test_what_cannot_be_the_same_is_neither_the_match_nor_its_rival():
     assert (quality < 0.2).all()
     assert match(a, b, possible=np.zeros((2, 3), bool))[0].shape == (0, 2)
     assert possible.sum() == 5
+
+
+def on_floor(pairs, floor):
+    """Return pairs of which the last `floor` lie steeply below the horizon, wherever they were."""
+    home, now = pairs.home.copy(), pairs.now.copy()
+    for side in (home, now):
+        side[-floor:, 1] = np.linspace(-0.7, -0.5, floor)
+    return Pairs.of(home, now, spread(len(home)), np.zeros(len(home)))
+
+
+@pytest.mark.parametrize(("floor", "believed"), [(8, True), (16, False)])
+def test_the_tiles_of_a_floor_alone_are_not_believed(floor, believed):
+    """They agree from the other side, too: what stands up must have its say."""
+    pairs = on_floor(made_up(Motion(1.0, HEADING), n=20, seed=0, noise=SIGMA), floor)
+    fit = search(pairs, np.ones(len(pairs)), 0.005)
+    fit = replace(fit, inlier=np.ones(len(pairs), bool))
+    verdict = judge(fit, pairs)
+    assert verdict.accepted == believed
+    assert ("floor" in verdict.reason) != believed

@@ -224,21 +224,3 @@ def test_a_wrong_direction_near_home_is_outvoted():
     wrong = Direction(1.0, 0.5, np.diag([math.radians(2.0), math.radians(0.05)]) ** 2)
     found = resect(anchors(scene(n=80), camera), wrong)
     np.testing.assert_allclose(found.pose[:2], camera[:2], atol=4e-3)
-
-
-@pytest.mark.parametrize(
-    ("sightings", "frames", "off", "verdict"),
-    [(40, 50, 0.3, True), (5, 50, 0.3, None), (15, 60, 0.3, None), (40, 50, 0.02, None)],
-)
-def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, verdict):
-    still = LandmarkEstimate("h1", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
-    gone = replace(still, landmark="h0", home_bearing_stored=off, moved_probability=1.0, moved=True)
-    inner = Map(scene(n=1))
-    inner.found = [gone, still]
-    sight = HomeSight(inner)
-    for k in range(frames):
-        sight.bearings(0.2 * k, {"h0": 0.1} if k < sightings else {"h1": 0.2})
-    first, second = sight.landmarks()
-    assert first.moved is verdict
-    assert math.isnan(first.moved_probability) == (verdict is None)
-    assert second == still

@@ -25,9 +25,13 @@ MOST_PER_SECTOR = 4
 FEWEST_SECTORS = 4
 """In so many must there be matches that agree."""
 CEILING = math.radians(25.0)
-"""Matches higher than this may be those of another room's like ceiling."""
+"""Matches higher than this may be those of another room's like ceiling, and matches as far below
+the horizon those of other tiles of the floor."""
 FEWEST_LOW_SECTORS = 3
-"""In so many must there be matches that agree below `CEILING`."""
+"""In so many must there be matches that agree below `CEILING` ..."""
+LEAST_LOW_SHARE = 0.25
+"""... and such a share of all that agree: the tiles of a floor look the same a few tiles on, and
+from the other side."""
 WITHIN = 0.6
 """Where the heading is known, a feature lies within this of where a mere turn takes it [rad]."""
 SHUFFLES = 8
@@ -69,8 +73,9 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
     if occupied < FEWEST_SECTORS:
         return Verdict(False, f"not enough in common: {words} only", alarms)
-    if low_sectors < FEWEST_LOW_SECTORS:
-        return Verdict(False, f"not enough in common: {words}, most of them overhead", alarms)
+    if low_sectors < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
+        words += ", most of them overhead or on the floor"
+        return Verdict(False, f"not enough in common: {words}", alarms)
     return Verdict(True, words, alarms)
 
 

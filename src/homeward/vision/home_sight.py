@@ -31,6 +31,7 @@ from homeward.frames import (
 from homeward.vision.approach import Anchors, Direction, Resection, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.front_end import home_name
+from homeward.vision.witness import Witness
 
 FEWEST_ANCHORS = 6
 """Landmarks of home, seen again, that a pose needs ..."""
@@ -51,11 +52,6 @@ CONTRADICTS = 4.0
 """So many sigmas apart, the map and home's picture contradict each other."""
 NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
-
-LASTING, LASTING_SHARE = 8, 0.3
-"""A landmark is only called moved if seen so often, and in such a share of the frames since."""
-FEWEST_MOVED_M = 0.2
-"""... and so far across the line from home [m]; by less, features slide along edges."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,9 +94,7 @@ class HomeSight:
         self._fix: Fix | None = None
         self._refused = 0
         """How often in a row home's picture was not recognised."""
-        self._frames = 0
-        self._seen: dict[str, tuple[int, int]] = {}
-        """How often each landmark was seen, and after how many frames first."""
+        self._witness = Witness()
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
@@ -115,10 +109,7 @@ class HomeSight:
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
         """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
-        self._frames += 1
-        for name in sightings:
-            times, first = self._seen.get(name, (0, self._frames - 1))
-            self._seen[name] = times + 1, first
+        self._witness.frame(sightings)
         innovations = self._inner.bearings(t, sightings, sigmas).innovations
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
@@ -129,6 +120,7 @@ class HomeSight:
         self._refused = 0 if seen.accepted else self._refused + 1
         if not seen.accepted:
             return
+        self._witness.home(seen)
         fix = self._whole(t, seen) or self._direction(t, seen)
         if fix is not None:
             self._fix = fix
@@ -144,24 +136,7 @@ class HomeSight:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
-        return [self._reconsidered(landmark) for landmark in self._inner.landmarks()]
-
-    def _reconsidered(self, found: LandmarkEstimate) -> LandmarkEstimate:
-        """Withhold the verdict that a landmark was moved, where a wrong match explains it as well.
-
-        Most features whose home bearing is wrong were mistaken for another of home's. Such matches
-        come and go, or slide along an edge; a thing that was moved is seen again and again, and
-        stands well away from where it stood.
-        """
-        if not found.moved or math.isfinite(found.moved_at):
-            return found
-        times, first = self._seen.get(found.landmark, (0, self._frames))
-        turned = wrap(found.home_bearing_estimated - found.home_bearing_stored)
-        away = found.distance * abs(float(turned))
-        lasting = times >= LASTING and times >= LASTING_SHARE * (self._frames - first)
-        if lasting and away >= FEWEST_MOVED_M:
-            return found
-        return dataclasses.replace(found, moved=None, moved_probability=math.nan)
+        return self._witness.reconsidered(self._inner.landmarks())
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture should be seen, but is not."""
