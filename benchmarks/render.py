@@ -25,11 +25,18 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.settings import validated
 from homeward.errors import InputError
+from homeward.estimator import Status
 from homeward.frames import to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.course import Ending
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, grey, panorama_of, things_seen
+from homeward.simulation.render.loop import (
+    ImageDrive,
+    ImageLoop,
+    grey,
+    panorama_of,
+    things_seen,
+)
 from homeward.simulation.render.raycast import points, trace
 from homeward.simulation.render.rooms import PLANS, room
 from homeward.simulation.render.settings import RenderScenario
@@ -40,14 +47,14 @@ from homeward.vision.opencv import opencv
 
 NEAR_HOME = 0.02
 """A homing is good when it ends this near [m]."""
+FAR_OFF = 22.06
+"""Chi-square with three degrees of freedom that is exceeded as rarely as 4 sigma."""
 FEWEST = 2
 """A moved box is one to be named when so many of its features were judged."""
 MOVED, EDGE, STILL = "moved", "edge", "still"
 """Where a landmark is: on a box that was moved, beside one, on anything else."""
-IMAGES_PER_S = 2.5
-"""Taken on the way home, some 6 cm apart far from it."""
-PROCESSES = 2
-"""That homings are shared out to."""
+IMAGES_PER_S, PROCESSES = 2.5, 2
+"""Images taken on the way home, some 6 cm apart far from it; and what homings are shared out to."""
 
 
 def scenario(number: int, width: int, distance: tuple[float, float], moved: int) -> RenderScenario:
@@ -107,6 +114,8 @@ class Homing:
     """Whether the robot was sure to be home."""
     verdicts: dict[tuple[str, str], Counter[bool | None]] = field(default_factory=dict)
     """Where home's landmarks are, and on which thing: how many are called moved, still, neither."""
+    nees: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """Of (x, y, heading), at each image where the robot was sure of its pose."""
     seconds: Counter[str] = field(default_factory=Counter)
     """Processor time of rendering and of all the rest [s]."""
     images: int = 0
@@ -134,6 +143,7 @@ def homing(number: int, width: int) -> Homing:
     result.seconds["all"], result.images = time.process_time() - began, drive.images
     result.words += f": {drive.ending.value}"
     result.distance, result.sure = drive.final_distance, drive.ending is Ending.DONE
+    result.nees = nees_of(drive)
     boxes = loop.eye.scenario.boxes
     moved = frozenset(n for n, box in boxes.items() if box.stood is not None)
     home = loop.front_end.home
@@ -146,6 +156,18 @@ def homing(number: int, width: int) -> Homing:
             if not thing.startswith("mover"):
                 result.verdicts.setdefault((where, thing), Counter())[landmark.moved] += 1
     return result
+
+
+def nees_of(drive: ImageDrive) -> np.ndarray:
+    """Return the NEES of (x, y, heading) at each image where the robot was sure of its pose."""
+    sure = [e for e in drive.estimates if e.status is Status.LOCALISED and e.pose is not None]
+    if not sure or drive.drive.truth is None:
+        return np.empty(0)
+    true = np.column_stack(drive.drive.truth.at(np.array([e.t for e in sure])))
+    off = np.array([e.pose for e in sure]) - true
+    off[:, 2] = wrap(off[:, 2])
+    whitened = np.linalg.solve(np.array([e.covariance for e in sure]), off[:, :, None])
+    return np.asarray((off * whitened[:, :, 0]).sum(axis=1))
 
 
 def at_edge(eye: Eye, home: View, moved: frozenset[str]) -> np.ndarray:
@@ -207,6 +229,7 @@ def print_homings(first: int, number: int, width: int) -> None:
     falsely = sum(h.sure and h.distance >= NEAR_HOME for h in made)
     judged = [v for h in made for (where, _), v in h.verdicts.items() if where == MOVED]
     boxes = [v for v in judged if v[True] + v[False] >= FEWEST]
+    nees = np.concatenate([h.nees for h in made])
     images, cost = sum(h.images for h in made), sum((h.seconds for h in made), Counter())
     of = {
         (w, v): sum(h.count(w, v) for h in made)
@@ -218,6 +241,8 @@ def print_homings(first: int, number: int, width: int) -> None:
         f"{good.sum()} within {100 * NEAR_HOME:.0f} cm (goal 49 of 50), "
         f"{np.sum(distance < 0.05)} within 5 cm; median {100 * np.median(distance):.1f} cm; "
         f"sure of a home that is none: {falsely}\n"
+        f"  NEES where sure: mean {nees.mean():.1f}, median {np.median(nees):.1f} (honest 3, 2.4), "
+        f"beyond 4 sigma {np.mean(nees > FAR_OFF):.1%}\n"
         f"  landmarks on moved boxes: {of[MOVED, True]} of {of[MOVED, True] + of[MOVED, False]} "
         f"judged are named, {of[MOVED, None]} not judged\n"
         f"  beside them, showing their edge: {of[EDGE, True]} of "

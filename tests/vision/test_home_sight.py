@@ -38,7 +38,8 @@ def anchors(points, camera, scale=1.0, share=0.05):
     home = bearings(points, Pose(0.0, 0.0, 0.0))
     distance = scale * np.hypot(*points.T)
     spread = np.full(len(points), SIGMA)
-    return Anchors(home, bearings(points, camera), spread, distance, share * distance)
+    known = np.ones(len(points), bool)
+    return Anchors(home, bearings(points, camera), spread, distance, share * distance, known)
 
 
 def guess(camera, covariance=WIDE):
@@ -89,6 +90,31 @@ def test_wrong_matches_are_outvoted_and_told():
 def test_two_landmarks_fix_nothing():
     camera = Pose(0.5, -0.4, 1.0)
     assert resect(anchors(scene(n=2), camera), guess(camera)) is None
+
+
+def test_guessed_distances_do_not_make_the_pose_unsure():
+    """Only a map's own scale is that of the pose; guesses may be off by four times."""
+    points, camera = scene(n=40), Pose(0.8, -0.3, 0.5)
+    seen = anchors(points, camera, share=0.02)
+    known = np.arange(40) < 12
+    guessed = replace(seen, distance_sigma=np.where(known, seen.distance_sigma, 10.0), mapped=known)
+    spread = resect(guessed, guess(camera)).covariance
+    assert math.sqrt(np.trace(spread[:2, :2])) < 0.05
+
+
+@pytest.mark.parametrize("together", [1, 8])
+def test_errors_of_one_thing_are_in_the_covariance(together):
+    """NEES of (x, y, heading): 3 at most where they are independent, and not far beyond if not."""
+    rng, nees = np.random.default_rng(together), []
+    for seed in range(200):
+        points, camera = scene(n=64, seed=seed), Pose(*rng.uniform(-0.5, 0.5, 3))
+        points = points[np.argsort(np.arctan2(points[:, 1], points[:, 0]))]
+        seen = anchors(points, camera, share=0.001)
+        off = np.repeat(SIGMA * rng.standard_normal(64 // together), together)
+        found = resect(replace(seen, now=seen.now + off), guess(camera))
+        error = np.array(found.pose) - camera
+        nees.append(error @ np.linalg.solve(found.covariance, error))
+    assert 1.0 < np.mean(nees) < (3.3 if together == 1 else 6.0)
 
 
 class Map:

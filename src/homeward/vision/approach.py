@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.frames import Polar, Pose, from_polar
+from homeward.frames import Pose
+from homeward.vision.covariance import WINDOW, kept
 
 DISTANCES = 60
 """Places tried along the direction from home."""
@@ -31,6 +32,8 @@ AGREES = 3.0
 DIRECTION_FROM = 0.3
 """Nearer to home than this [m] a direction told by two pictures is off by more than they know, and
 counts as if it were told from there."""
+LARGEST_CONDITION = 1e10
+"""Where the rest of the landmarks fix a pose by no more than this, it says nothing."""
 LEAST_NEAR = 0.05
 """No landmark is taken to be nearer to the camera than this [m]."""
 
@@ -49,6 +52,8 @@ class Anchors:
     """From home [m]."""
     distance_sigma: np.ndarray
     """[m]"""
+    mapped: np.ndarray
+    """bool, whether a map told the distance; else it is a guess."""
 
     def __len__(self) -> int:
         return self.home.size
@@ -81,8 +86,7 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
     """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
 
     The latter holds direction and heading where the map is poor; near home it fades away by its
-    own covariance. Errors of the map's distances are mostly alike for all landmarks: in the
-    covariance they are one factor of the distance from home.
+    own covariance.
 
     Returns
     -------
@@ -109,11 +113,30 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
     if not np.isfinite(x).all():
         return None
     residual, _, variance = _predict(anchors, x)
-    scale = float(np.median(anchors.distance_sigma / anchors.distance))
-    out = np.array([x[0], x[1], 0.0])
-    covariance = np.linalg.inv(information) + scale**2 * out[:, None] * out
     pose = Pose(float(x[0]), float(x[1]), float(wrap(x[2])))
-    return Resection(pose, covariance, residual**2 <= AGREES**2 * variance)
+    agrees = residual**2 <= AGREES**2 * variance
+    return Resection(pose, _covariance(anchors, x, weight, information), agrees)
+
+
+def _covariance(
+    anchors: Anchors, x: np.ndarray, weight: np.ndarray, information: np.ndarray
+) -> np.ndarray:
+    """Return the covariance (3, 3) of a pose `x` that weights (n,) have led to.
+
+    What leaving out any one direction would change, one step of the fit, says how far landmarks of
+    one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
+    factor of the distance from home.
+    """
+    residual, jacobian, _ = _predict(anchors, x)
+    left_out = ~kept(anchors.home, np.ones(len(anchors), bool))
+    rest = information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
+    slope = -np.einsum("wn,n,ni->wi", left_out, weight * residual, jacobian)
+    regular = np.linalg.cond(rest) < LARGEST_CONDITION
+    change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
+    told = anchors.mapped if anchors.mapped.any() else np.ones(len(anchors), bool)
+    scale = float(np.median((anchors.distance_sigma / anchors.distance)[told]))
+    out = scale * np.array([x[0], x[1], 0.0])
+    return np.asarray(np.linalg.inv(information) + change.T @ change / WINDOW + np.outer(out, out))
 
 
 def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -126,24 +149,29 @@ def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray
 def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
     """Return the best of some places (x, y, heading) in a direction from home."""
     furthest = REACH * float(np.median(anchors.distance))
-    places = [
-        np.array(from_polar(Polar(R, seen.theta, seen.alpha)))
-        for R in np.linspace(0.0, furthest, DISTANCES)
-    ]
-    costs = []
-    for place in places:
-        residual, _, variance = _predict(anchors, place)
-        costs.append(np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum())
-    return places[int(np.argmin(costs))]
+    R = np.linspace(0.0, furthest, DISTANCES)
+    heading = np.full(DISTANCES, seen.alpha)
+    places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading])
+    residual, variance, _ = _sighted(anchors, places)
+    costs = np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum(axis=1)
+    return np.asarray(places[np.argmin(costs)])
 
 
 def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals (n,) [rad], derivatives (n, 3) and variances (n,) of bearings from `x`."""
+    residual, variance, per_metre = (a[0] for a in _sighted(anchors, x[None]))
+    return residual, np.column_stack([per_metre, -np.ones(len(anchors))]), variance
+
+
+def _sighted(anchors: Anchors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (m, n) [rad] of bearings from places (m, 3), and their variances.
+
+    And what the residuals change by for each metre that a place is moved, (m, n, 2).
+    """
     ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
-    d = anchors.distance[:, None] * ray - x[:2]
-    square = np.maximum((d**2).sum(axis=1), LEAST_NEAR**2)
-    residual = wrap(anchors.now + x[2] - np.arctan2(d[:, 1], d[:, 0]))
-    jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
-    by_distance = (d[:, 0] * ray[:, 1] - d[:, 1] * ray[:, 0]) / square
+    dx, dy = np.moveaxis(anchors.distance[:, None] * ray - places[:, None, :2], -1, 0)
+    square = np.maximum(dx**2 + dy**2, LEAST_NEAR**2)
+    residual = wrap(anchors.now + places[:, 2:] - np.arctan2(dy, dx))
+    by_distance = (dx * ray[:, 1] - dy * ray[:, 0]) / square
     variance = anchors.sigma**2 + (by_distance * anchors.distance_sigma) ** 2
-    return np.asarray(residual), jacobian, variance
+    return np.asarray(residual), variance, np.stack([dy / square, -dx / square], axis=-1)

@@ -53,21 +53,24 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
     plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
     by_prior = plain @ prior_information(tilt_sigma) @ plain
-    kept = _kept(pairs.home[:, 0], fit.inlier)
+    each = kept(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)
-    starts = _starts(fit, pairs, tilt_sigma, kept)
-    change = descend(starts, pairs, tilt_sigma, fit.scale, kept) - motion
+    starts = _starts(fit, pairs, tilt_sigma, each)
+    change = descend(starts, pairs, tilt_sigma, fit.scale, each) - motion
     change[:, :2] = wrap(change[:, :2])
     n = int(fit.inlier.sum())
     share = SHARE * n / max(n - motion.size, 1)
     return np.asarray(by_prior + share * (plain - by_prior + change.T @ change / WINDOW))
 
 
-def _kept(azimuth: np.ndarray, inlier: np.ndarray) -> np.ndarray:
-    """Return which matches are kept, (m, n), as each window of sectors in turn is left out."""
+def kept(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return which matches, at azimuths (n,), are kept as each window in turn is left out.
+
+    Windows in which none `counts`, (n,) bool, are passed over: shape (m, n), bool.
+    """
     first = np.arange(SECTORS)[:, None]
     left_out = (sector_of(azimuth) - first) % SECTORS < WINDOW
-    return np.asarray(~left_out[(left_out & inlier).any(axis=1)])
+    return np.asarray(~left_out[(left_out & counts).any(axis=1)])
 
 
 def _starts(fit: Fit, pairs: Pairs, tilt_sigma: float, kept: np.ndarray) -> np.ndarray:

@@ -148,7 +148,8 @@ class HomeSight:
 
     def _whole(self, t: float, seen: Comparison) -> Fix | None:
         """Return the pose from landmarks of home; None where too few are seen, or in the map."""
-        anchors, mapped = self._anchors(seen)
+        anchors = self._anchors(seen)
+        mapped = anchors.mapped
         if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
             return None
         found = resect(anchors, Direction(seen.direction, seen.heading, seen.covariance))
@@ -170,8 +171,8 @@ class HomeSight:
         words = "home's picture tells the direction home, not how far it is"
         return Fix(t, *self._of_robot(there), False, False, False, words)
 
-    def _anchors(self, seen: Comparison) -> tuple[Anchors, np.ndarray]:
-        """Return home's landmarks that are seen now, and which of them the map places."""
+    def _anchors(self, seen: Comparison) -> Anchors:
+        """Return home's landmarks that are seen now."""
         pairs, rows = seen.pairs[seen.agrees], seen.home_row[seen.agrees]
         known = {m.landmark: m for m in self._inner.landmarks() if m.moved is False}
         distance, sigma = np.full((2, len(rows)), np.nan)
@@ -184,7 +185,7 @@ class HomeSight:
         if mapped.any():
             distance[~mapped] = np.median(distance[mapped])
             sigma[~mapped] = GUESSED * distance[~mapped]
-        return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma), mapped
+        return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma, mapped)
 
     def _of_robot(self, camera: Resection) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""
