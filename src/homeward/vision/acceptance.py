@@ -64,34 +64,40 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
     if fit is None or fit.inlier.sum() < 3:
         return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
     good = fit.inlier
-    sectors, occupied = _occupied(good, pairs)
-    low = np.abs(pairs.home[good, 1]) < CEILING
-    low_sectors = min(np.unique(s[low]).size for s in sectors)
     alarms = _log_false_alarms(fit, pairs, heading)
-    words = _words(good, occupied)
+    words = agreement(good, pairs)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
-    if occupied < FEWEST_SECTORS:
-        return Verdict(False, f"not enough in common: {words} only", alarms)
-    if low_sectors < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
-        words += ", most of them overhead or on the floor"
-        return Verdict(False, f"not enough in common: {words}", alarms)
+    if lack := lacking(pairs.home[good, 0], pairs.now[good, 0], elevation=pairs.home[good, 1]):
+        return Verdict(False, f"not enough in common: {words}{lack}", alarms)
     return Verdict(True, words, alarms)
+
+
+def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
+    """Say what speaks against matches in such directions, (n,) each; nothing where nothing does.
+
+    Parameters
+    ----------
+    azimuths : ndarray
+        In one panorama or more [rad].
+    elevation : ndarray
+        Of the same matches [rad].
+    """
+    sectors = [sector_of(azimuth) for azimuth in azimuths]
+    low = np.abs(elevation) < CEILING
+    if min(np.unique(s).size for s in sectors) < FEWEST_SECTORS:
+        return " only"
+    low_sectors = min(np.unique(s[low]).size for s in sectors)
+    if low_sectors < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
+        return ", most of them overhead or on the floor"
+    return ""
 
 
 def agreement(good: np.ndarray, pairs: Pairs) -> str:
     """Say how many matches agree: `good` (n,), bool."""
-    return _words(good, _occupied(good, pairs)[1])
-
-
-def _words(good: np.ndarray, directions: int) -> str:
-    return f"{int(good.sum())} of {len(good)} matches agree, in {directions} directions"
-
-
-def _occupied(good: np.ndarray, pairs: Pairs) -> tuple[list[np.ndarray], int]:
-    """Return the sectors of good matches in both panoramas, and how many are not empty in both."""
     sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
-    return sectors, min(np.unique(s).size for s in sectors)
+    directions = min(np.unique(s).size for s in sectors)
+    return f"{int(good.sum())} of {len(good)} matches agree, in {directions} directions"
 
 
 def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:

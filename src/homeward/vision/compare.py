@@ -94,7 +94,7 @@ class Comparison:
     @property
     def knows_direction(self) -> bool:
         """Whether the direction is known, not only the heading: too near to home, it is not."""
-        return self.shows_parallax and self.direction_sigma < LARGEST_DIRECTION_SIGMA
+        return self.shows_parallax and self.homewards_sigma < LARGEST_DIRECTION_SIGMA
 
     @property
     def shows_parallax(self) -> bool:
@@ -110,7 +110,7 @@ class Comparison:
     def homewards_sigma(self) -> float:
         """Its standard deviation [rad]."""
         away = np.array([1.0, -1.0])
-        return float(np.sqrt(away @ self.covariance @ away))
+        return float(np.sqrt(away @ self.covariance @ away)) if self.accepted else math.inf
 
 
 def compare(home: View, now: View, camera: Panorama) -> Comparison:
@@ -132,7 +132,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         return seen
     again = _compared(home, now, camera, seen.motion.alpha)
     confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < CONFIRMED
-    return again if confirmed and again.direction_sigma < seen.direction_sigma else seen
+    return again if confirmed and again.homewards_sigma < seen.homewards_sigma else seen
 
 
 def _compared(home: View, now: View, camera: Panorama, heading: float | None = None) -> Comparison:

@@ -31,6 +31,7 @@ from homeward.frames import (
 from homeward.vision.approach import Anchors, Direction, Resection, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.front_end import home_name
+from homeward.vision.hints import Hints
 from homeward.vision.witness import Witness
 
 FEWEST_ANCHORS = 6
@@ -94,13 +95,14 @@ class HomeSight:
         self._fix: Fix | None = None
         self._refused = 0
         """How often in a row home's picture was not recognised."""
-        self._witness = Witness()
+        self._witness, self._hints = Witness(), Hints()
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
         if not all(map(math.isfinite, (t, v, omega))) or (self._twists and t < self._twists[-1][0]):
             return
+        self._hints.odometry(t, v, omega)
         if self._fix is None or t - self._fix.t > DIRECTION_HOLD_S:
             self._twists.clear()
         self._twists.append((t, v, omega))
@@ -118,25 +120,37 @@ class HomeSight:
         if seen is None:
             return
         self._refused = 0 if seen.accepted else self._refused + 1
-        if not seen.accepted:
+        fix = None
+        if seen.accepted:
+            self._witness.home(seen)
+            fix = self._whole(t, seen) or self._direction(t, seen)
+        if fix is None:
+            self._hints.guessed(t, seen)
             return
-        self._witness.home(seen)
-        fix = self._whole(t, seen) or self._direction(t, seen)
-        if fix is not None:
-            self._fix = fix
-            self._twists = self._twists[-1:]
+        self._hints.forget()
+        self._fix = fix
+        self._twists = self._twists[-1:]
 
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         mapped, fix = self._inner.estimate(t), self._carried(t)
         if fix is None or not (fix.whole or fix.against or not _agree(mapped, fix)):
-            return self._unless_refused(mapped)
+            return self._unless_refused(self._hinted(mapped))
         status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
         return Estimate(t, status, fix.reason, fix.pose, fix.covariance)
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
         return self._witness.reconsidered(self._inner.landmarks())
+
+    def _hinted(self, mapped: Estimate) -> Estimate:
+        """Return what the map says; where it says no pose, what refused pictures say together."""
+        hint = self._hints.told(mapped.t)
+        if mapped.pose is not None or hint is None:
+            return mapped
+        there = _far(hint.told, UNKNOWN_DISTANCE)
+        words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
+        return Estimate(mapped.t, Status.UNVERIFIED, words, *self._of_robot(there))
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture should be seen, but is not."""
@@ -152,13 +166,13 @@ class HomeSight:
         mapped = anchors.mapped
         if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
             return None
-        found = resect(anchors, Direction(seen.direction, seen.heading, seen.covariance))
+        found = resect(anchors, _told(seen))
         if found is None:
             return None
         agreeing, of = int(found.agrees[mapped].sum()), int(mapped.sum())
         words = f"{agreeing} of {of} mapped landmarks agree with home's picture"
         if agreeing < AGREEING * of:
-            there = found if not seen.knows_direction else _far(seen, UNKNOWN_DISTANCE)
+            there = found if not seen.knows_direction else _far(_told(seen), UNKNOWN_DISTANCE)
             return Fix(t, *self._of_robot(there), False, False, True, f"only {words}")
         return Fix(t, *self._of_robot(found), True, True, False, words)
 
@@ -167,7 +181,7 @@ class HomeSight:
         if not seen.knows_direction:
             return None
         polar = self._inner.estimate(t).polar
-        there = _far(seen, UNKNOWN_DISTANCE if polar is None else float(polar.R))
+        there = _far(_told(seen), UNKNOWN_DISTANCE if polar is None else float(polar.R))
         words = "home's picture tells the direction home, not how far it is"
         return Fix(t, *self._of_robot(there), False, False, False, words)
 
@@ -216,13 +230,17 @@ class HomeSight:
         return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
 
 
-def _far(seen: Comparison, distance: float) -> Resection:
+def _told(seen: Comparison) -> Direction:
+    return Direction(seen.direction, seen.heading, seen.covariance)
+
+
+def _far(told: Direction, distance: float) -> Resection:
     """Return the camera's pose at a distance from home that nobody knows [m]."""
-    there = Polar(distance, seen.direction, seen.heading)
+    there = Polar(distance, told.theta, told.alpha)
     covariance = np.zeros((3, 3))
-    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, seen.covariance
+    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, told.covariance
     spread = polar_covariance_to_pose(there, covariance)
-    return Resection(from_polar(there), spread, seen.agrees)
+    return Resection(from_polar(there), spread, np.empty(0, bool))
 
 
 def _agree(mapped: Estimate, fix: Fix) -> bool:
