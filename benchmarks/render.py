@@ -229,7 +229,7 @@ def print_homings(first: int, number: int, width: int) -> None:
     falsely = sum(h.sure and h.distance >= NEAR_HOME for h in made)
     judged = [v for h in made for (where, _), v in h.verdicts.items() if where == MOVED]
     boxes = [v for v in judged if v[True] + v[False] >= FEWEST]
-    nees = np.concatenate([h.nees for h in made])
+    nees = np.concatenate([h.nees for h in made if h.nees.size] or [[math.nan]])
     images, cost = sum(h.images for h in made), sum((h.seconds for h in made), Counter())
     of = {
         (w, v): sum(h.count(w, v) for h in made)

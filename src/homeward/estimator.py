@@ -151,3 +151,5 @@ class Estimator(Protocol):
 
 HOLD_S = 1.0
 """How long a twist holds without a successor [s]."""
+FASTEST = 1e4
+"""No robot drives or turns faster [m/s, rad/s]."""

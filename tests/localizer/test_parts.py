@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
+from homeward.drives.clock import Clock
 from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer import chain
-from homeward.localizer.clock import Clock
 from homeward.localizer.fitting import fit
 from homeward.localizer.moved import search
 from homeward.localizer.odometry import Odometry

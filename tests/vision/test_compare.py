@@ -58,6 +58,10 @@ def test_an_uncertain_direction_is_not_taken_for_being_there(room, home):
     uncertain = replace(seen, covariance=np.diag([1.0, 0.01]))
     assert not uncertain.knows_direction
     assert uncertain.shows_parallax
+    # What counts is the direction home: heading and direction from home may err together.
+    for together, known in ((0.19, True), (-0.19, False)):
+        spread = np.array([[0.2, together], [together, 0.2]])
+        assert replace(seen, covariance=spread).knows_direction == known
     refused = replace(seen, verdict=replace(seen.verdict, accepted=False))
     assert not refused.shows_parallax
 

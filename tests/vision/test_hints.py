@@ -70,7 +70,7 @@ def test_guesses_that_are_alike_tell_the_way(n):
         assert told.pose is None
         return
     assert told.status is Status.UNVERIFIED
-    assert f"{n} pictures" in told.reason
+    assert "pictures, none of them recognised" in told.reason
     assert is_right(told.pose, pose)
     assert 0.04 < math.sqrt(told.covariance[2, 2]) < 0.1
     assert sight.estimate(t + 0.4).pose.heading == pytest.approx(told.pose.heading + 0.4 * TURN)
@@ -82,11 +82,45 @@ def test_one_in_three_is_enough():
     assert is_right(sight.estimate(t).pose, pose)
 
 
-def test_chance_tells_nothing():
-    for first in range(0, 2000, 100):
+def test_chance_tells_nothing_however_long_it_goes_on():
+    told = 0
+    for first in range(0, 8000, 400):
         sight = lost()
-        t, _ = circle(sight, lambda k, pose, first=first: anything(first + k, pose), 60)
-        assert sight.estimate(t).pose is None
+
+        def guess(k, pose, sight=sight, first=first):
+            nonlocal told
+            told += sight.estimate(EVERY * k).pose is not None
+            return anything(first + k, pose)
+
+        circle(sight, guess, 300)
+    assert told == 0
+
+
+def test_what_is_guessed_now_counts_and_not_what_was_guessed_long_ago():
+    sight = lost()
+    t, _ = circle(sight, lambda k, pose: Motion(0.0 if k < 60 else 0.7, 0.5 + TURN * EVERY * k), 66)
+    assert to_polar(sight.estimate(t).pose).theta == pytest.approx(0.7, abs=0.01)
+
+
+def test_a_wild_clock_and_wild_odometry_break_nothing():
+    sight = lost()
+    t, pose = circle(sight, right, 12)
+    for stamp, v, omega in ((t, 1e308, 1e308), (math.nan, 0.0, 0.0), (t + 3600.0, 0.2, 0.1)):
+        sight.odometry(stamp, v, omega)
+        sight.home(stamp, refused(right(0, pose)))
+    sight.home(t, refused(Motion(math.nan, math.nan)))
+    for asked in (t, math.nan, math.inf, t - 3600.0, t + 3600.0):
+        said = sight.estimate(asked)
+        assert said.pose is None or np.isfinite([*said.pose, *said.covariance.ravel()]).all()
+
+
+def test_the_clock_may_be_set_back_for_good():
+    sight = lost()
+    t, _ = circle(sight, right, 12)
+    sight.odometry(t + 3600.0, SPEED, TURN)  # one stamp an hour ahead
+    assert sight.estimate(t + 3600.0).pose is None
+    t, pose = circle(sight, right, 24)
+    assert is_right(sight.estimate(t).pose, pose)
 
 
 def test_from_one_place_the_same_is_guessed_again_and_again():
@@ -109,8 +143,19 @@ def test_a_hint_lapses_and_gives_way_to_a_picture_that_is_recognised():
     assert sight.estimate(t + HOLD_HINT_S + 0.1).pose is None
     sight.home(t, compared(POINTS, pose))
     assert "home's picture tells the direction" in sight.estimate(t).reason
-    sight.home(t + EVERY, refused(right(0, pose)))
-    assert sight.estimate(t + HOLD_HINT_S + 1.0).pose is None
+    one_more = Pose(pose.x, pose.y, pose.heading + TURN * EVERY)
+    sight.odometry(t + EVERY, SPEED, TURN)
+    sight.home(t + EVERY, refused(right(0, one_more)))
+    assert sight.estimate(t + HOLD_HINT_S + 0.2).pose is None  # no hint of old guesses and this one
+
+
+def test_at_home_nothing_is_guessed():
+    """There pictures are recognised, and the direction is noise."""
+    sight, at_home = lost(), Pose(0.02, 0.0, 0.5)
+    for k in range(12):
+        sight.odometry(EVERY * k, SPEED, 0.0)
+        sight.home(EVERY * k, compared(POINTS, at_home, direction_sigma=0.7))
+    assert sight.estimate(EVERY * 12).pose is None
 
 
 def test_the_map_knows_better():

@@ -77,6 +77,32 @@ def test_what_has_gone_where_its_neighbour_has_is_moved_like_that_one():
     assert found["h9"] is False
 
 
+def test_a_share_counts_of_the_frames_since_it_was_first_seen():
+    witness = Witness()
+    for k in range(60):
+        witness.frame(["h0"] if k >= 40 else [])
+    assert verdicts(witness, gone("h0", 0.3))["h0"]
+
+
+def test_what_goes_along_with_others_now_and_then_is_not_on_a_thing():
+    sight, points = HomeSight(Map(scene())), scene()
+    seen = compared(points, Pose(0.5, 0.2, 0.3))
+    seen.moved[0] = True
+    for k in range(FEWEST_TOGETHER):
+        sight.home(float(k), seen)
+    for k in range(100):
+        sight.bearings(float(k), {"h0": 0.1})
+    sight._inner.found = [gone("h0", 0.05)]
+    assert sight.landmarks()[0].moved is None
+
+
+def test_half_a_turn_is_half_a_turn_either_way():
+    witness = Witness()
+    for _ in range(20):
+        witness.frame(["h0"])
+    assert verdicts(witness, gone("h0", math.pi - 0.01), gone("h1", math.pi + 0.01))["h1"]
+
+
 def test_two_that_are_not_sure_do_not_make_each_other_sure():
     assert not any(verdicts(Witness(), gone("h0", 0.3), gone("h1", 0.3)).values())
 

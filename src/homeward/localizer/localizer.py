@@ -9,9 +9,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings, HomeBearing
-from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.localizer.clock import Clock
+from homeward.estimator import (
+    FASTEST,
+    Counts,
+    Estimate,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+)
 from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
@@ -40,8 +47,6 @@ SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
-FASTEST = 1e4
-"""No robot drives or turns faster [m/s, rad/s]."""
 
 
 class Localizer:

@@ -33,7 +33,7 @@ DIRECTION_FROM = 0.3
 """Nearer to home than this [m] a direction told by two pictures is off by more than they know, and
 counts as if it were told from there."""
 LARGEST_CONDITION = 1e10
-"""Where the rest of the landmarks fix a pose by no more than this, it says nothing."""
+"""Where the rest of the landmarks do not fix a pose at all, it says nothing."""
 LEAST_NEAR = 0.05
 """No landmark is taken to be nearer to the camera than this [m]."""
 
@@ -53,7 +53,7 @@ class Anchors:
     distance_sigma: np.ndarray
     """[m]"""
     mapped: np.ndarray
-    """bool, whether a map told the distance; else it is a guess."""
+    """bool, whether a map told the distance, as it did of one at least; else it is a guess."""
 
     def __len__(self) -> int:
         return self.home.size
@@ -133,8 +133,8 @@ def _covariance(
     slope = -np.einsum("wn,n,ni->wi", left_out, weight * residual, jacobian)
     regular = np.linalg.cond(rest) < LARGEST_CONDITION
     change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
-    told = anchors.mapped if anchors.mapped.any() else np.ones(len(anchors), bool)
-    scale = float(np.median((anchors.distance_sigma / anchors.distance)[told]))
+    share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
+    scale = float(np.median(share[anchors.mapped]))
     out = scale * np.array([x[0], x[1], 0.0])
     return np.asarray(np.linalg.inv(information) + change.T @ change / WINDOW + np.outer(out, out))
 
@@ -158,7 +158,10 @@ def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
 
 
 def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (n,) [rad], derivatives (n, 3) and variances (n,) of bearings from `x`."""
+    """Return residuals [rad], derivatives and variances of bearings from `x`.
+
+    Of shapes (n,), (n, 3) and (n,); derivatives are those of the predicted bearings.
+    """
     residual, variance, per_metre = (a[0] for a in _sighted(anchors, x[None]))
     return residual, np.column_stack([per_metre, -np.ones(len(anchors))]), variance
 
@@ -166,7 +169,7 @@ def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 def _sighted(anchors: Anchors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals (m, n) [rad] of bearings from places (m, 3), and their variances.
 
-    And what the residuals change by for each metre that a place is moved, (m, n, 2).
+    And the derivatives of the predicted bearings by the place, (m, n, 2) [rad/m].
     """
     ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
     dx, dy = np.moveaxis(anchors.distance[:, None] * ray - places[:, None, :2], -1, 0)

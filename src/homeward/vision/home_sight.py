@@ -16,9 +16,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.clock import Clock
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
-from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
+from homeward.estimator import FASTEST, Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import (
     Polar,
     Pose,
@@ -28,7 +29,7 @@ from homeward.frames import (
     inverse,
     polar_covariance_to_pose,
 )
-from homeward.vision.approach import Anchors, Direction, Resection, resect
+from homeward.vision.approach import Anchors, Direction, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.front_end import home_name
 from homeward.vision.hints import Hints
@@ -95,12 +96,15 @@ class HomeSight:
         self._fix: Fix | None = None
         self._refused = 0
         """How often in a row home's picture was not recognised."""
-        self._witness, self._hints = Witness(), Hints()
+        self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
-        if not all(map(math.isfinite, (t, v, omega))) or (self._twists and t < self._twists[-1][0]):
+        t = self._clock.read(t)
+        if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
+            return
+        if self._twists and t < self._twists[-1][0]:
             return
         self._hints.odometry(t, v, omega)
         if self._fix is None or t - self._fix.t > DIRECTION_HOLD_S:
@@ -117,25 +121,26 @@ class HomeSight:
 
     def home(self, t: float, seen: Comparison | None) -> None:
         """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried."""
-        if seen is None:
+        said, t = t, self._clock.read(t)
+        if seen is None or not math.isfinite(t):
             return
         self._refused = 0 if seen.accepted else self._refused + 1
-        fix = None
-        if seen.accepted:
-            self._witness.home(seen)
-            fix = self._whole(t, seen) or self._direction(t, seen)
-        if fix is None:
+        if not seen.accepted:
             self._hints.guessed(t, seen)
             return
         self._hints.forget()
-        self._fix = fix
-        self._twists = self._twists[-1:]
+        self._witness.home(seen)
+        fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
+        if fix is not None:
+            self._fix = fix
+            self._twists = self._twists[-1:]
 
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
-        mapped, fix = self._inner.estimate(t), self._carried(t)
+        mapped, at = self._inner.estimate(t), self._clock.peek(t)
+        fix = self._carried(at)
         if fix is None or not (fix.whole or fix.against or not _agree(mapped, fix)):
-            return self._unless_refused(self._hinted(mapped))
+            return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
         status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
         return Estimate(t, status, fix.reason, fix.pose, fix.covariance)
 
@@ -143,14 +148,14 @@ class HomeSight:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
         return self._witness.reconsidered(self._inner.landmarks())
 
-    def _hinted(self, mapped: Estimate) -> Estimate:
-        """Return what the map says; where it says no pose, what refused pictures say together."""
-        hint = self._hints.told(mapped.t)
-        if mapped.pose is not None or hint is None:
+    def _hinted(self, mapped: Estimate, t: float) -> Estimate:
+        """Return what refused pictures say together; what the map says where they say nothing."""
+        hint = self._hints.at(t)
+        if hint is None:
             return mapped
-        there = _far(hint.told, UNKNOWN_DISTANCE)
         words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
-        return Estimate(mapped.t, Status.UNVERIFIED, words, *self._of_robot(there))
+        pose, covariance = self._of_robot(*_far(hint.direction, UNKNOWN_DISTANCE))
+        return Estimate(mapped.t, Status.UNVERIFIED, words, pose, covariance)
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture should be seen, but is not."""
@@ -169,21 +174,22 @@ class HomeSight:
         found = resect(anchors, _told(seen))
         if found is None:
             return None
+        there = found.pose, found.covariance
         agreeing, of = int(found.agrees[mapped].sum()), int(mapped.sum())
         words = f"{agreeing} of {of} mapped landmarks agree with home's picture"
         if agreeing < AGREEING * of:
-            there = found if not seen.knows_direction else _far(_told(seen), UNKNOWN_DISTANCE)
-            return Fix(t, *self._of_robot(there), False, False, True, f"only {words}")
-        return Fix(t, *self._of_robot(found), True, True, False, words)
+            if seen.knows_direction:
+                there = _far(_told(seen), UNKNOWN_DISTANCE)
+            return Fix(t, *self._of_robot(*there), False, False, True, f"only {words}")
+        return Fix(t, *self._of_robot(*there), True, True, False, words)
 
-    def _direction(self, t: float, seen: Comparison) -> Fix | None:
+    def _direction(self, t: float, seen: Comparison, mapped: Polar | None) -> Fix | None:
         """Return heading and direction from home, the distance being the map's or a guess."""
         if not seen.knows_direction:
             return None
-        polar = self._inner.estimate(t).polar
-        there = _far(_told(seen), UNKNOWN_DISTANCE if polar is None else float(polar.R))
+        there = _far(_told(seen), UNKNOWN_DISTANCE if mapped is None else float(mapped.R))
         words = "home's picture tells the direction home, not how far it is"
-        return Fix(t, *self._of_robot(there), False, False, False, words)
+        return Fix(t, *self._of_robot(*there), False, False, False, words)
 
     def _anchors(self, seen: Comparison) -> Anchors:
         """Return home's landmarks that are seen now."""
@@ -201,19 +207,22 @@ class HomeSight:
             sigma[~mapped] = GUESSED * distance[~mapped]
         return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma, mapped)
 
-    def _of_robot(self, camera: Resection) -> tuple[Pose, np.ndarray]:
+    def _of_robot(self, camera: Pose, covariance: np.ndarray) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""
         off = inverse(self._mount)
-        robot = compose(compose(self._home_mount, camera.pose), off)
+        robot = compose(compose(self._home_mount, camera), off)
         c, s = math.cos(self._home_mount.heading), math.sin(self._home_mount.heading)
-        arm = compose(Pose(0.0, 0.0, self._home_mount.heading + camera.pose.heading), off)
+        arm = compose(Pose(0.0, 0.0, self._home_mount.heading + camera.heading), off)
         jacobian = np.array([[c, -s, -arm.y], [s, c, arm.x], [0.0, 0.0, 1.0]])
-        return robot, jacobian @ camera.covariance @ jacobian.T
+        return robot, jacobian @ covariance @ jacobian.T
 
     def _carried(self, t: float) -> Fix | None:
         """Return the last fix, moved on to `t` by odometry; None where it is too old."""
         fix = self._fix
-        if fix is None or not t - fix.t <= (HOLD_S if fix.whole else DIRECTION_HOLD_S):
+        if fix is None:
+            return None
+        t = max(fix.t, t)
+        if t - fix.t > (HOLD_S if fix.whole else DIRECTION_HOLD_S):
             return None
         if not self._twists:
             return fix
@@ -234,13 +243,12 @@ def _told(seen: Comparison) -> Direction:
     return Direction(seen.direction, seen.heading, seen.covariance)
 
 
-def _far(told: Direction, distance: float) -> Resection:
-    """Return the camera's pose at a distance from home that nobody knows [m]."""
+def _far(told: Direction, distance: float) -> tuple[Pose, np.ndarray]:
+    """Return the camera's pose, and its covariance, at a distance that nobody knows [m]."""
     there = Polar(distance, told.theta, told.alpha)
     covariance = np.zeros((3, 3))
     covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, told.covariance
-    spread = polar_covariance_to_pose(there, covariance)
-    return Resection(from_polar(there), spread, np.empty(0, bool))
+    return from_polar(there), polar_covariance_to_pose(there, covariance)
 
 
 def _agree(mapped: Estimate, fix: Fix) -> bool:

@@ -1,9 +1,9 @@
 """What pictures say to a landmark being called moved.
 
 Most features whose home bearing is wrong were mistaken for another of home's. Such matches come
-and go, or slide along an edge; what is on a thing that was moved is seen again and again, stands
-well away from where it stood, keeps its place among the features of that thing, and has turned as
-its neighbours have.
+and go, or slide along an edge. What is on a thing that was moved is seen again and again, well away
+from where it stood; or keeps its place among the features of that thing; or has gone where a
+neighbour has that does.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ LASTING, LASTING_SHARE = 8, 0.3
 """A landmark may be called moved if seen so often, in such a share of the frames since then,"""
 FEWEST_MOVED_M = 0.2
 """and so far across the line from home [m]: by less, features slide along edges;"""
-FEWEST_TOGETHER = 3
-"""or if in so many frames it went along with others that contradict the robot's motion, too;"""
+FEWEST_TOGETHER, TOGETHER_SHARE = 3, 0.1
+"""or if in so many frames, and for so many of its sightings, it went along with others that
+contradict the robot's motion, too;"""
 BESIDE, ALIKE = 0.2, 0.2
 """or if home saw it so near to such a landmark [rad], and its distance, and what its home bearing
 is wrong by, are the same but for this share."""
@@ -70,7 +71,9 @@ class Witness:
         return math.isfinite(found.moved_at) or (lasting and away >= FEWEST_MOVED_M)
 
     def _is_of_a_thing(self, found: LandmarkEstimate) -> bool:
-        return self._together[found.landmark] >= FEWEST_TOGETHER
+        """Say whether a landmark went along with others often enough."""
+        times, _ = self._seen.get(found.landmark, (0, 0))
+        return self._together[found.landmark] >= max(FEWEST_TOGETHER, TOGETHER_SHARE * times)
 
 
 def _turned(found: LandmarkEstimate) -> float:
@@ -83,6 +86,6 @@ def _beside(found: LandmarkEstimate, sure: LandmarkEstimate) -> bool:
     apart = wrap(found.home_bearing_stored - sure.home_bearing_stored)
     return (
         abs(float(apart)) < BESIDE
-        and abs(_turned(found) - _turned(sure)) < ALIKE * abs(_turned(sure))
+        and abs(float(wrap(_turned(found) - _turned(sure)))) < ALIKE * abs(_turned(sure))
         and abs(found.distance - sure.distance) < ALIKE * sure.distance
     )
