@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from heapq import nlargest
 
 import numpy as np
 
@@ -127,6 +128,9 @@ class Landmarks:
     def start(self, window: Window, covariance: np.ndarray) -> bool:
         """Let the landmarks enter whose sight lines agree by now; return whether any did.
 
+        Those seen most are tried first: where new ones come faster than they can be tried, many
+        are never seen again.
+
         Parameters
         ----------
         window : Window
@@ -134,7 +138,8 @@ class Landmarks:
         covariance : ndarray, shape (3, 3)
             Of the newest pose.
         """
-        due = [n for n in self._waiting if n not in self.mapped and self._is_due(n)][:MOST_STARTS]
+        waiting = [n for n in self._waiting if n not in self.mapped and self._is_due(n)]
+        due = nlargest(MOST_STARTS, waiting, key=lambda name: len(self._waiting[name].rows))
         started = [name for name in due if self._start(window, name)]
         for name in due:
             if name in started:
