@@ -28,18 +28,14 @@ from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.frames import to_polar
 from homeward.registry import make_estimator
+from homeward.scoring import errors
 from homeward.simulation.course import Ending
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import (
-    ImageDrive,
-    ImageLoop,
-    grey,
-    panorama_of,
-    things_seen,
-)
+from homeward.simulation.render.loop import ImageLoop, grey, panorama_of, things_seen
 from homeward.simulation.render.raycast import points, trace
 from homeward.simulation.render.rooms import PLANS, room
 from homeward.simulation.render.settings import RenderScenario
+from homeward.track import track_of
 from homeward.vision.camera import unit_vectors
 from homeward.vision.compare import compare
 from homeward.vision.features import View, look
@@ -136,14 +132,17 @@ def homing(number: int, width: int) -> Homing:
     try:
         loop = ImageLoop(Eye(made))
         loop.eye.look = partial(_timed, loop.eye.look, result.seconds)  # type: ignore[method-assign]
-        drive = loop.run(make_estimator("robust", loop.drive))
+        estimator = make_estimator("robust", loop.drive)
+        drive = loop.run(estimator)
     except InputError as error:
         result.words += f": {error}"
         return result
     result.seconds["all"], result.images = time.process_time() - began, drive.images
     result.words += f": {drive.ending.value}"
     result.distance, result.sure = drive.final_distance, drive.ending is Ending.DONE
-    result.nees = nees_of(drive)
+    if drive.drive.truth is not None:
+        sure = [e for e in drive.estimates if e.status is Status.LOCALISED]
+        result.nees = errors(track_of(estimator, sure), drive.drive.truth).nees
     boxes = loop.eye.scenario.boxes
     moved = frozenset(n for n, box in boxes.items() if box.stood is not None)
     home = loop.front_end.home
@@ -156,18 +155,6 @@ def homing(number: int, width: int) -> Homing:
             if not thing.startswith("mover"):
                 result.verdicts.setdefault((where, thing), Counter())[landmark.moved] += 1
     return result
-
-
-def nees_of(drive: ImageDrive) -> np.ndarray:
-    """Return the NEES of (x, y, heading) at each image where the robot was sure of its pose."""
-    sure = [e for e in drive.estimates if e.status is Status.LOCALISED and e.pose is not None]
-    if not sure or drive.drive.truth is None:
-        return np.empty(0)
-    true = np.column_stack(drive.drive.truth.at(np.array([e.t for e in sure])))
-    off = np.array([e.pose for e in sure]) - true
-    off[:, 2] = wrap(off[:, 2])
-    whitened = np.linalg.solve(np.array([e.covariance for e in sure]), off[:, :, None])
-    return np.asarray((off * whitened[:, :, 0]).sum(axis=1))
 
 
 def at_edge(eye: Eye, home: View, moved: frozenset[str]) -> np.ndarray:

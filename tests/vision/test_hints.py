@@ -31,7 +31,6 @@ def refused(guess, rows=slice(0, 24, 6)):
 def circle(sight, guess_at, n, speed=SPEED, **given):
     """Drive an arc, a picture every 0.4 s; return time and pose at the last one."""
     pose, t = START, 0.0
-    sight.odometry(0.0, speed, TURN)
     for k in range(n):
         t = EVERY * k
         sight.odometry(t, speed, TURN)
@@ -51,8 +50,8 @@ def anything(k, pose):
     return Motion(*np.random.default_rng(k).uniform(-math.pi, math.pi, 2).tolist())
 
 
-def lost(points=POINTS[:0]):
-    return HomeSight(Map(points, status=Status.MAPPING))
+def lost():
+    return HomeSight(Map(POINTS[:0], status=Status.MAPPING))
 
 
 def is_right(told, pose):

@@ -85,14 +85,15 @@ def test_a_share_counts_of_the_frames_since_it_was_first_seen():
 
 
 def test_what_goes_along_with_others_now_and_then_is_not_on_a_thing():
-    sight, points = HomeSight(Map(scene())), scene()
-    seen = compared(points, Pose(0.5, 0.2, 0.3))
+    points = scene()
+    inner = Map(points)
+    inner.found = [gone("h0", 0.05)]
+    sight, seen = HomeSight(inner), compared(points, Pose(0.5, 0.2, 0.3))
     seen.moved[0] = True
     for k in range(FEWEST_TOGETHER):
         sight.home(float(k), seen)
     for k in range(100):
         sight.bearings(float(k), {"h0": 0.1})
-    sight._inner.found = [gone("h0", 0.05)]
     assert sight.landmarks()[0].moved is None
 
 

@@ -85,10 +85,9 @@ def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
     """
     sectors = [sector_of(azimuth) for azimuth in azimuths]
     low = np.abs(elevation) < CEILING
-    if min(np.unique(s).size for s in sectors) < FEWEST_SECTORS:
+    if _occupied(sectors) < FEWEST_SECTORS:
         return " only"
-    low_sectors = min(np.unique(s[low]).size for s in sectors)
-    if low_sectors < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
+    if _occupied([s[low] for s in sectors]) < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
         return ", most of them overhead or on the floor"
     return ""
 
@@ -96,8 +95,12 @@ def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
 def agreement(good: np.ndarray, pairs: Pairs) -> str:
     """Say how many matches agree: `good` (n,), bool."""
     sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
-    directions = min(np.unique(s).size for s in sectors)
-    return f"{int(good.sum())} of {len(good)} matches agree, in {directions} directions"
+    return f"{int(good.sum())} of {len(good)} matches agree, in {_occupied(sectors)} directions"
+
+
+def _occupied(sectors: list[np.ndarray]) -> int:
+    """Return how many sectors are not empty, in each panorama."""
+    return min(np.unique(s).size for s in sectors)
 
 
 def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:

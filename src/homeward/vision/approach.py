@@ -112,14 +112,20 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
             break
     if not np.isfinite(x).all():
         return None
-    residual, _, variance = _predict(anchors, x)
+    residual, jacobian, variance = _predict(anchors, x)
     pose = Pose(float(x[0]), float(x[1]), float(wrap(x[2])))
     agrees = residual**2 <= AGREES**2 * variance
-    return Resection(pose, _covariance(anchors, x, weight, information), agrees)
+    covariance = _covariance(anchors, x, information, weight, residual, jacobian)
+    return Resection(pose, covariance, agrees)
 
 
 def _covariance(
-    anchors: Anchors, x: np.ndarray, weight: np.ndarray, information: np.ndarray
+    anchors: Anchors,
+    x: np.ndarray,
+    information: np.ndarray,
+    weight: np.ndarray,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
 ) -> np.ndarray:
     """Return the covariance (3, 3) of a pose `x` that weights (n,) have led to.
 
@@ -127,7 +133,6 @@ def _covariance(
     one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
     factor of the distance from home.
     """
-    residual, jacobian, _ = _predict(anchors, x)
     left_out = ~kept(anchors.home, np.ones(len(anchors), bool))
     rest = information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
     slope = -np.einsum("wn,n,ni->wi", left_out, weight * residual, jacobian)
