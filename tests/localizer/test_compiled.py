@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from homeward.drives.drive import OdometryNoise
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.engine.native.program import Array
 from homeward.localizer import chain, fitting, sightings
 from homeward.localizer.answer import in_home_frame
@@ -16,9 +17,8 @@ from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.marginal import Marginal
-from homeward.localizer.preintegration import Motion, integrate, noise_rates
+from homeward.localizer.preintegration import Motion, integrate
 from homeward.localizer.problem import HomeProblem
-from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")

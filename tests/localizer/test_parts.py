@@ -8,16 +8,16 @@ import pytest
 from homeward.angles import wrap
 from homeward.drives.clock import Clock
 from homeward.drives.drive import OdometryNoise
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer import chain
 from homeward.localizer.fitting import fit
 from homeward.localizer.moved import search
 from homeward.localizer.odometry import Odometry
-from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE, noise_rates
+from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
-from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import NC, bearing_residuals, sighting_rows
 from homeward.localizer.triangulation import triangulate
 

@@ -7,10 +7,9 @@ import pytest
 from rig import Rig, ring
 
 from homeward.drives.drive import OdometryNoise
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.landmarks import MOST_FROM_HOME
 from homeward.localizer.odometry import Odometry
-from homeward.localizer.preintegration import noise_rates
-from homeward.localizer.settings import OdometryDefaults
 from homeward.localizer.sightings import LANDMARK, NC, sighting_rows
 from homeward.localizer.smoothing import _bridged
 from homeward.localizer.window import Window

@@ -8,13 +8,14 @@ from functools import partial
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
+from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless, leap
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
-from homeward.localizer.preintegration import Motion, noise_rates
+from homeward.localizer.preintegration import Motion
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.sightings import LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.window import NEAR_M, Window

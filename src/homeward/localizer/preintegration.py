@@ -19,9 +19,7 @@ from functools import cache
 
 import numpy as np
 
-from homeward.drives.drive import OdometryNoise
 from homeward.localizer.compiled import compiled
-from homeward.localizer.settings import OdometryDefaults
 
 CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "camera_yaw")
 """The unknowns of the odometry and the camera: [1], [rad/s], [m], [s], [rad]."""
@@ -69,27 +67,6 @@ class Motion:
         )
 
 
-def noise_rates(given: OdometryNoise, default: OdometryDefaults) -> np.ndarray:
-    """Return how fast white noise grows: as the drive says, or else in proportion to the motion.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Of the variances along [m^2/s], across [m^2/s] and of the heading [rad^2/s] (rows): what is
-        constant, what is in proportion to the speed [m/s], and what to the turn rate [rad/s].
-    """
-    rates = np.zeros((3, 3))
-    if given.speed_sigma is None:
-        rates[:2, 1] = default.distance**2, default.distance**2 / 9.0
-    else:
-        rates[0, 0] = given.speed_sigma**2
-    if given.turn_sigma is None:
-        rates[2, 1:] = default.turn_by_driving**2, default.turn_by_turning**2
-    else:
-        rates[2, 0] = given.turn_sigma**2
-    return rates
-
-
 def integrate(
     pieces: np.ndarray, calibration: np.ndarray, rates: np.ndarray, straightest: float
 ) -> tuple[Motion, np.ndarray]:
@@ -103,7 +80,7 @@ def integrate(
     calibration : ndarray, shape (5,)
         Where to linearise; the lag is in the pieces' times.
     rates : ndarray, shape (3, 3)
-        Of the noise; see `noise_rates`.
+        Of the noise; see `homeward.drives.odometry_noise.noise_rates`.
     straightest : float
         How much the robot turns per metre where it drives straightest [rad/m].
 

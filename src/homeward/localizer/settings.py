@@ -7,28 +7,10 @@ from typing import Annotated
 from pydantic import Field
 
 from homeward.drives.drive import NonNegative, Positive, Strict
+from homeward.drives.odometry_noise import OdometryDefaults
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
-
-
-class OdometryDefaults(Strict):
-    """Errors of an odometry of which nothing is known: a wheeled robot's, uncalibrated."""
-
-    distance: Positive = 0.05
-    """Diffusion along the path, and sideways to a third of it [m per root of a metre]."""
-    turn_by_turning: Positive = 0.05
-    """Diffusion of the heading by turning [rad per root of a radian]."""
-    turn_by_driving: Positive = 0.03
-    """Diffusion of the heading by driving [rad per root of a metre]."""
-    turn_scale: Positive = 0.05
-    """Constant relative error of the turn rate [1]."""
-    turn_bias: Positive = 0.003
-    """Constant error of the turn rate while the robot moves [rad/s]."""
-    turn_slip: Positive = 0.05
-    """Speed lost in bends, per turn rate [m]; none when the drive tells its speed scale."""
-    speed_scale: Positive = 0.03
-    """Constant relative error of the speed [1]; bearings cannot tell it, so it is only carried."""
 
 
 class LocalizerSettings(Strict):

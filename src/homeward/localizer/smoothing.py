@@ -8,6 +8,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
+from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Status
 from homeward.frames import Pose, between
 from homeward.localizer.answer import Answer, in_home_frame
@@ -16,7 +17,7 @@ from homeward.localizer.home import HomeFit
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, search
 from homeward.localizer.odometry import LONGEST_LAG, Odometry
-from homeward.localizer.preintegration import Motion, noise_rates
+from homeward.localizer.preintegration import Motion
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.window import Window
