@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.drives.drive import DriveSettings, Mount, Sensor
+from homeward.drives.drive import DriveSettings, Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.vision.acceptance import Verdict
 from homeward.vision.approach import Anchors, Direction, _predict, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.epipolar import Motion, Pairs
-from homeward.vision.home_sight import DIRECTION_HOLD_S, HOLD_S, HomeSight
+from homeward.vision.home_sight import DIRECTION_HOLD_S, POSE_HOLD_S, HomeSight
 
 WIDE = np.diag([10.0, 10.0])
 SIGMA = 0.002
@@ -218,8 +218,28 @@ def test_a_pose_from_home_s_picture_gives_way_to_the_map_when_home_is_out_of_sig
     points, camera, mapped = scene(), Pose(0.4, 0.1, 0.5), Pose(0.5, 0.1, 0.5)
     sight = HomeSight(Map(points, pose=mapped))
     sight.home(1.0, compared(points, camera))
-    assert sight.estimate(0.9 + HOLD_S).pose[0] == pytest.approx(0.4, abs=0.01)
-    assert sight.estimate(1.1 + HOLD_S).pose == mapped
+    assert sight.estimate(0.9 + POSE_HOLD_S).pose[0] == pytest.approx(0.4, abs=0.01)
+    assert sight.estimate(1.1 + POSE_HOLD_S).pose == mapped
+
+
+def test_between_pictures_a_pose_gets_as_unsure_as_odometry_is_noisy():
+    points, begin, rate, seconds = scene(), Pose(0.4, 0.1, 0.5), 20.0, 1.0
+    noise = OdometryNoise(speed_sigma=0.02, turn_sigma=0.03)
+    rng, squared = np.random.default_rng(6), []
+    for _ in range(200):
+        sight = HomeSight(Map(points), DriveSettings(odometry=noise))
+        sight.home(0.0, compared(points, begin))
+        fixed = sight.estimate(0.0)
+        for t in np.arange(0.0, seconds, 1 / rate):
+            white = math.sqrt(rate) * rng.standard_normal(2)
+            sight.odometry(t, 0.1 + 0.02 * white[0], 0.03 * white[1])
+        there = compose(fixed.pose, Pose(0.1 * seconds, 0.0, 0.0))
+        said = sight.estimate(seconds)
+        error = np.array(said.pose) - there
+        squared.append(error**2 / np.diagonal(said.covariance - fixed.covariance))
+    x, y, heading = np.mean(squared, axis=0)
+    assert 0.8 < heading < 1.25
+    assert max(x, y) < 1.25  # noise along the way is taken for noise across it, too
 
 
 def test_the_robot_s_centre_is_told_not_the_camera_s():

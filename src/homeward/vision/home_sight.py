@@ -19,7 +19,8 @@ from homeward.angles import wrap
 from homeward.drives.clock import Clock
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
-from homeward.estimator import FASTEST, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.estimator import FASTEST, HOLD_S, Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import (
     Polar,
     Pose,
@@ -43,13 +44,13 @@ AGREEING = 0.7
 """Such a share of those in the map must agree with a pose from home's picture."""
 GUESSED = 4.0
 """A landmark that is not in the map is as far as the others, give or take so many times that."""
-HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
+POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
 """A pose that home's picture told is forgotten after this time [s], for the map knows more then; so
 is a direction later, for where the map knows nothing it is all there is."""
 UNKNOWN_DISTANCE = 3.0
 """Where only the direction is known, the distance is said to be this, give or take as much [m]."""
 SLIP, TURN_SLIP = 0.05, 0.05
-"""Odometry between pictures is off by such shares of the way and of the turn."""
+"""Odometry between pictures is off by such shares of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
 """So many sigmas apart, the map and home's picture contradict each other."""
 NEAR_HOME, REFUSALS = 0.3, 3
@@ -91,6 +92,7 @@ class HomeSight:
         self.name, self.notes, self.counts = estimator.name, estimator.notes, estimator.counts
         settings = drive or DriveSettings()
         self._home_mount, self._mount = settings.home_mount.pose, settings.sensor.pose
+        self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
         self._twists: list[tuple[float, float, float]] = []
         """(t, v, omega) since the last fix, and the one that held then."""
         self._fix: Fix | None = None
@@ -222,7 +224,7 @@ class HomeSight:
         if fix is None:
             return None
         t = max(fix.t, t)
-        if t - fix.t > (HOLD_S if fix.whole else DIRECTION_HOLD_S):
+        if t - fix.t > (POSE_HOLD_S if fix.whole else DIRECTION_HOLD_S):
             return None
         if not self._twists:
             return fix
@@ -234,9 +236,20 @@ class HomeSight:
         way = math.hypot(motion.x, motion.y)
         jacobian = np.eye(3)
         jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
-        noise = np.diag([(SLIP * way) ** 2, (SLIP * way) ** 2, (TURN_SLIP * motion.heading) ** 2])
+        slip = np.array([SLIP * way, SLIP * way, TURN_SLIP * motion.heading])
+        noise = np.diag(slip**2 + self._white_noise(fix.t, t))
         covariance = jacobian @ fix.covariance @ jacobian.T + noise
         return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
+
+    def _white_noise(self, since: float, t: float) -> np.ndarray:
+        """Return the variances, (3,), that odometry's noise adds to a pose up to `t` [s]."""
+        times, v, omega = np.array(self._twists).T
+        held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, since)
+        held = np.clip(held, 0.0, HOLD_S)
+        moving = (v != 0.0) | (omega != 0.0)
+        done = np.array([held @ moving, held @ np.abs(v), held @ np.abs(omega)])
+        along, _, heading = self._noise_rates @ done
+        return np.array([along, along, heading])
 
 
 def _told(seen: Comparison) -> Direction:
