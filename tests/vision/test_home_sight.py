@@ -87,6 +87,28 @@ def test_wrong_matches_are_outvoted_and_told():
     np.testing.assert_array_equal(found.agrees, np.arange(24) >= 7)
 
 
+def test_someone_close_by_of_whom_no_map_knows_does_not_hold_the_pose_at_home():
+    """What two pictures alone tell is misled, too, by more than it knows."""
+    rng, camera = np.random.default_rng(9), Pose(0.012, 0.017, -2.2)
+    azimuth = np.concatenate([np.linspace(-1.1, 0.5, 14), rng.uniform(-1.6, 0.3, 60)])
+    distance = np.concatenate([np.full(14, 1.4), np.full(60, 5.0)])
+    points = distance[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    seen, known = anchors(points, camera, share=0.02), np.arange(74) < 14
+    walks = np.where(np.arange(74) >= 50, rng.uniform(-0.03, 0.0, 74), 0.0)
+    guessed = replace(
+        seen,
+        now=seen.now + walks,
+        sigma=np.full(74, 0.0008),
+        distance=np.full(74, 1.4),
+        distance_sigma=np.where(known, seen.distance_sigma, 5.6),
+        mapped=known,
+    )
+    told = guess(camera, np.diag([0.077, 0.0019]) ** 2)
+    misled = replace(told, theta=told.theta + 0.4, alpha=told.alpha + 0.011)
+    found = resect(guessed, misled)
+    assert math.dist(found.pose[:2], camera[:2]) < 0.005
+
+
 def test_two_landmarks_fix_nothing():
     camera = Pose(0.5, -0.4, 1.0)
     assert resect(anchors(scene(n=2), camera), guess(camera)) is None

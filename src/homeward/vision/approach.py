@@ -8,7 +8,7 @@ within the map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class Anchors:
     def __len__(self) -> int:
         return self.home.size
 
+    def __getitem__(self, rows: np.ndarray) -> Anchors:
+        return Anchors(*(getattr(self, part.name)[rows] for part in fields(self)))
+
 
 @dataclass(frozen=True)
 class Direction:
@@ -95,16 +98,51 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
     """
     if len(anchors) < 3:
         return None
-    x = _begin(anchors, seen)
-    across, across_information = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
+    # Guessed distances are worth little afar, much near home: what they hold there, they hold fast.
+    of_map = anchors[anchors.mapped]
+    found = _fit(of_map, seen, _begin(of_map, seen))
+    starts = [_begin(anchors, seen), *([] if found is None else [found.x])]
+    fits = [fit for x in starts if (fit := _fit(anchors, seen, x)) is not None]
+    if not fits:
+        return None
+    best = min(fits, key=lambda fit: fit.loss)
+    x, y, heading = best.x.tolist()
+    agrees = best.residual**2 <= AGREES**2 * best.variance
+    return Resection(Pose(x, y, float(wrap(heading))), _covariance(anchors, best), agrees)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A pose fitted to n landmarks."""
+
+    x: np.ndarray
+    """(3,): x [m], y [m], heading [rad]."""
+    information: np.ndarray
+    """(3, 3)"""
+    weight: np.ndarray
+    """(n,): of each landmark [rad^-2]."""
+    residual: np.ndarray
+    """(n,): of its bearing [rad]."""
+    variance: np.ndarray
+    """(n,): of that [rad^2]."""
+    jacobian: np.ndarray
+    """(n, 3): of the bearing."""
+    loss: float
+    """How unlikely the bearings of mapped landmarks are, and what the two pictures alone tell: of a
+    distance that is guessed nobody knows how likely it is."""
+
+
+def _fit(anchors: Anchors, seen: Direction, x: np.ndarray) -> _Fit | None:
+    """Fit a pose that begins at `x`, (3,); None where the landmarks do not fix one."""
+    across, known = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
     for _ in range(STEPS):
         residual, jacobian, variance = _predict(anchors, x)
-        weight = (1.0 + residual**2 / variance / HEAVY**2) ** -2 / variance
         off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
-        information = (jacobian.T * weight) @ jacobian + across.T @ across_information @ across
-        slope = (jacobian.T * weight) @ residual + across.T @ across_information @ off
+        weight = _weight(residual**2 / variance) / variance
+        told = _weight(off @ known @ off / off.size) * across.T @ known
+        information = (jacobian.T * weight) @ jacobian + told @ across
         try:
-            step = np.linalg.solve(information, slope)
+            step = np.linalg.solve(information, (jacobian.T * weight) @ residual + told @ off)
         except np.linalg.LinAlgError:
             return None
         x = x + step
@@ -113,35 +151,40 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
     if not np.isfinite(x).all():
         return None
     residual, jacobian, variance = _predict(anchors, x)
-    pose = Pose(float(x[0]), float(x[1]), float(wrap(x[2])))
-    agrees = residual**2 <= AGREES**2 * variance
-    covariance = _covariance(anchors, x, information, weight, residual, jacobian)
-    return Resection(pose, covariance, agrees)
+    unlike = _loss(residual**2 / variance) + np.log(variance / anchors.sigma**2)
+    of_direction = off.size * _loss(off @ known @ off / off.size)
+    loss = float(unlike[anchors.mapped].sum() + of_direction)
+    return _Fit(x, information, weight, residual, variance, jacobian, loss)
 
 
-def _covariance(
-    anchors: Anchors,
-    x: np.ndarray,
-    information: np.ndarray,
-    weight: np.ndarray,
-    residual: np.ndarray,
-    jacobian: np.ndarray,
-) -> np.ndarray:
-    """Return the covariance (3, 3) of a pose `x` that weights (n,) have led to.
+def _loss(squares: np.ndarray) -> np.ndarray:
+    """Return Geman and McClure's loss of squared residuals over their variances."""
+    return squares / (1.0 + squares / HEAVY**2)
+
+
+def _weight(squares: np.ndarray) -> np.ndarray:
+    """Return the weights that it gives."""
+    return np.asarray((1.0 + squares / HEAVY**2) ** -2)
+
+
+def _covariance(anchors: Anchors, fit: _Fit) -> np.ndarray:
+    """Return the covariance (3, 3) of a pose.
 
     What leaving out any one direction would change, one step of the fit, says how far landmarks of
     one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
     factor of the distance from home.
     """
     left_out = ~kept(anchors.home, np.ones(len(anchors), bool))
-    rest = information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
-    slope = -np.einsum("wn,n,ni->wi", left_out, weight * residual, jacobian)
+    weight, jacobian = fit.weight, fit.jacobian
+    rest = fit.information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
+    slope = -np.einsum("wn,n,ni->wi", left_out, weight * fit.residual, jacobian)
     regular = np.linalg.cond(rest) < LARGEST_CONDITION
     change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
     share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
     scale = float(np.median(share[anchors.mapped]))
-    out = scale * np.array([x[0], x[1], 0.0])
-    return np.asarray(np.linalg.inv(information) + change.T @ change / WINDOW + np.outer(out, out))
+    out = scale * np.array([fit.x[0], fit.x[1], 0.0])
+    together = change.T @ change / WINDOW + np.outer(out, out)
+    return np.asarray(np.linalg.inv(fit.information) + together)
 
 
 def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:

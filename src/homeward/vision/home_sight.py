@@ -1,10 +1,9 @@
 """An estimator that looks at home's picture, too: the direction home at first, the pose near home.
 
 Two panoramas tell heading and direction from home at once, where a map takes a while to be made;
-and near home they tell the pose better than the map does (see `homeward.vision.approach`). Each
-picture stands for itself, odometry leads from one to the next: what errs in them errs alike, and
-falls with the distance from home, so that to join them would only keep old errors. What home's
-picture contradicts is not called sure, whatever the map says.
+and near home they tell the pose better than the map does (see `homeward.vision.approach`). Odometry
+leads from one picture to the next. What home's picture contradicts is not called sure, whatever the
+map says.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ from homeward.frames import (
 )
 from homeward.vision.approach import Anchors, Direction, resect
 from homeward.vision.compare import Comparison
+from homeward.vision.fix import Fix, joined
 from homeward.vision.front_end import home_name
 from homeward.vision.hints import Hints
 from homeward.vision.witness import Witness
@@ -55,25 +55,6 @@ CONTRADICTS = 4.0
 """So many sigmas apart, the map and home's picture contradict each other."""
 NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Fix:
-    """What home's picture told, of the robot's centre in the home frame."""
-
-    t: float
-    """When [s]."""
-    pose: Pose
-    covariance: np.ndarray
-    """(3, 3), of x [m], y [m], heading [rad]."""
-    whole: bool
-    """Whether it tells the distance from home, too."""
-    sure: bool
-    """Whether enough landmarks agree with it."""
-    against: bool
-    """Whether the map contradicts home's picture."""
-    reason: str
-    """In words."""
 
 
 class HomeSight:
@@ -134,7 +115,7 @@ class HomeSight:
         self._witness.home(seen)
         fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
         if fix is not None:
-            self._fix = fix
+            self._fix = joined(self._carried(t), fix)
             self._twists = self._twists[-1:]
 
     def estimate(self, t: float) -> Estimate:
