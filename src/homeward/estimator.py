@@ -120,8 +120,9 @@ class Counts:
 class Estimator(Protocol):
     """What every estimator of homeward offers, online and offline.
 
-    Samples come in order of time; one that comes late, or holds a number that is not finite, is
-    counted and otherwise ignored, never an error. A twist holds from its stamp until the next
+    Samples come in the order of their stamps; one that comes too late, or holds a number that is
+    not finite, is counted and otherwise ignored, never an error. How late is too late is up to
+    the estimator. A twist holds from its stamp until the next
     one's, at most `HOLD_S`.
     """
 

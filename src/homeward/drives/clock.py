@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-SET_BACK_S = 1.0
-"""Stamps that lie farther back than this are not just late."""
+LATE_S = 1.0
+"""A sample may be so late; a stamp that lies farther back is not just late [s]."""
 FOR_GOOD, FOR_GOOD_S = 10, 1.0
 """After so many of them in a row, over so long a time, the clock was set back [s]."""
 
@@ -23,7 +23,7 @@ class Clock:
         t = stamp + self._offset
         if not math.isfinite(t):
             return t
-        if t < self._latest - SET_BACK_S:
+        if t < self._latest - LATE_S:
             return self._set_back(stamp, t)
         self._back.clear()
         self._latest = max(self._latest, t)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.clock import Clock
+from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import (
     FASTEST,
@@ -19,6 +19,7 @@ from homeward.estimator import (
     LandmarkEstimate,
     Status,
 )
+from homeward.localizer.arrivals import Arrivals, Glance
 from homeward.localizer.compiled import why_not
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
@@ -90,7 +91,7 @@ class Localizer:
         self._starts: deque[Start] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
-        self._clock = Clock()
+        self._clock, self._arrivals = Clock(), Arrivals()
         self._t = -math.inf
         self._last_accepted = -math.inf
 
@@ -99,18 +100,26 @@ class Localizer:
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
             self.counts.reject("odometry is not finite, or no robot's")
-        elif t < self._t:
+            return
+        late = self._is_too_late(t)
+        self._arrivals.odometry(t, late)
+        if late:
             self.counts.reject("odometry came late")
-        else:
-            self._advance(t)
-            self._mapper.twist(t, v, omega)
+            return
+        self._advance(t)
+        self._mapper.twist(t, v, omega)
+        self._see_what_is_due()
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
+        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
+
+        Where odometry comes late they wait for it, and the answer is without them as yet.
+        """
         said, t = t, self._clock.read(t)
-        if not math.isfinite(t) or t < self._t:
+        if not math.isfinite(t) or t < self._arrivals.newest or self._is_too_late(t):
+            self._arrivals.late_bearings()
             self.counts.reject("bearings came late", len(sightings))
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
@@ -118,12 +127,9 @@ class Localizer:
         self._advance(t)
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
-        innovations, fresh = self._mapper.sight(t, usable, good)
-        if any(i.accepted for i in innovations):
-            self._last_accepted = t
-        if fresh:
-            self._find_home()
-        return dataclasses.replace(self._estimate(t, tuple(innovations)), t=said)
+        self._arrivals.bearings(Glance(t, usable, good))
+        innovations = self._see_what_is_due()
+        return dataclasses.replace(self._estimate(t, innovations), t=said)
 
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
@@ -166,13 +172,28 @@ class Localizer:
         """Take what a whole drive says at its end, for `landmarks`."""
         self._mapper.marginal, self._hypotheses = marginal, hypotheses
 
+    def _is_too_late(self, t: float) -> bool:
+        """Return whether a sample of `t` [s] can not be taken any more."""
+        return t < self._t - LATE_S or not self._mapper.reaches(t)
+
+    def _see_what_is_due(self) -> tuple[Innovation, ...]:
+        """Take the bearings that need not wait; return the innovations of the newest of all."""
+        innovations: list[Innovation] = []
+        for glance in self._arrivals.due(self._mapper.felt, self._t):
+            innovations, fresh = self._mapper.sight(*glance)
+            if any(i.accepted for i in innovations):
+                self._last_accepted = glance.t
+            if fresh:
+                self._find_home()
+        return () if self._arrivals.waits else tuple(innovations)
+
     def _advance(self, t: float) -> None:
-        """Let time come to `t` [s]."""
+        """Let time come to `t` [s], unless it was there."""
         if self._t == -math.inf:
             self._mapper.begin(t)
             if self._prior is not None:
                 self._find_home()
-        self._t = t
+        self._t = max(self._t, t)
 
     def _find_home(self) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
@@ -238,11 +259,14 @@ class Localizer:
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
         if self._hypotheses is None:
-            words = why_home_is_not_found(self._mapper, self._home, self._seen_from_home)
+            words = self._arrivals.complaint() or why_home_is_not_found(
+                self._mapper, self._home, self._seen_from_home
+            )
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         reason = why_no_pose(self._mapper, self._standing.fixed)
         if reason is not None:
-            return Estimate(t, Status.MAPPING, reason, None, None, innovations)
+            words = self._arrivals.complaint() or reason
+            return Estimate(t, Status.MAPPING, words, None, None, innovations)
         calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
         answer = self._standing.answer(self._mapper.motion(t), calibration)
         status, reason = self._standing.status(answer, self._hypotheses.best, self._coasts(t))

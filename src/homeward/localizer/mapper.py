@@ -25,7 +25,7 @@ MOST_PER_KEYFRAME = 12
 STANDS_M, STANDS_RAD = 0.01, 0.01
 """A robot that moved less since its keyframe needs no new one."""
 ADVANCE_S = 0.5
-"""Twists are integrated for good at least this often [s]."""
+"""Twists are integrated at least this often [s]."""
 SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
 LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
@@ -95,7 +95,16 @@ class Mapper:
         self._odometry.add(t, v, omega)
         self.noise.turn(t, omega)
         if t - self._odometry.done > ADVANCE_S:
-            self._odometry.advance(t, self.window.calibration)
+            self._odometry.run_ahead(t, self.window.calibration)
+
+    def reaches(self, t: float) -> bool:
+        """Return whether a sample of `t` [s] is not too late for the map."""
+        return not self.feels or self._odometry.reaches(t)
+
+    @property
+    def felt(self) -> float:
+        """Stamp of the newest odometry [s]; minus infinity where there was none."""
+        return self._odometry.newest
 
     @property
     def feels(self) -> bool:

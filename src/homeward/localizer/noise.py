@@ -14,6 +14,7 @@ from collections import deque
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.clock import LATE_S
 from homeward.localizer.window import Window
 
 LEAST = 1.0
@@ -90,18 +91,30 @@ class BearingNoise:
 
 
 class _Turned:
-    """The heading as odometry alone has it."""
+    """The heading as odometry alone has it, now and shortly before."""
 
     def __init__(self) -> None:
-        self._t, self._omega, self._heading = np.inf, 0.0, 0.0
+        self._rates: deque[tuple[float, float, float]] = deque()
+        """Since when [s] there is which turn rate [rad/s], and the heading then [rad]."""
 
     def take(self, t: float, omega: float) -> None:
         """Let a turn rate hold from `t` [s] on [rad/s]."""
-        self._t, self._omega, self._heading = t, omega, self.at(t)
+        later = []
+        while self._rates and self._rates[-1][0] > t:
+            later.append(self._rates.pop())
+        self._rates.append((t, omega, self.at(t)))
+        for since, rate, _ in reversed(later):
+            self._rates.append((since, rate, self.at(since)))
+        while self._rates[0][0] < self._rates[-1][0] - 2.0 * LATE_S:
+            self._rates.popleft()
 
     def at(self, t: float) -> float:
-        """Return the heading at `t` [s], not before the last turn rate [rad]."""
-        return self._heading + self._omega * max(t - self._t, 0.0)
+        """Return the heading at `t` [s], not before the oldest turn rate that is kept [rad]."""
+        if not self._rates:
+            return 0.0
+        kept = (r for r in reversed(self._rates) if r[0] <= t)
+        since, omega, heading = next(kept, self._rates[0])
+        return heading + omega * max(t - since, 0.0)
 
 
 def deviation(sigma: float) -> float:

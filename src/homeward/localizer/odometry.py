@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
+from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
 from homeward.localizer.preintegration import BEND, BENDS, LAG, Motion, integrate
@@ -36,6 +39,15 @@ def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.
     )
 
 
+class _Done(NamedTuple):
+    """What is integrated, as it was before it ran ahead."""
+
+    t: float
+    motion: Motion
+    path_by_bend: np.ndarray
+    pace: Pace
+
+
 class Odometry:
     """Twists as they come, and the motion since the last keyframe.
 
@@ -54,16 +66,23 @@ class Odometry:
         self._path_by_bend[0] = STRAIGHT_BEFORE_M
         self._straightest = 0.0
         self._pace = Pace()
+        self._before: deque[_Done] = deque()
 
     def add(self, t: float, v: float, omega: float) -> None:
-        """Take a twist; one of the same stamp as the last replaces it."""
+        """Take a twist, which may be late; one of the same stamp as another replaces it."""
+        self._go_back(t)
+        later = []
+        while self._twists and self._twists[-1][0] > t:
+            later.append(self._twists.pop())
         if self._twists and t == self._twists[-1][0]:
             self._twists.pop()
         self._twists.append((t, v, omega))
+        self._twists.extend(reversed(later))
 
     def restart(self, t: float) -> None:
         """Let the motion begin anew at `t` [s]: there is a keyframe now."""
         self._motion, self._done = Motion.none(), t
+        self._before.clear()
         share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
         straight = int((share >= STRAIGHTEST).argmax())
         self._straightest = BEND * (straight + 0.5) if straight else 0.0
@@ -74,7 +93,7 @@ class Odometry:
         Parameters
         ----------
         t : float
-            A time before the end of what `advance` has done counts as that end.
+            A time before the end of what is done counts as that end.
         calibration : ndarray, shape (5,)
             Where to linearise.
         """
@@ -84,15 +103,23 @@ class Odometry:
         return self._motion.then(integrate(pieces, calibration, self._rates, self._straightest)[0])
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
-        """Return the motion up to `t` [s], and be done with it: no earlier twist is to come."""
-        if t > self._done:
-            pieces = self._pieces(self._done, t, calibration)
-            motion, path = integrate(pieces, calibration, self._rates, self._straightest)
-            self._motion, self._done = self._motion.then(motion), t
-            self._path_by_bend += path  # for r
-            self._pace.count(_time_moving(pieces), motion.path, motion.turned)
-            self._forget(t - 2.0 * LONGEST_LAG)
+        """Return the motion up to `t` [s], and be done with it: nothing earlier is to come."""
+        self._go_back(t)
+        self._before.clear()
+        self._integrate(t, calibration)
         return self._motion
+
+    def run_ahead(self, t: float, calibration: np.ndarray) -> None:
+        """Integrate up to `t` [s]; what comes up to `LATE_S` late is still taken."""
+        done = self._path_by_bend.copy(), copy.copy(self._pace)
+        self._before.append(_Done(self._done, self._motion, *done))
+        while len(self._before) > 1 and self._before[1].t <= t - LATE_S:
+            self._before.popleft()
+        self._integrate(t, calibration)
+
+    def reaches(self, t: float) -> bool:
+        """Return whether a sample of `t` [s] can be taken: no motion up to a later one was used."""
+        return t >= (self._before[0].t if self._before else self._done)
 
     @property
     def any(self) -> bool:
@@ -100,9 +127,30 @@ class Odometry:
         return bool(self._twists)
 
     @property
+    def newest(self) -> float:
+        """Stamp of the newest twist [s]; minus infinity where there was none."""
+        return self._twists[-1][0] if self._twists else -math.inf
+
+    @property
     def done(self) -> float:
-        """How far `advance` has come [s]."""
+        """How far the twists are integrated [s]."""
         return self._done
+
+    def _integrate(self, t: float, calibration: np.ndarray) -> None:
+        """Add the motion up to `t` [s] to what is done."""
+        if t <= self._done:
+            return
+        pieces = self._pieces(self._done, t, calibration)
+        motion, path = integrate(pieces, calibration, self._rates, self._straightest)
+        self._motion, self._done = self._motion.then(motion), t
+        self._path_by_bend += path  # for r
+        self._pace.count(_time_moving(pieces), motion.path, motion.turned)
+        self._forget((self._before[0].t if self._before else t) - 2.0 * LONGEST_LAG)
+
+    def _go_back(self, t: float) -> None:
+        """Undo what ran ahead of `t` [s]."""
+        while self._before and t < self._done:
+            self._done, self._motion, self._path_by_bend, self._pace = self._before.pop()
 
     def _forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""
