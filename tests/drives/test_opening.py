@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
+from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -83,3 +85,50 @@ def test_refuses_what_no_reader_knows(tmp_path):
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
     assert refusal(drive_folder) == "not a drive folder: no home.csv in it"
+
+
+def stamped(folder, odometry, bearings):
+    """Give a drive folder twists and bearings at these times."""
+    (folder / "odometry.csv").write_text("\n".join(["t,v,omega", *(f"{t},1,0" for t in odometry)]))
+    rows = ["t,landmark,bearing", *(f"{t},a,0.5" for t in bearings)]
+    (folder / "bearings.csv").write_text("\n".join(rows))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("odometry", "bearings", "first", "last"),
+    [
+        ((0, 20), (5000, 5020), "bearings is 4,980.0 s", "odometry"),  # another clock
+        ((0.1, 20), (100, 20000), "bearings is 80.0 s", "odometry"),  # milliseconds
+        ((1.7e9, 1.7e9 + 20), (0, 20), "odometry is 1,699,999,980.0 s", "bearings"),
+    ],
+)
+def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings, first, last):
+    words = refusal(stamped(drive_folder, odometry, bearings))
+    assert words.startswith(f"the first of the {first} after the last of the {last}: ")
+    assert "in different units" in words
+
+
+def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
+    (mrclam_folder / "Robot1_Measurement.dat").write_text("100 63 1.0 0.5\n")
+    assert "is 100.0 s after the last of the odometry" in refusal(mrclam_folder, robot=1, home=HOME)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "bearings"),
+    [
+        ((0, 20), (19, 20, 30)),  # partly
+        ((0, 1, 600, 601), (300, 310)),  # while odometry is silent
+        ((0, 20), (24, 25)),  # a little late
+        ((0, 20), ()),
+    ],
+)
+def test_gaps_are_no_reason_to_refuse(drive_folder, odometry, bearings):
+    drive = open_drive(stamped(drive_folder, odometry, bearings))
+    assert drive.sightings.t.size == len(bearings)
+    assert not drive.remarks
+
+
+def test_most_bearings_beyond_odometry_are_remarked(drive_folder):
+    drive = open_drive(stamped(drive_folder, (0, 20), np.arange(0, 2000, 4)))
+    assert drive.remarks == {OUTSIDE: 500 - 7}

@@ -11,6 +11,7 @@ from homeward.drives.drive import Drive
 from homeward.drives.folder import BEARINGS, is_drive_folder, read_folder
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
+from homeward.drives.one_clock import on_one_clock
 from homeward.drives.ros.bag_folder import is_log
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -74,7 +75,7 @@ def open_drive(
     Raises
     ------
     InputError
-        When no reader knows it, or its reader refuses it.
+        When no reader knows it, its reader refuses it, or bearings and odometry do not overlap.
     """
     place = Path(path)
     if not place.exists():
@@ -83,7 +84,11 @@ def open_drive(
     choices = Choices(robot, home, home_noise, seed, named, tell)
     for reader in READERS:
         if reader.recognises(place):
-            return reader.read(place, choices)
+            drive = reader.read(place, choices)
+            try:
+                return on_one_clock(drive)
+            except InputError as error:
+                raise InputError(error.what, place) from error
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 

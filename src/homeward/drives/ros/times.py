@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
+from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.container import Message
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.stamps import NANO, epoch_of, seconds
@@ -88,19 +89,15 @@ def _recorder_ahead(topics: dict[str, Topic]) -> int:
 def _check_one_clock(topics: dict[str, Topic], shift: int) -> None:
     """Refuse topics whose times do not overlap at all."""
     spans = {
-        t.name: (int(s.min()), int(s.max()))
+        t.name: (int(s.min()) / NANO, int(s.max()) / NANO)
         for t in topics.values()
         if t.count and (s := t.stamps if t.header is not None else t.receive - shift).size
     }
-    last_start, first_end = max(s[0] for s in spans.values()), min(s[1] for s in spans.values())
-    if spans and last_start > first_end + NANO:
-        a = max(spans, key=lambda n: spans[n][0])
-        b = min(spans, key=lambda n: spans[n][1])
-        apart = (last_start - first_end) / NANO
-        raise InputError(
-            f"{a} begins {apart:.1f} s after {b} ends: their headers are of different clocks, or "
-            "they were not recorded together; clock: receive in a topics file may help"
-        )
+    require_overlap(
+        spans,
+        "their headers are of different clocks, or they were not recorded together; "
+        "clock: receive in a topics file may help",
+    )
 
 
 def _check_never_set(topic: Topic) -> None:
