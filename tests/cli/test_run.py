@@ -65,6 +65,21 @@ def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_pa
         assert moved == {r["landmark"] for r in csv.DictReader(stream) if r["moved"] == "1"}
 
 
+@pytest.mark.parametrize("command", ["run", "info", "convert"])
+def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path, command):
+    file = short / "bearings.csv"
+    head, *rows = file.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    degrees = [(t, i, str(math.degrees(float(b))), *rest) for t, i, b, *rest in cells]
+    file.write_text("\n".join([head, *map(",".join, degrees)]) + "\n")
+    where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
+    result = call(command, short, *where[command])
+    assert result.exit_code == 0, result.output
+    (line,) = [row for row in result.stdout.splitlines() if "in degrees?" in row]
+    beyond = sum(abs(float(cells[2])) > math.tau for cells in degrees)
+    assert line.startswith(f"{beyond} bearings beyond a full turn")
+
+
 def test_smoothing_is_said_and_repeats(short, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     result = call("run", short, "--smooth", "--out", first)

@@ -52,5 +52,5 @@ def convert(
         f"{len(drive.home)} home bearings"
         + ("" if drive.truth is None else f", {drive.truth.t.size} true poses")
     )
-    for reason, count in drive.remarks.items():
-        typer.echo(f"{count} {reason}")
+    for remark in drive.remark_lines:
+        typer.echo(remark)

@@ -114,6 +114,6 @@ def _run(settings: RunSettings, out: Path) -> None:
         drive, track, complete = execute(settings, tell)
         summary = write_run(out, drive, track, complete.model_dump(mode="json"))
     typer.echo(summary)
-    for note in track.notes:
-        typer.echo(note)
+    for line in (*drive.remark_lines, *track.notes):
+        typer.echo(line)
     typer.echo(f"Report: {out / 'report.html'}")

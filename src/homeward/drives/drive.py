@@ -195,6 +195,11 @@ class Drive:
         return {i: float(wrap(b.bearing + yaw)) for i, b in self.home.items()}
 
     @property
+    def remark_lines(self) -> tuple[str, ...]:
+        """The remarks for a terminal, each with its number in front."""
+        return tuple(f"{number:,} {reason}" for reason, number in self.remarks.items())
+
+    @property
     def span(self) -> tuple[float, float]:
         """First and last time [s] of odometry and sightings; (nan, nan) when there are none."""
         ends = [a[i] for a in (self.odometry.t, self.sightings.t) if a.size for i in (0, -1)]

@@ -30,7 +30,7 @@ class LogInfo:
     settings: str
     """The topics file that says what is used without one: YAML; empty when there is none."""
     remarks: tuple[str, ...]
-    """What serves for what, and what is in the way, each a sentence."""
+    """What serves for what, what is in the way, and what a reader counted, each a line."""
 
 
 def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
@@ -53,7 +53,8 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     if not path.exists():
         raise InputError("no such file or folder", path)
     if path.is_dir() and is_drive_folder(path):
-        return LogInfo("drive folder", _streams(read_folder(path)), "", ())
+        drive = read_folder(path)
+        return LogInfo("drive folder", _streams(drive), "", drive.remark_lines)
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
     known = survey(log, tell=tell)
