@@ -60,7 +60,7 @@ class Rig:
         for name, (x, y) in self.landmarks.items():
             noise = 0.005 * self.rng.normal() + self.faults.get(name, 0.0)
             home[name] = HomeBearing(float(wrap(math.atan2(y, x) + noise)), 0.005)
-        settings = DriveSettings(
+        self.settings = DriveSettings(
             sensor=Sensor(bearing_sigma=BEARING_SIGMA),
             odometry=OdometryNoise(
                 speed_sigma=self.speed_sigma,
@@ -70,7 +70,7 @@ class Rig:
                 turn_bias_sigma=0.0,
             ),
         )
-        self.localizer = Localizer(home, settings)
+        self.localizer = Localizer(home, self.settings)
 
     def drive(
         self,

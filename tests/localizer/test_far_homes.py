@@ -8,6 +8,7 @@ import pytest
 from test_parts import problem
 
 from homeward.angles import wrap
+from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing
 from homeward.localizer.answer import unchecked
 from homeward.localizer.fitting import fit
@@ -111,7 +112,7 @@ def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
 def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_something_of_it():
     _, known = problem({}, q=6)
     right = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
-    standing = Standing(LocalizerSettings(), 0.03)
+    standing = Standing(LocalizerSettings(), OdometryNoise())
     standing.take(Hypotheses((fit(known, np.zeros(3), right),), np.ones(1)), firm=True)
     assert standing.fixed
     away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]

@@ -35,9 +35,9 @@ from homeward.localizer.moved import (
     starts,
 )
 from homeward.localizer.noise import deviation
-from homeward.localizer.preintegration import CAMERA_YAW
+from homeward.localizer.preintegration import CAMERA_YAW, Motion
 from homeward.localizer.problem import HomeProblem, home_from_start
-from homeward.localizer.reasons import why_home_is_not_found, why_no_pose
+from homeward.localizer.reasons import LOST, why_home_is_not_found
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 
@@ -83,9 +83,7 @@ class Localizer:
         self._home_mount = np.array(self._drive.home_mount.pose)
         self._mapper = Mapper(self._drive, self.settings, self.counts)
         self._prior = home_from_start(self._drive)
-        given = self._drive.odometry.speed_scale_sigma
-        scale = self.settings.odometry.speed_scale if given is None else given
-        self._standing = Standing(self.settings, scale)
+        self._standing = Standing(self.settings, self._drive.odometry)
         self._hypotheses: Hypotheses | None = None
         self._seen_from_home: list[str] = []
         self._starts: deque[Start] = deque()
@@ -168,9 +166,25 @@ class Localizer:
         variances = self._hypotheses.best.innovations[1]
         return dict(zip(self._seen_from_home, np.sqrt(variances).tolist(), strict=True))
 
-    def conclude(self, marginal: Marginal, hypotheses: Hypotheses) -> None:
-        """Take what a whole drive says at its end, for `landmarks`."""
-        self._mapper.marginal, self._hypotheses = marginal, hypotheses
+    def conclude(self, marginal: Marginal) -> Hypotheses | None:
+        """Find home anew by what a whole drive says at its end, for `landmarks` too.
+
+        Parameters
+        ----------
+        marginal : Marginal
+            What the whole drive says of the newest pose, the calibration and the landmarks.
+
+        Returns
+        -------
+        Hypotheses or None
+            None when home is not found: then everything stays as it was.
+        """
+        before = self._hypotheses.fits if self._hypotheses is not None else ()
+        found = search(self.problem(marginal), [(f.home, f.right) for f in before])
+        if found is not None:
+            self._mapper.marginal, self._hypotheses = marginal, found
+            self._standing.take(found, firm=True)
+        return found
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
@@ -258,16 +272,22 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
+        complaint = self._arrivals.complaint()
         if self._hypotheses is None:
-            words = self._arrivals.complaint() or why_home_is_not_found(
+            words = complaint or why_home_is_not_found(
                 self._mapper, self._home, self._seen_from_home
             )
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        reason = why_no_pose(self._mapper, self._standing.fixed)
-        if reason is not None:
-            words = self._arrivals.complaint() or reason
-            return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
-        answer = self._standing.answer(self._mapper.motion(t), calibration)
-        status, reason = self._standing.status(answer, self._hypotheses.best, self._coasts(t))
-        return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
+        if self._mapper.lost.since is not None:
+            return Estimate(t, Status.MAPPING, complaint or LOST, None, None, innovations)
+        motion, moved = self._mapper.motion(t), None
+        if motion is not Motion.none():
+            calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
+            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+            moved = motion.delta, drift
+        found = self._standing.estimate(t, moved, self._coasts(t), innovations)
+        return (
+            found
+            if found.pose or complaint is None
+            else dataclasses.replace(found, reason=complaint)
+        )

@@ -152,6 +152,21 @@ def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights)
 
 
+def posed(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Return them with the pose of another keyframe of the same map, home where it was.
+
+    Parameters
+    ----------
+    problem : HomeProblem
+        With the other pose in place of the newest one.
+    hypotheses : Hypotheses
+        As probable afterwards as before, since the pose says nothing of them.
+    """
+    fits = [carried(f, problem) for f in hypotheses.fits]
+    there = tuple(f for f in fits if f is not None)
+    return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
+
+
 def starts(problem: HomeProblem) -> list[Start]:
     """Return where to climb from, the sets all different."""
     found: list[Start] = []

@@ -7,6 +7,9 @@ from collections.abc import Collection
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.problem import FEWEST
 
+LOST = "the robot is lost in its map: what it sees does not fit, or odometry was gone"
+NOT_FIXED = "home is not fixed well enough; drive on, best in an arc"
+
 
 def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collection[str]) -> str:
     """Return why home was not found.
@@ -31,10 +34,3 @@ def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collectio
         return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
     needed = f"{FEWEST} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
-
-
-def why_no_pose(mapper: Mapper, fixed: bool) -> str | None:
-    """Return why there is no pose where home was found; None where there is one."""
-    if mapper.lost.since is not None:
-        return "the robot is lost in its map: what it sees does not fit, or odometry was gone"
-    return None if fixed else "home is not fixed well enough; drive on, best in an arc"

@@ -9,19 +9,16 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
-from homeward.estimator import Status
+from homeward.estimator import Estimate
 from homeward.frames import Pose, between
-from homeward.localizer.answer import Answer, in_home_frame
-from homeward.localizer.fitting import fit
-from homeward.localizer.home import HomeFit
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.moved import Hypotheses, search
+from homeward.localizer.moved import Hypotheses, posed
 from homeward.localizer.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.preintegration import Motion
-from homeward.localizer.problem import HomeProblem
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.standing import Standing
 from homeward.localizer.window import Window
-from homeward.track import Track, run
+from homeward.track import Track, run, track_of
 
 SOLVES = 6
 """The whole drive is solved so often, each time with some Gauss-Newton steps."""
@@ -32,6 +29,8 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 
     The drive is run once as `homeward.track.run` does, then all its keyframes are solved at once,
     home is found anew, and the rows between keyframes follow the odometry from one to the next.
+    Whether a row has a pose, and what it is called, is decided by all homes that are still possible
+    at the end, with the tests of the causal run.
 
     Parameters
     ----------
@@ -52,36 +51,29 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     whole = localizer.mapper.window.whole()
     for _ in range(SOLVES):
         marginal = whole.solve()
-    found = search(localizer.problem(marginal))
-    if found is None:
+    found = localizer.conclude(marginal)
+    there = None if found is None else _there(localizer, whole, found)
+    if there is None:
         return track
-    fits = _fits(localizer, whole, found)
-    localizer.conclude(marginal, found)
-    given = drive.settings.odometry.speed_scale_sigma
-    scale = settings.odometry.speed_scale if given is None else given
-    answers = [a.with_scale(scale) for a in _rows(track.t, fits, whole, drive, settings)]
-    poses = np.array([a.pose for a in answers])
-    status, reason = _verdict(found)
+    rows = track_of(localizer, _rows(track.t, there, whole, drive, settings))
     return dataclasses.replace(
-        track,
-        x=poses[:, 0],
-        y=poses[:, 1],
-        heading=poses[:, 2],
-        covariance=np.array([a.covariance for a in answers]),
-        status=[status] * track.t.size,
-        reason=[reason] * track.t.size,
-        landmarks=localizer.landmarks(),
+        rows,
+        innovations=track.innovations,
+        update_seconds=track.update_seconds,
+        run_seconds=track.run_seconds,
+        history=track.history,
     )
 
 
-def _fits(localizer: Localizer, whole: Window, found: Hypotheses) -> list[HomeFit]:
-    """Return home and each keyframe, corrected by the home bearings that are right."""
-    best, fits = found.best, []
+def _there(localizer: Localizer, whole: Window, found: Hypotheses) -> list[Hypotheses] | None:
+    """Return the hypotheses with each keyframe's pose; None when they do not fix it."""
+    there: list[Hypotheses] = []
     for marginal in whole.marginals():
-        problem: HomeProblem = localizer.problem(marginal)
-        again = fit(problem, best.home, best.right, steps=2)
-        fits.append(best if again is None else again)
-    return fits
+        now = posed(localizer.problem(marginal), found)
+        if now is None:
+            return None
+        there.append(now)
+    return there
 
 
 def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float) -> Odometry:
@@ -96,32 +88,33 @@ def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float
 
 def _rows(
     times: np.ndarray,
-    fits: list[HomeFit],
+    there: list[Hypotheses],
     whole: Window,
     drive: Drive,
     settings: LocalizerSettings,
-) -> list[Answer]:
-    """Return the poses in the home frame at all rows' times."""
+) -> list[Estimate]:
+    """Return what is to be said at all rows' times, by the tests of the causal run."""
     stamps = np.array(whole.stamps)
-    keyframes = [Pose(*f.pose) for f in fits]
+    keyframes = [Pose(*h.best.pose) for h in there]
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
-    answers: list[Answer] = []
+    rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        rows = times[index == k].tolist()
+        standing = Standing(settings, drive.settings.odometry)
+        standing.take(there[k], firm=True)
+        now = times[index == k].tolist()
         last = k + 1 == stamps.size
-        until = rows[-1] if last else float(stamps[k + 1])
+        until = now[-1] if last else float(stamps[k + 1])
         odometry = _stretch(drive, settings, float(stamps[k]), until)
-        motions = [odometry.advance(t, whole.calibration) for t in rows]
-        start = in_home_frame(fits[k])
-        if last:
-            answers.extend(start.after(m.delta, m.covariance) for m in motions)
-            continue
-        end = odometry.advance(until, whole.calibration)
-        there = between(keyframes[k], keyframes[k + 1])
-        off = np.array(there) - end.delta
-        off[2] = wrap(off[2])
-        answers.extend(start.after(*_bridged(m, end, off)) for m in motions)
-    return answers
+        motions = [odometry.advance(t, whole.calibration) for t in now]
+        moved = [(m.delta, m.covariance) for m in motions]
+        if not last:
+            end = odometry.advance(until, whole.calibration)
+            off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
+            off[2] = wrap(off[2])
+            moved = [_bridged(m, end, off) for m in motions]
+        # Bearings from later on count too, so that the robot coasts nowhere.
+        rows += [standing.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
+    return rows
 
 
 def _bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,11 +128,3 @@ def _bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, 
     cross = motion.covariance @ swing.T
     gain = np.linalg.solve(end.covariance + 1e-12 * np.eye(3), cross.T).T
     return motion.delta + gain @ off, motion.covariance - gain @ cross.T
-
-
-def _verdict(found: Hypotheses) -> tuple[Status, str]:
-    """Return the status of the whole track, with its reason."""
-    agreeing = int(found.best.right.sum())
-    if agreeing < 4:
-        return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
-    return Status.LOCALISED, f"{agreeing} home bearings agree, over the whole drive"

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from homeward.estimator import Status
+from homeward.drives.drive import OdometryNoise
+from homeward.estimator import Estimate, Innovation, Status
 from homeward.frames import Pose
 from homeward.localizer.answer import (
     Answer,
@@ -18,7 +19,7 @@ from homeward.localizer.answer import (
 )
 from homeward.localizer.home import HomeFit
 from homeward.localizer.moved import Hypotheses
-from homeward.localizer.preintegration import Motion
+from homeward.localizer.reasons import NOT_FIXED
 from homeward.localizer.settings import LocalizerSettings
 
 STILL_FIXED = 2.0
@@ -36,12 +37,16 @@ class Standing:
     ----------
     settings : LocalizerSettings
         Of the localiser.
-    speed_scale : float
-        Standard deviation of the odometry's speed scale [1].
+    odometry : OdometryNoise
+        Of the drive, as far as known.
     """
 
-    def __init__(self, settings: LocalizerSettings, speed_scale: float) -> None:
-        self._settings, self._speed_scale = settings, speed_scale
+    def __init__(self, settings: LocalizerSettings, odometry: OdometryNoise) -> None:
+        given = odometry.speed_scale_sigma
+        self._settings = settings
+        self._speed_scale = settings.odometry.speed_scale if given is None else given
+        self._best: HomeFit | None = None
+        """The most probable hypothesis; None where home is not found."""
         self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
         """At the newest keyframe, the speed taken at its word."""
         self._others = Others.none()
@@ -66,6 +71,7 @@ class Standing:
             Whether they come from a solved window with the landmarks in sight: only then may a pose
             be withdrawn.
         """
+        self._best = None if now is None else now.best
         if now is None:
             self.fixed, self._weights = False, None
             return
@@ -81,23 +87,40 @@ class Standing:
             self._answer = answer_of(now.best, self._others, faults)
             self.fixed &= _sigma(self._answer.covariance) <= self._most
 
-    def answer(self, motion: Motion, calibration: np.ndarray) -> Answer:
-        """Return the answer after a motion since the newest keyframe.
+    def estimate(
+        self,
+        t: float,
+        moved: tuple[np.ndarray, np.ndarray] | None,
+        coasting: bool,
+        innovations: tuple[Innovation, ...] = (),
+    ) -> Estimate:
+        """Return the pose, where there is one to give, with what to call it and why.
 
         Parameters
         ----------
-        motion : Motion
-            `Motion.none()` at the keyframe itself.
-        calibration : ndarray, shape (n, n)
-            Covariance of the calibration that the motion was integrated with.
+        t : float
+            When [s].
+        moved : tuple of ndarray, shapes (3,) and (3, 3), or None
+            The motion since the keyframe and its covariance, in the robot's frame there [m, m,
+            rad]; None at the keyframe itself.
+        coasting : bool
+            Whether there are no bearings now.
+        innovations : tuple of Innovation
+            To go with it.
         """
-        answer = self._answer
-        if motion is not Motion.none():
-            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-            answer = answer.after(motion.delta, drift)
-        return answer.with_scale(self._speed_scale)
+        if self._best is None or not self.fixed:
+            return Estimate(t, Status.MAPPING, NOT_FIXED, None, None, innovations)
+        answer = self._answer if moved is None else self._answer.after(*moved)
+        answer = answer.with_scale(self._speed_scale)
+        status, reason = self._status(answer, self._best, coasting)
+        return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
 
-    def status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
+    def home_is_found(self, best: HomeFit) -> bool:
+        """Return whether home is certain enough among its landmarks to judge any of them by it."""
+        reach = self._settings.largest_sigma * landmark_distance(best, best.home)
+        return _sigma(best.spread) <= reach and (best.settled or self.fixed)
+
+    def _status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
         agreeing, checked = int(best.right.sum()), int(self._checked.sum())
         if agreeing < CHECKED:
@@ -111,11 +134,6 @@ class Standing:
         if max(answer.covariance[0, 0], answer.covariance[1, 1]) > self._most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
         return Status.LOCALISED, f"{agreeing} home bearings agree"
-
-    def home_is_found(self, best: HomeFit) -> bool:
-        """Return whether home is certain enough among its landmarks to judge any of them by it."""
-        reach = self._settings.largest_sigma * landmark_distance(best, best.home)
-        return _sigma(best.spread) <= reach and (best.settled or self.fixed)
 
     def _is_fixed(self, best: HomeFit) -> bool:
         """Return whether the pose is certain enough to be given; it is not withdrawn at once."""

@@ -1,0 +1,109 @@
+"""The final pass says no more than the whole drive tells: other homes, home not fixed."""
+
+import math
+
+import numpy as np
+import pytest
+from rig import BEARING_SIGMA, Rig, ring
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.estimator import Estimate, Status
+from homeward.frames import Pose, bearing
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.smoothing import smooth
+from homeward.track import run
+
+ELSEWHERE = Pose(-1.2, 0.5, 0.3)
+"""Another home, from which some landmarks were seen under their home bearings."""
+
+
+class Recorder:
+    """Stands where the localiser does, and keeps what it is fed."""
+
+    def __init__(self):
+        self.twists, self.seen = [], []
+
+    def odometry(self, *twist):
+        """Keep a twist."""
+        self.twists.append(twist)
+
+    def bearings(self, t, sightings, _):
+        """Keep sightings."""
+        self.seen += [(t, name, value) for name, value in sightings.items()]
+        return Estimate(t, Status.WAITING, "only recorded")
+
+
+def recorded(landmarks, faults, seconds=40):
+    """A drive among landmarks, the home bearings of some of them being wrong."""
+    rig = Rig(landmarks, seed=3, faults=faults)
+    rig.localizer = Recorder()
+    rig.drive(seconds)
+    t, names, values = zip(*rig.localizer.seen, strict=True)
+    sightings = Sightings(
+        np.array(t), np.array(names), np.array(values), np.full(len(t), BEARING_SIGMA)
+    )
+    stamps = np.array([answer.t for answer, _ in rig.answers])
+    truth = Truth(stamps, *np.array([pose for _, pose in rig.answers]).T)
+    odometry = Odometry(*np.array(rig.localizer.twists).T)
+    return Drive("recorded", odometry, sightings, rig.home, rig.settings, truth)
+
+
+def seen_from_elsewhere(landmarks, names):
+    """By how much home bearings of landmarks are wrong that were seen from another home [rad]."""
+    marks = {n: landmarks[n] for n in names}
+    return {
+        n: float(wrap(bearing(ELSEWHERE, x, y) - math.atan2(y, x))) for n, (x, y) in marks.items()
+    }
+
+
+def deviations(track, truth):
+    """How far the places of a track are off, of the rows with a pose [standard deviations]."""
+    rows = track.has_pose & (track.t <= truth.t[-1])
+    there = truth.at(track.t[rows])
+    off = np.stack([track.x[rows] - there.x, track.y[rows] - there.y], axis=1)
+    spread = track.covariance[rows, :2, :2]
+    return np.sqrt((off * np.linalg.solve(spread, off[:, :, None])[:, :, 0]).sum(axis=1))
+
+
+def test_a_clean_drive_is_localised_all_over():
+    drive = recorded(ring(8), {})
+    track = smooth(drive)
+    assert track.has_pose.all()
+    assert set(track.status) == {Status.LOCALISED}
+    assert set(track.reason) == {"8 home bearings agree"}
+    assert deviations(track, drive.truth).max() < 4.0
+    assert track.sigmas[:, :2].max() < 0.1
+
+
+def test_where_another_home_is_as_probable_no_row_is_called_localised():
+    landmarks = ring(8)
+    drive = recorded(landmarks, seen_from_elsewhere(landmarks, ["L0", "L2", "L4", "L6"]))
+    track = smooth(drive)
+    assert set(track.status) == {Status.UNVERIFIED}
+    (reason,) = set(track.reason)
+    assert reason.startswith("another home has probability 0.4")
+    assert deviations(track, drive.truth).max() < 4.0  # the other home is in the covariance
+
+
+@pytest.mark.parametrize(("number", "wrong"), [(4, ["L0"]), (5, ["L1", "L2"])])
+def test_at_the_end_three_bearings_are_as_unsure_as_in_the_causal_run(number, wrong):
+    landmarks = ring(number)
+    drive = recorded(landmarks, seen_from_elsewhere(landmarks, wrong))
+    causal, track = run(drive, Localizer(drive.home, drive.settings)), smooth(drive)
+    assert (track.status[-1], track.reason[-1]) == (causal.status[-1], causal.reason[-1])
+    assert track.status[-1] is Status.UNVERIFIED
+    assert track.sigmas[-1] == pytest.approx(causal.sigmas[-1], rel=0.2)
+    assert deviations(track, drive.truth).max() < 4.0
+
+
+def test_home_on_the_circle_through_its_landmarks_is_not_fixed():
+    angles = np.linspace(-2.6, 2.8, 8)
+    landmarks = {
+        f"L{i}": (2.0 + 2.0 * math.cos(a), 2.0 * math.sin(a)) for i, a in enumerate(angles.tolist())
+    }
+    drive = recorded(landmarks, {})
+    track = smooth(drive)
+    assert Status.LOCALISED not in track.status
+    assert not track.has_pose.any()
+    assert set(track.reason) == {"home is not fixed well enough; drive on, best in an arc"}
