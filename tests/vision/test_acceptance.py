@@ -81,3 +81,16 @@ def test_the_tiles_of_a_floor_alone_are_not_believed(floor, believed):
     verdict = judge(fit, pairs)
     assert verdict.accepted == believed
     assert ("floor" in verdict.reason) != believed
+
+
+def test_matches_left_after_a_refit_must_still_stand_all_round():
+    """What lies beside matches may lead to another motion than the one that was judged."""
+    pairs = made_up(Motion(1.0, HEADING), n=40, seed=0, noise=SIGMA)
+    verdict = judge(search(pairs, np.ones(len(pairs)), 0.005), pairs)
+    assert verdict.accepted
+    assert verdict.reconsidered(np.ones(40, bool), pairs).accepted
+    one_side = np.abs(wrap(pairs.home[:, 0])) < 0.4
+    for left in (one_side, np.zeros(40, bool)):
+        again = verdict.reconsidered(left, pairs)
+        assert not again.accepted
+        assert f"{left.sum()} of 40 matches agree" in again.reason

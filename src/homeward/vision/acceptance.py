@@ -9,7 +9,7 @@ home direction with the now directions of other matches.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,14 @@ class Verdict:
     log_false_alarms: float
     """Logarithm to base 10."""
 
+    def reconsidered(self, agrees: np.ndarray, pairs: Pairs) -> Verdict:
+        """Return the verdict on a fit that was accepted, where other matches, (n,) bool, agree."""
+        words = _agreement(agrees, pairs)
+        home, now = pairs.home[agrees], pairs.now[agrees]
+        if lack := lacking(home[:, 0], now[:, 0], elevation=home[:, 1]):
+            return replace(self, accepted=False, reason=f"not enough in common: {words}{lack}")
+        return replace(self, reason=words)
+
 
 def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdict:
     """Say whether a fit stands on more than chance.
@@ -63,14 +71,11 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
     """
     if fit is None or fit.inlier.sum() < 3:
         return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
-    good = fit.inlier
     alarms = _log_false_alarms(fit, pairs, heading)
-    words = agreement(good, pairs)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
+        words = _agreement(fit.inlier, pairs)
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
-    if lack := lacking(pairs.home[good, 0], pairs.now[good, 0], elevation=pairs.home[good, 1]):
-        return Verdict(False, f"not enough in common: {words}{lack}", alarms)
-    return Verdict(True, words, alarms)
+    return Verdict(True, "", alarms).reconsidered(fit.inlier, pairs)
 
 
 def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
@@ -92,7 +97,7 @@ def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
     return ""
 
 
-def agreement(good: np.ndarray, pairs: Pairs) -> str:
+def _agreement(good: np.ndarray, pairs: Pairs) -> str:
     """Say how many matches agree: `good` (n,), bool."""
     sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
     return f"{int(good.sum())} of {len(good)} matches agree, in {_occupied(sectors)} directions"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.acceptance import WITHIN, Verdict, agreement, judge
+from homeward.vision.acceptance import WITHIN, Verdict, judge
 from homeward.vision.alignment import Alignment, align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
@@ -150,10 +150,13 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
+            # What lies beside may have led to another motion, on which matches agree less.
+            verdict = verdict.reconsidered(fit.inlier[: len(pairs)], pairs)
         agrees = fit.inlier[: len(pairs)]
     if verdict.accepted:
-        verdict = replace(verdict, reason=agreement(agrees, pairs))
         moved = moved_groups(home, now, rows, ~agrees)
+    else:
+        spread = np.full((2, 2), np.inf)
     return Comparison(
         verdict=verdict,
         pairs=pairs,
