@@ -62,6 +62,9 @@ static void generic_update(V *p) {
     for (int k = 0; k < N; k++)
       for (int m = 0; m < N; m++) P[k * N + m] -= (column[k] * column[m]) * share;
   }
+  // Some compilers fuse multiplication and subtraction in a loop's body, but not in its rest.
+  for (int k = 0; k < N; k++)
+    for (int m = 0; m < k; m++) P[m * N + k] = P[k * N + m];
 #ifdef INTEGRAL
   for (int i = 0; i < Q; i++) {
     const V used = innovation[i] * accepted[i];
