@@ -1,8 +1,8 @@
-"""Image files that are empty, grey, truncated, 16-bit, animated, or not images."""
+"""Image files that are empty, grey, turned, truncated, 16-bit, animated, or not images."""
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from homeward.errors import InputError
 from homeward.vision.camera import Equirectangular
@@ -28,6 +28,34 @@ def test_a_grey_and_a_coloured_image_are_read(tmp_path):
 
 def test_sixteen_bits_are_scaled_by_the_bits_in_use(tmp_path):
     Image.fromarray(picture().astype(np.uint16) * 16).save(tmp_path / "a.png")
+    assert (read_grey(tmp_path / "a.png") == picture()).all()
+
+
+@pytest.mark.parametrize("kind", ["png", "tiff"])
+@pytest.mark.parametrize(
+    ("orientation", "shown"),
+    [
+        (2, picture()[:, ::-1]),
+        (3, picture()[::-1, ::-1]),
+        (4, picture()[::-1]),
+    ],
+)
+def test_an_image_is_read_as_a_viewer_shows_it(tmp_path, kind, orientation, shown):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    Image.fromarray(picture()).save(tmp_path / f"a.{kind}", exif=exif)
+    assert (read_grey(tmp_path / f"a.{kind}") == shown).all()
+
+
+def test_a_panorama_that_was_stored_on_its_side(tmp_path):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.fromarray(np.rot90(picture()).copy()).save(tmp_path / "a.png", exif=exif)
+    assert (read_grey(tmp_path / "a.png") == picture()).all()
+
+
+def test_a_broken_orientation_is_passed_over(tmp_path):
+    Image.fromarray(picture()).save(tmp_path / "a.png", exif=b"Exif\0\0junk")
     assert (read_grey(tmp_path / "a.png") == picture()).all()
 
 

@@ -5,11 +5,12 @@ Pillow decodes them, since it refuses what is truncated, which OpenCV fills with
 
 from __future__ import annotations
 
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.drives.table import naming
 from homeward.errors import InputError
@@ -24,7 +25,7 @@ FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 
 
 def read_grey(path: Path) -> np.ndarray:
-    """Read an image as grey.
+    """Read an image as grey, turned as its Exif orientation says: as a viewer shows it.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def read_grey(path: Path) -> np.ndarray:
             warnings.simplefilter("ignore")
             with Image.open(path, formats=FORMATS) as image:
                 _check(image, path)
-                return _grey(image, path)
+                return _grey(_upright(image), path)
     except UnidentifiedImageError:
         raise InputError("not an image that can be read", path) from None
     except Image.DecompressionBombError:
@@ -106,6 +107,16 @@ def _check(image: Image.Image, path: Path) -> None:
         )
     if (frames := getattr(image, "n_frames", 1)) > 1:
         raise InputError(f"holds {frames} frames; give one image a file", path)
+
+
+def _upright(image: Image.Image) -> Image.Image:
+    """Turn or mirror an image as its Exif orientation says."""
+    # What is wrong with the pixels is raised here, and refused; a broken tag is no reason to.
+    image.load()
+    try:
+        return ImageOps.exif_transpose(image)
+    except (OSError, SyntaxError, ValueError, TypeError, KeyError, struct.error):
+        return image
 
 
 def _grey(image: Image.Image, path: Path) -> np.ndarray:
