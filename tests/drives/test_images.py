@@ -17,13 +17,13 @@ def folder(tmp_path, text):
 
 def test_images_are_found_beside_their_table(tmp_path):
     drive = folder(tmp_path, "t,file\n1.5,frames/1.jpg\n2.5,frames/1.jpg\n")
-    images = read_images(drive)
+    images = read_images(drive, {})
     assert images.t.tolist() == [1.5, 2.5]
     assert [f.read_bytes() for f in images.files] == [b"one", b"one"]
 
 
 def test_a_drive_without_images_has_none(tmp_path):
-    assert read_images(tmp_path).files == []
+    assert read_images(tmp_path, {}).files == []
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_a_drive_without_images_has_none(tmp_path):
 )
 def test_a_table_that_makes_no_sense_is_refused_in_a_line(tmp_path, text, complaint):
     with pytest.raises(InputError, match=complaint) as caught:
-        read_images(folder(tmp_path, text))
+        read_images(folder(tmp_path, text), {})
     assert "\n" not in str(caught.value)
 
 
@@ -47,4 +47,4 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path):
     drive = folder(tmp_path, "t,file\n1,link.png\n")
     (drive / "link.png").symlink_to(tmp_path / "secret.png")
     with pytest.raises(InputError, match="outside"):
-        read_images(drive)
+        read_images(drive, {})

@@ -16,9 +16,12 @@ from vision_scene import make_room
 from homeward.angles import wrap
 from homeward.cli.main import app
 from homeward.drives.folder import read_folder
+from homeward.drives.images import REPEATED_IMAGES, read_images
 from homeward.drives.opening import open_drive
 from homeward.vision import Equirectangular, look
+from homeward.vision.folder import home_image, see_folder
 from homeward.vision.front_end import PROVEN, FrontEnd
+from homeward.vision.settings import ImageSettings
 
 FRAMES = 15
 HOME = (3.0, 3.0, 0.4)
@@ -148,6 +151,37 @@ def test_a_file_outside_the_folder_is_refused(folder, tmp_path):
 
 def test_no_home_image(folder, tmp_path):
     assert "no home image" in broken(folder, tmp_path, lambda f: (f / "home.png").unlink())
+
+
+def test_home_is_found_in_capitals(folder, tmp_path):
+    (tmp_path / "HOME.PNG").write_bytes((folder / "home.png").read_bytes())
+    (tmp_path / "home.csv").touch()
+    assert home_image(tmp_path, ImageSettings()) == tmp_path / "HOME.PNG"
+
+
+@pytest.mark.parametrize("command", ["see", "run"])
+def test_images_of_another_clock_are_refused_before_they_are_looked_at(folder, tmp_path, command):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    (copy / "odometry.csv").write_text("t,v,omega\n5000,0.2,0\n5007,0,0\n")
+    (copy / "pictures" / "3.png").write_text("no image: this would be said first")
+    result = run(command, copy, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "copy: the first of the odometry is 4,993.0 s after the last of the images" in (
+        " ".join(result.output.split())
+    )
+
+
+def test_of_images_with_one_stamp_the_first_counts(folder, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    (copy / "images.csv").write_text("t,file\n0,pictures/0.png\n0,pictures/9.png\n1,home.png\n")
+    remarks: dict[str, int] = {}
+    images = read_images(copy, remarks)
+    assert images.t.tolist() == [0, 1]
+    assert [f.name for f in images.files] == ["0.png", "home.png"]
+    assert remarks == {REPEATED_IMAGES: 1}
+    assert see_folder(copy).remarks[REPEATED_IMAGES] == 1
 
 
 def test_an_image_of_another_size(folder, tmp_path):

@@ -41,7 +41,7 @@ def view(
         viewer.check_display()
     else:
         viewer.check_recording(rerun)
-    images = read_images(drive_path(settings))
+    images = read_images(drive_path(settings), {})
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, track, _ = execute(settings, tell)
     if written and not is_written_as(Path(run), track):

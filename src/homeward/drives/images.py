@@ -13,6 +13,7 @@ from homeward.errors import InputError
 IMAGES = "images.csv"
 KINDS = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 """Media type by the ending of a file's name."""
+REPEATED_IMAGES = "images with a repeated stamp; the first counts"
 
 
 @dataclass(frozen=True)
@@ -20,18 +21,20 @@ class Images:
     """Camera images along a drive."""
 
     t: np.ndarray
-    """(n,), never decreasing [s]."""
+    """(n,), increasing [s]."""
     files: list[Path]
     """JPEG or PNG; they are there when this is made."""
 
 
-def read_images(folder: Path) -> Images:
+def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     """Return the images that a drive folder names; none when it has no images.csv.
 
     Parameters
     ----------
     folder : Path
         The drive folder.
+    remarks : dict of str to int
+        Where rows with the stamp of the row before are counted, which are left out.
 
     Raises
     ------
@@ -44,7 +47,12 @@ def read_images(folder: Path) -> Images:
         return Images(np.empty(0), [])
     table = read_csv(table_file, {"t": numbers, "file": identifiers})
     table.require_order()
-    return Images(table["t"], [_image(folder, str(name)) for name in table["file"]])
+    t = table["t"]
+    files = [_image(folder, str(name)) for name in table["file"]]
+    first = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0)
+    if repeats := len(t) - len(first):
+        remarks[REPEATED_IMAGES] = repeats
+    return Images(t[first], [files[k] for k in first])
 
 
 def _image(folder: Path, name: str) -> Path:

@@ -12,6 +12,11 @@ APART_S = 5.0
 """What begins up to so long after another thing ended may be of the same drive [s]."""
 OUTSIDE = "sightings at times without odometry (are their stamps in other units?)"
 
+OTHER_CLOCK = (
+    "their stamps are of different clocks or in different units (both must be in seconds), or "
+    "they were not recorded together"
+)
+
 
 def require_overlap(spans: Mapping[str, tuple[float, float]], advice: str) -> None:
     """Refuse things of which one begins long after another ended.
@@ -52,8 +57,7 @@ def on_one_clock(drive: Drive) -> Drive:
     first, last = float(odometry[0]), float(odometry[-1])
     require_overlap(
         {"the odometry": (first, last), "the bearings": (float(seen[0]), float(seen[-1]))},
-        "their stamps are of different clocks or in different units (both must be in seconds), or "
-        "they were not recorded together",
+        OTHER_CLOCK,
     )
     outside = int(((seen < first - APART_S) | (seen > last + APART_S)).sum())
     if 2 * outside <= seen.size:

@@ -19,6 +19,7 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.images import IMAGES, Images, read_images
+from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.table import require_folder
 from homeward.errors import InputError
 from homeward.vision.front_end import FrontEnd, Glance
@@ -55,7 +56,8 @@ def see_folder(
     Raises
     ------
     InputError
-        When a file is missing or cannot be used; names file, row and what is wrong.
+        When a file is missing or cannot be used, or images and odometry do not overlap; names
+        file, row and what is wrong.
     """
     folder = Path(path)
     require_folder(folder)
@@ -63,11 +65,12 @@ def see_folder(
         raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
     told = folder / IMAGE_SETTINGS
     settings = read_image_settings(told if told.exists() else None)
-    images = read_images(folder)
+    remarks: dict[str, int] = {}
+    images = read_images(folder, remarks)
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
-    remarks: dict[str, int] = {}
     odometry = read_odometry(folder / ODOMETRY, remarks)
+    _require_one_clock(folder, odometry.t, images.t)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
     _, home = read_view(home_image(folder, settings), settings.camera)
@@ -87,7 +90,7 @@ def see_folder(
 
 
 def home_image(folder: Path, settings: ImageSettings) -> Path:
-    """Return the file of the home image.
+    """Return the file of the home image: named in the settings, or HOME_STEM in whatever case.
 
     Raises
     ------
@@ -96,11 +99,24 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     """
     if settings.home is not None:
         return folder / settings.home
-    found = sorted(f for f in folder.glob(f"{HOME_STEM}.*") if f.suffix not in (".csv", ".yaml"))
+    found = sorted(
+        f
+        for f in folder.iterdir()
+        if f.stem.lower() == HOME_STEM and f.suffix.lower() not in ("", ".csv", ".yaml")
+    )
     if len(found) != 1:
         what = "no home image" if not found else f"{len(found)} files named home"
         raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
     return found[0]
+
+
+def _require_one_clock(folder: Path, odometry: np.ndarray, images: np.ndarray) -> None:
+    """Refuse stamps that do not overlap, before images are looked at, which takes long."""
+    spans = {"the odometry": odometry, "the images": images}
+    try:
+        require_overlap({n: (float(t[0]), float(t[-1])) for n, t in spans.items()}, OTHER_CLOCK)
+    except InputError as error:
+        raise InputError(error.what, folder) from error
 
 
 def _look_at_all(
