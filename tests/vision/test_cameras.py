@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from homeward.angles import wrap
 from homeward.errors import InputError
 from homeward.vision.camera import SECTORS, Cylindrical, Equirectangular, sector_of
-from homeward.vision.ring import Ring, find_ring
+from homeward.vision.ring import HELD_BACK, Ring, find_ring
 
 cv2 = pytest.importorskip("cv2")
 SHAPE = (100, 360)
@@ -115,9 +115,17 @@ def test_a_ring_must_lie_in_the_image():
 
 def test_centre_and_radii_are_found():
     found = find_ring(ring_picture(0, 100, centre=(260, 235)))
-    assert found.centre == pytest.approx((260, 235), abs=1)
-    assert found.inner == pytest.approx(50, abs=2)
-    assert found.outer == pytest.approx(220, abs=2)
+    assert found.centre == pytest.approx((260, 235), abs=0.5)
+    assert found.inner - HELD_BACK == pytest.approx(50, abs=0.7)
+    assert found.outer + HELD_BACK == pytest.approx(220, abs=0.7)
+
+
+def test_no_rim_is_left_in_the_panorama_of_a_ring_that_was_found():
+    image = cv2.GaussianBlur(ring_picture(0, 135), (0, 0), 0.6)
+    found = find_ring(image)
+    ring = Ring(**found._asdict(), elevations=(-0.9, 0.3))
+    panorama = ring.panorama(image)
+    assert panorama[[0, -1]].min() > 140
 
 
 def test_no_ring_is_said():

@@ -17,6 +17,10 @@ FINEST, COARSEST = 2048, 256
 """Widths of an unwrapped panorama [px]."""
 TABLE = 512
 """Radii at which a mirror's elevation is tabulated."""
+FEWEST_RAYS = 30
+"""On fewer of 360 the edge of a ring is not measured again."""
+HELD_BACK = 2.0
+"""How much of a ring that was found is left out at either edge, which is blurred there [px]."""
 
 
 class Ring(Panorama):
@@ -142,8 +146,9 @@ class FoundRing(NamedTuple):
 def find_ring(image: np.ndarray) -> FoundRing:
     """Find centre and radii of the bright ring of a catadioptric or fisheye image.
 
-    The edges are circles fitted to where the brightness leaves the dark surround, and the dark
-    middle if there is one.
+    The edges are circles fitted to where the brightness is half-way to that of the dark surround,
+    and of the dark middle if there is one. From both, `HELD_BACK` px of picture are given up: a rim
+    in the panorama turns with the camera, and is taken for a place that home saw, too.
 
     Parameters
     ----------
@@ -156,7 +161,8 @@ def find_ring(image: np.ndarray) -> FoundRing:
         When no dark surround is there to tell the ring from.
     """
     cv2 = opencv()
-    smooth = cv2.GaussianBlur(image, (0, 0), max(image.shape) / 250)
+    blur = max(image.shape) / 250
+    smooth = cv2.GaussianBlur(image, (0, 0), blur)
     border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
     dark = float(np.percentile(border, 25))
     bright = float(np.percentile(smooth, 90))
@@ -170,7 +176,44 @@ def find_ring(image: np.ndarray) -> FoundRing:
         centre, outer = _circle(outer_edge)
     inner_edge = _edge(lit, centre, outwards=True)
     inner = float(np.median(np.linalg.norm(inner_edge - centre, axis=1)))
-    return FoundRing((float(centre[0]), float(centre[1])), inner if inner > 3 else 0.0, outer)
+    # So far the blur has pushed the edges out of the ring; it finds them within a few pixels.
+    reach, contrast = 2 * blur + 3, 0.25 * (bright - dark)
+    for _ in range(2):
+        rim = _half_way(image, centre, outer, reach, contrast)
+        if len(rim) >= FEWEST_RAYS:
+            centre, outer = _circle(rim)
+    if inner > 3:
+        rim = _half_way(image, centre, inner, -reach, contrast)
+        if len(rim) >= FEWEST_RAYS:
+            inner = float(np.median(np.linalg.norm(rim - centre, axis=1)))
+        inner += HELD_BACK
+    else:
+        inner = 0.0
+    return FoundRing((float(centre[0]), float(centre[1])), inner, outer - HELD_BACK)
+
+
+def _half_way(
+    image: np.ndarray, centre: np.ndarray, radius: float, reach: float, contrast: float
+) -> np.ndarray:
+    """Return where, (n, 2), the brightness falls to half-way between ring and surround.
+
+    Along each ray, from `reach` before `radius` to as much behind it; negative for the inner edge.
+    Rays with less contrast, as where the ring itself is dark, are left out.
+    """
+    cv2 = opencv()
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    radii = np.maximum(radius + np.linspace(-reach, reach, 8 * math.ceil(abs(reach)) + 1), 0.0)
+    x = centre[0] + np.outer(np.cos(angles), radii)
+    y = centre[1] + np.outer(np.sin(angles), radii)
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32)
+    grey = cv2.remap(smooth, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
+    few = len(radii) // 4
+    ring, surround = np.median(grey[:, :few], axis=1), np.median(grey[:, -few:], axis=1)
+    lit = grey > (ring + surround)[:, None] / 2
+    last = len(radii) - 1 - lit[:, ::-1].argmax(axis=1)
+    within = (x >= 0) & (x <= image.shape[1] - 1) & (y >= 0) & (y <= image.shape[0] - 1)
+    told = np.flatnonzero((ring - surround > contrast) & within.all(axis=1))
+    return np.column_stack([x[told, last[told]], y[told, last[told]]])
 
 
 def _edge(lit: np.ndarray, centre: np.ndarray, outwards: bool) -> np.ndarray:
