@@ -16,6 +16,13 @@ def compare(
         Path | None,
         typer.Option(help="An images.yaml that names the camera; default: equirectangular."),
     ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(
+            help="An image as large as the panoramas, black where the robot itself, or anything "
+            "else that turns with the camera, is seen; default: that of images.yaml."
+        ),
+    ] = None,
 ) -> None:
     """Tell how the camera has turned since home, and where home lies.
 
@@ -30,7 +37,7 @@ def compare(
 
     settings = read_image_settings(camera)
     check_output(out, RESULT)
-    home_image, home_view = read_view(home, settings.camera)
+    home_image, home_view = read_view(home, settings.camera, mask=mask or settings.mask)
     now_image, now_view = read_view(now, settings.camera, like=home_view)
     seen = compare_views(home_view, now_view, settings.camera)
     write_comparison(out, seen, (home_image, now_image), (home_view, now_view))

@@ -19,7 +19,8 @@ def see(
     """Find landmarks in panoramas, and write their bearings as a drive folder.
 
     Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
-    camera and the home image; drive.yaml and truth.csv are handed on.
+    camera, the home image, and a mask, black where the robot itself is seen; drive.yaml and
+    truth.csv are handed on.
     """
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.errors import InputError

@@ -8,11 +8,13 @@
 from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
 from homeward.vision.compare import Comparison, compare
 from homeward.vision.features import View, look
+from homeward.vision.mask import Mask
 
 __all__ = [
     "Comparison",
     "Cylindrical",
     "Equirectangular",
+    "Mask",
     "Panorama",
     "View",
     "compare",

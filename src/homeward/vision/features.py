@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from homeward.errors import InputError
 from homeward.vision.camera import Panorama
+from homeward.vision.mask import Mask
 from homeward.vision.opencv import opencv
 from homeward.vision.picture import Picture, enlarged
 
@@ -53,6 +55,8 @@ class View:
     """(n, 128) float32, unit length (RootSIFT)."""
     picture: Picture
     """What it looks like about them."""
+    mask: Mask | None = None
+    """What of the panorama may be used; None: all of it."""
 
     def __len__(self) -> int:
         return self.column.size
@@ -80,15 +84,22 @@ class View:
         features to track", CVPR 1994), but nothing describes them by which to find them again.
         """
         grey, times = self.picture.levels[0], self.picture.times
-        found = opencv().goodFeaturesToTrack(grey, 0, CORNER_LEAST, CORNER_APART, blockSize=5)
+        pad = self.picture.margin // times
+        used = None
+        if self.mask is not None:
+            # Given to OpenCV, since the strongest corner must not be one that is left out.
+            clear = np.pad(self.mask.clear(CORNER_SIZE / times), [(0, 0), (pad, pad)], mode="wrap")
+            used = np.kron(clear, np.ones((times, times), np.uint8))
+        found = opencv().goodFeaturesToTrack(
+            grey, 0, CORNER_LEAST, CORNER_APART, mask=used, blockSize=5
+        )
         if found is None:
             return np.zeros((0, 3))
-        pad = self.picture.margin // times
         place, inside = _on_panorama(found[:, 0].astype(float), times, pad, self.shape[1])
         return np.insert(place[inside], 2, CORNER_SIZE / times, axis=1)
 
 
-def look(image: np.ndarray, camera: Panorama) -> View:
+def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     """Find the features of a panorama.
 
     Parameters
@@ -97,10 +108,24 @@ def look(image: np.ndarray, camera: Panorama) -> View:
         Grey, columns all round.
     camera : Panorama
         What its pixels look at.
+    mask : Mask, optional
+        Leaves out what turns with the camera.
+
+    Raises
+    ------
+    InputError
+        When the mask has another shape.
     """
     height, width = image.shape
     times = math.ceil(FEWEST_COLUMNS / width)
-    column, row, size, angle, descriptor = _detect(image, times)
+    found = _detect(image, times)
+    if mask is not None:
+        if mask.room.shape != image.shape:
+            (rows, columns), whole = mask.room.shape, f"{width}x{height}"
+            raise InputError(f"a mask of {columns}x{rows} pixels for a panorama of {whole}")
+        kept = mask.clear_at(*found[:3])
+        found = tuple(part[kept] for part in found)
+    column, row, size, angle, descriptor = found
     azimuth, elevation = camera.directions(column, row, (height, width))
     sigma = pixel_sigma(size) * camera.column_angle(width)
     return View(
@@ -115,6 +140,7 @@ def look(image: np.ndarray, camera: Panorama) -> View:
         sigma,
         descriptor,
         Picture.of(image, times),
+        mask,
     )
 
 

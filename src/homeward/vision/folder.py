@@ -73,7 +73,7 @@ def see_folder(
     _require_one_clock(folder, odometry.t, images.t)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
-    _, home = read_view(home_image(folder, settings), settings.camera)
+    _, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
     glances = _look_at_all(front_end, images, settings, progress)
     if unlike := sum(not glance.bearings for glance in glances):

@@ -69,7 +69,7 @@ class FrontEnd:
     Parameters
     ----------
     home : View
-        What the camera saw at home.
+        What the camera saw at home; frames are masked as it was.
     camera : Panorama
         That takes the panoramas.
     most : int
@@ -104,7 +104,7 @@ class FrontEnd:
 
     def see(self, panorama: np.ndarray) -> Glance:
         """Take a panorama, uint8 (height, width), as `Panorama.panorama` gives it."""
-        return self.take(look(panorama, self.camera))
+        return self.take(look(panorama, self.camera, self.home.mask))
 
     def take(self, view: View) -> Glance:
         """Take the next frame of the drive."""

@@ -16,6 +16,7 @@ from homeward.drives.table import naming
 from homeward.errors import InputError
 from homeward.vision.camera import Panorama
 from homeward.vision.features import View, look
+from homeward.vision.mask import Mask
 
 NARROWEST, LOWEST = 64, 16
 """Fewer columns or rows tell nothing [px]."""
@@ -63,7 +64,9 @@ def read_grey(path: Path) -> np.ndarray:
         raise InputError(f"not a whole image: {reason}", path) from None
 
 
-def read_view(path: Path, camera: Panorama, like: View | None = None) -> tuple[np.ndarray, View]:
+def read_view(
+    path: Path, camera: Panorama, like: View | None = None, mask: Path | None = None
+) -> tuple[np.ndarray, View]:
     """Read an image, and find its features.
 
     Parameters
@@ -73,7 +76,9 @@ def read_view(path: Path, camera: Panorama, like: View | None = None) -> tuple[n
     camera : Panorama
         That took it.
     like : View, optional
-        Of home: the panorama must have the same size.
+        Of home: the panorama must have the same size, and is masked as that was.
+    mask : Path, optional
+        Of home's picture, see `read_mask`.
 
     Returns
     -------
@@ -83,7 +88,7 @@ def read_view(path: Path, camera: Panorama, like: View | None = None) -> tuple[n
     Raises
     ------
     InputError
-        When the file cannot be read, or its size does not suit the camera or home.
+        When a file cannot be read, or its size does not suit the camera, home or the picture.
     """
     grey = read_grey(path)
     try:
@@ -93,7 +98,41 @@ def read_view(path: Path, camera: Panorama, like: View | None = None) -> tuple[n
     if like is not None and panorama.shape != like.shape:
         (height, width), (home_height, home_width) = panorama.shape, like.shape
         raise InputError(f"{width}x{height} pixels where home has {home_width}x{home_height}", path)
-    return panorama, look(panorama, camera)
+    masked = like.mask if like is not None else None
+    if mask is not None:
+        masked = read_mask(mask, camera, grey.shape)
+    return panorama, look(panorama, camera, masked)
+
+
+def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
+    """Read a mask from a file.
+
+    Parameters
+    ----------
+    path : Path
+        An image as for `read_grey`, as the camera's pictures are stored: a ring is unwrapped.
+    camera : Panorama
+        That takes the pictures.
+    shape : tuple of int
+        Height and width of a picture as it is stored [px].
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, has another size, or leaves nothing.
+    """
+    grey = read_grey(path)
+    if grey.shape != shape:
+        (height, width), (wanted_height, wanted_width) = grey.shape, shape
+        raise InputError(
+            f"{width}x{height} pixels: a mask is as large as the pictures, "
+            f"{wanted_width}x{wanted_height}",
+            path,
+        )
+    try:
+        return Mask.of(camera.panorama(grey))
+    except InputError as error:
+        raise InputError(error.what, path) from None
 
 
 def _check(image: Image.Image, path: Path) -> None:

@@ -22,6 +22,9 @@ class ImageSettings(Strict):
     camera: Camera = Equirectangular()
     home: str | None = None
     """File of the home image, in the folder; None: the one whose name is home.something."""
+    mask: Path | None = None
+    """A picture whose black is left out, for it turns with the camera; `read_image_settings` makes
+    it a path from here, of one from the folder of images.yaml."""
     landmarks: MostLandmarks = 30
     """How many landmarks at most are passed on from one image."""
 
@@ -43,4 +46,7 @@ def read_image_settings(path: Path | None) -> ImageSettings:
     """
     if path is None:
         return ImageSettings()
-    return read_settings(path, ImageSettings)
+    settings = read_settings(path, ImageSettings)
+    if settings.mask is None:
+        return settings
+    return settings.model_copy(update={"mask": path.parent / settings.mask})
