@@ -122,8 +122,7 @@ class Estimator(Protocol):
 
     Samples come in the order of their stamps; one that comes too late, or holds a number that is
     not finite, is counted and otherwise ignored, never an error. How late is too late is up to
-    the estimator. A twist holds from its stamp until the next
-    one's, at most `HOLD_S`.
+    the estimator. A twist holds from its stamp until the next one's, at most `HOLD_S`.
     """
 
     name: str

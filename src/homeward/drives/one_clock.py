@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
@@ -18,7 +19,9 @@ OTHER_CLOCK = (
 )
 
 
-def require_overlap(spans: Mapping[str, tuple[float, float]], advice: str) -> None:
+def require_overlap(
+    spans: Mapping[str, tuple[float, float]], advice: str, path: Path | None = None
+) -> None:
     """Refuse things of which one begins long after another ended.
 
     Parameters
@@ -27,6 +30,8 @@ def require_overlap(spans: Mapping[str, tuple[float, float]], advice: str) -> No
         First and last time of each [s], by its name.
     advice : str
         What may be the matter, for the message.
+    path : Path, optional
+        Where they were read, for the message.
 
     Raises
     ------
@@ -39,12 +44,12 @@ def require_overlap(spans: Mapping[str, tuple[float, float]], advice: str) -> No
     apart = spans[late][0] - spans[early][1]
     if apart > APART_S:
         raise InputError(
-            f"the first of {late} is {apart:,.1f} s after the last of {early}: {advice}"
+            f"the first of {late} is {apart:,.1f} s after the last of {early}: {advice}", path
         )
 
 
-def on_one_clock(drive: Drive) -> Drive:
-    """Return a drive, with a remark where most of its bearings are beyond its odometry.
+def on_one_clock(drive: Drive, path: Path) -> Drive:
+    """Return a drive of a path, with a remark where most of its bearings are beyond its odometry.
 
     Raises
     ------
@@ -58,6 +63,7 @@ def on_one_clock(drive: Drive) -> Drive:
     require_overlap(
         {"the odometry": (first, last), "the bearings": (float(seen[0]), float(seen[-1]))},
         OTHER_CLOCK,
+        path,
     )
     outside = int(((seen < first - APART_S) | (seen > last + APART_S)).sum())
     if 2 * outside <= seen.size:

@@ -84,11 +84,7 @@ def open_drive(
     choices = Choices(robot, home, home_noise, seed, named, tell)
     for reader in READERS:
         if reader.recognises(place):
-            drive = reader.read(place, choices)
-            try:
-                return on_one_clock(drive)
-            except InputError as error:
-                raise InputError(error.what, place) from error
+            return on_one_clock(reader.read(place, choices), place)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 

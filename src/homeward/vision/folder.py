@@ -70,7 +70,9 @@ def see_folder(
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
     odometry = read_odometry(folder / ODOMETRY, remarks)
-    _require_one_clock(folder, odometry.t, images.t)
+    # Before images are looked at, which takes long.
+    spans = {"the odometry": _span(odometry.t), "the images": _span(images.t)}
+    require_overlap(spans, OTHER_CLOCK, folder)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
     _, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
@@ -110,13 +112,9 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     return found[0]
 
 
-def _require_one_clock(folder: Path, odometry: np.ndarray, images: np.ndarray) -> None:
-    """Refuse stamps that do not overlap, before images are looked at, which takes long."""
-    spans = {"the odometry": odometry, "the images": images}
-    try:
-        require_overlap({n: (float(t[0]), float(t[-1])) for n, t in spans.items()}, OTHER_CLOCK)
-    except InputError as error:
-        raise InputError(error.what, folder) from error
+def _span(t: np.ndarray) -> tuple[float, float]:
+    """Return the first and the last of times in order [s]."""
+    return float(t[0]), float(t[-1])
 
 
 def _look_at_all(

@@ -218,15 +218,14 @@ class HomeSight:
         jacobian = np.eye(3)
         jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
         slip = np.array([SLIP * way, SLIP * way, TURN_SLIP * motion.heading])
-        noise = np.diag(slip**2 + self._white_noise(fix.t, t))
+        held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, fix.t)
+        held = np.clip(held, 0.0, HOLD_S)
+        noise = np.diag(slip**2 + self._white_noise(held, v, omega))
         covariance = jacobian @ fix.covariance @ jacobian.T + noise
         return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
 
-    def _white_noise(self, since: float, t: float) -> np.ndarray:
-        """Return the variances, (3,), that odometry's noise adds to a pose up to `t` [s]."""
-        times, v, omega = np.array(self._twists).T
-        held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, since)
-        held = np.clip(held, 0.0, HOLD_S)
+    def _white_noise(self, held: np.ndarray, v: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        """Return the variances, (3,), that odometry's noise adds over twists `held` so long [s]."""
         moving = (v != 0.0) | (omega != 0.0)
         done = np.array([held @ moving, held @ np.abs(v), held @ np.abs(omega)])
         along, _, heading = self._noise_rates @ done
