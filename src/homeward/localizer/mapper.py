@@ -10,9 +10,10 @@ import numpy as np
 from homeward.drives.drive import DriveSettings
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
+from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless, leap
-from homeward.localizer.marginal import HEAD, Marginal, Prediction
+from homeward.localizer.marginal import Marginal, Prediction
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
 from homeward.localizer.preintegration import Motion
@@ -30,8 +31,6 @@ SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
 LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
 """... and when a landmark moved by more of its distance [1], or the robot turned by more [rad]."""
-HEAVY_TAIL = 3.0
-"""Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
 DRIFT_S, DRIFT_SHARE = 600.0, 0.2
 """The calibration drifts by this share of its a-priori deviation in this time [s]."""
 
@@ -144,7 +143,8 @@ class Mapper:
             self._add_keyframe(t, motion)
         since = Motion.none() if fresh else motion
         rows = self._rows(since, names, bearings, deviations)
-        innovations, prediction = self._judge(motion, fresh, names, rows)
+        gate = self._settings.gate
+        innovations, prediction = judge(self.marginal, motion, fresh, names, rows, gate)
         if self.lost.was_lifted(innovations):
             self._lose(t)
             return innovations, self._look_around(t, names, bearings, deviations)
@@ -156,26 +156,6 @@ class Mapper:
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
         return innovations, fresh or changed or anew
-
-    def _judge(
-        self, motion: Motion, fresh: bool, names: list[str], rows: np.ndarray
-    ) -> tuple[list[Innovation], Prediction]:
-        """Compare the sightings of mapped landmarks with what the map predicts after a motion."""
-        known = rows[:, LANDMARK] >= 0
-        prediction = self.marginal.predict(rows[known])
-        shift = motion.covariance[0, 0] + motion.covariance[1, 1]
-        drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-        variance = prediction.spread.diagonal() + (0.0 if fresh else drift)
-        widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
-        accepted = np.abs(prediction.residual) <= self._settings.gate * widened
-        told = zip(
-            [n for n, k in zip(names, known.tolist(), strict=True) if k],
-            prediction.residual.tolist(),
-            np.sqrt(variance).tolist(),
-            accepted.tolist(),
-            strict=True,
-        )
-        return [Innovation(*each) for each in told], prediction
 
     def _wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
