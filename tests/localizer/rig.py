@@ -107,10 +107,10 @@ class Rig:
         answer, truth = self.answers[-1]
         return math.hypot(answer.pose.x - truth.x, answer.pose.y - truth.y)
 
-    def wrong_share(self) -> float:
+    def wrong_share(self, since: int = 0) -> float:
         """Return the share of poses farther off than 4 sigma; check that all are finite."""
-        wrong = 0
-        for answer, truth in self.answers:
+        wrong, answers = 0, self.answers[since:]
+        for answer, truth in answers:
             if answer.pose is None:
                 assert answer.covariance is None
                 assert answer.status in (Status.WAITING, Status.MAPPING)
@@ -120,7 +120,7 @@ class Rig:
             assert np.linalg.eigvalsh(answer.covariance)[0] >= -1e-12
             d = np.array([answer.pose.x - truth.x, answer.pose.y - truth.y])
             wrong += d @ np.linalg.solve(answer.covariance[:2, :2], d) > 16.0
-        return wrong / len(self.answers)
+        return wrong / len(answers)
 
     def moved(self) -> set[str]:
         """Return the landmarks that are said to have been moved."""

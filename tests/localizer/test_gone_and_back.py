@@ -10,6 +10,11 @@ from homeward.estimator import Status
 from homeward.frames import Pose
 
 
+def carried(pose, metres, way):
+    """A pose so far away in a direction, of the same heading."""
+    return Pose(pose.x + metres * math.cos(way), pose.y + metres * math.sin(way), pose.heading)
+
+
 def test_bearings_gone_for_a_minute_and_back():
     rig = Rig(ring(8))
     rig.drive(40)
@@ -78,6 +83,48 @@ def test_kidnapped_and_localised_again():
     ]
     # Nobody can know at once; it must not go on for more than a few seconds.
     assert sum(lying) * 0.2 < 5.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("metres", [0.4, 0.6, 1.5])
+def test_shoved_without_turning(metres, seed):
+    rig = Rig(ring(10, seed), seed)
+    rig.drive(60)
+    said, way = len(rig.answers), rig.rng.uniform(-math.pi, math.pi)
+    rig.pose = carried(rig.pose, metres, way)
+    rig.drive(30)
+    assert rig.error() < 0.1
+    assert rig.wrong_share(said) * 30 < 2.0  # so many seconds
+    assert not rig.moved()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_wheels_that_slip(seed):
+    rig = Rig(ring(10, seed), seed)
+    rig.drive(60)
+    said, way = len(rig.answers), rig.pose.heading
+    for _ in range(10):
+        rig.drive(0.2)
+        rig.pose = carried(rig.pose, 0.08, way)
+    rig.drive(30)
+    assert rig.error() < 0.1
+    assert rig.wrong_share(said) * 32 < 5.0
+
+
+def test_sightings_that_agree_by_chance_do_not_carry_the_robot_off():
+    rig = Rig(ring(10))
+
+    def some_at_random(seen):
+        return {
+            name: rig.rng.uniform(-math.pi, math.pi) if rig.rng.random() < 0.3 else b
+            for name, b in seen.items()
+        }
+
+    rig.drive(60)
+    said = len(rig.answers)
+    rig.drive(120, see=some_at_random)
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.wrong_share(said) == 0
 
 
 @pytest.mark.parametrize("gap", [0.0, 7200.0])

@@ -18,7 +18,7 @@ from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
-from homeward.localizer.sightings import NC, bearing_residuals, sighting_rows
+from homeward.localizer.sightings import NC, Look, bearing_residuals, sighting_rows
 from homeward.localizer.triangulation import triangulate
 
 NOTHING = np.zeros(len(CALIBRATION))
@@ -131,7 +131,8 @@ def test_bearings_have_the_derivatives_they_say():
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
-    row = sighting_rows(0, 0.4 * one, 0.01 * one, motion, mount, calibration)
+    look = Look(1.7, ["a"], 0.4 * one, 0.01 * one)
+    row = sighting_rows(0, look, motion, mount, calibration)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):

@@ -10,7 +10,7 @@ from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.landmarks import MOST_FROM_HOME
 from homeward.localizer.odometry import Odometry
-from homeward.localizer.sightings import LANDMARK, NC, sighting_rows
+from homeward.localizer.sightings import LANDMARK, NC, Look, sighting_rows
 from homeward.localizer.smoothing import _bridged
 from homeward.localizer.window import Window
 
@@ -50,7 +50,8 @@ def seen(rng, window):
     sigmas = np.full(len(POINTS), 0.005)
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     still = odometry.motion(-math.inf, window.calibration)
-    rows = sighting_rows(window.newest, bearings, sigmas, still, MOUNT, window.calibration)
+    look = Look(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
+    rows = sighting_rows(window.newest, look, still, MOUNT, window.calibration)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows
 

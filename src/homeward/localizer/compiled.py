@@ -13,7 +13,7 @@ _SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "verdict.c", "motion
 _FUNCTIONS = {
     "residuals": "i" + 6 * "a",
     "add_sightings": "iiiid" + 10 * "a",
-    "add_odometry": "ii" + 10 * "a",
+    "add_odometry": "iid" + 10 * "a",
     "eliminate": "ii" + 6 * "a",
     "substitute": "ii" + 3 * "a",
     "move_on": "i" + 6 * "a",

@@ -31,14 +31,17 @@ def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
 def add_odometry(
     e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (5,)."""
+    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (5,).
+
+    Those far off have less weight, as sightings do: wheels slip, and robots are shoved.
+    """
     if len(poses) < 2:
         return
     native = compiled()
     if native is not None:
         sums = (e.own, e.next, e.shared, e.common, e.slope, e.common_slope)
         told = (poses, _turns(poses), calibration, steps, *sums)
-        native.add_odometry(len(poses), len(e.common), *told)
+        native.add_odometry(len(poses), len(e.common), TRUSTED, *told)
         return
     a, b = poses[:-1], poses[1:]
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -55,6 +58,8 @@ def add_odometry(
     jacobian[:, 0, 4], jacobian[:, 1, 3] = s, -s
     jacobian[:, :, 6:] = -by_calibration
     information = np.linalg.inv(steps[:, NOISE].reshape(-1, 3, 3))
+    square = np.einsum("ki,kij,kj->k", error, information, error)
+    information /= np.maximum(square / TRUSTED**2, 1.0)[:, None, None]
     weighted = jacobian.transpose(0, 2, 1) @ information
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]

@@ -1,8 +1,7 @@
-"""A robot that was lifted, or whose odometry was gone: is it lost, and where is it in its map."""
+"""A robot that was lifted or shoved, or whose odometry was gone: where is it in its map."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import numpy as np
@@ -22,29 +21,84 @@ LOST_RAD, LOST_SHARE = 0.7, 1.0
 """A motion less certain than this, against the landmarks' distance [1], tells nothing."""
 NOTHING_M = 0.01
 """So little is nothing among any landmarks [m]."""
+FITS, SUSPECT_SHARE = 3.0, 0.5
+"""When such a share of a stamp's sightings is off by more [standard deviations], the robot may have
+been shoved ..."""
+GAIN = 5
+"""... and was, if from elsewhere so many more fit: three always can, by chance."""
 LOST_AGAIN_RAD = 0.3
 """Sight lines of a lost robot hold together while their headings are better known than this."""
 
 
+class Search:
+    """A search for the robot in its map, by what it sees along its way.
+
+    Parameters
+    ----------
+    begin : Motion
+        From the newest keyframe to where the search begins; none where that is unknown.
+    """
+
+    def __init__(self, begin: Motion | None = None) -> None:
+        self._to_keyframe = Motion.none() if begin is None else begin.back()
+        self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=RECENT)
+
+    def way(self, motion: Motion) -> Motion:
+        """Return the motion since the search began, from that since the newest keyframe."""
+        return self._to_keyframe.then(motion)
+
+    def add_keyframe(self, motion: Motion) -> None:
+        """Let there be another keyframe, reached by a motion."""
+        self._to_keyframe = self.way(motion)
+
+    def see(self, names: list[str], rows: np.ndarray) -> None:
+        """Keep sightings of mapped landmarks, rows of the table from where the search began."""
+        pairs = zip(names, rows, strict=True)
+        self._seen.extend((n, row) for n, row in pairs if row[LANDMARK] >= 0)
+
+    def find(
+        self, landmarks: Landmarks, marginal: Marginal, calibration: np.ndarray, fewest: int = 0
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return where the search began, in the map, and the covariance of that.
+
+        So many sightings must agree on it at the fewest.
+        """
+        known = [(n, r) for n, r in self._seen if n in landmarks.mapped]
+        if not known:
+            return None
+        rows = np.array([r for _, r in known])
+        numbers = landmarks.number([n for n, _ in known])
+        positions, covariances = marginal.places(numbers)
+        by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
+        lines = SightLines(
+            cameras=rows[:, OFFSET] + by_calibration @ calibration,
+            bearings=rows[:, BEARING],
+            sigmas=rows[:, SIGMA],
+            names=numbers,
+            positions=positions,
+            covariances=covariances,
+        )
+        return relocate(lines, fewest)
+
+
 class Lost:
-    """What tells that the robot is lost, and where it is found again."""
+    """What tells that the robot is lost, and the search for it."""
 
     def __init__(self) -> None:
         self.since: float | None = None
         """Since when the robot does not know where in its map it is [s]."""
+        self.search = Search()
         self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
-        self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=RECENT)
 
     def begin(self, t: float) -> None:
         """Be lost from `t` [s] on."""
         self.since = t
-        self._seen.clear()
+        self.search = Search()
         self._recent.clear()
 
     def end(self) -> None:
         """Be lost no longer."""
         self.since = None
-        self._seen.clear()
         self._recent.clear()
 
     def was_lifted(self, innovations: list[Innovation]) -> bool:
@@ -62,32 +116,55 @@ class Lost:
         others = [fits for name, fits in self._recent if name not in names]
         return bool(others) and sum(others) >= FITTING_SHARE * len(others)
 
-    def see(self, names: list[str], rows: np.ndarray) -> None:
-        """Keep sightings of mapped landmarks, rows of the table from where the robot was lost."""
-        pairs = zip(names, rows, strict=True)
-        self._seen.extend((n, row) for n, row in pairs if row[LANDMARK] >= 0)
 
-    def find(
-        self, landmarks: Landmarks, marginal: Marginal, calibration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return where the robot was lost, in the map, and the covariance of that."""
-        known = [(n, r) for n, r in self._seen if n in landmarks.mapped]
-        if not known:
+class Shoved:
+    """What tells that the robot was shoved, or its wheels slipped: it sees its map from elsewhere.
+
+    The gate bears with odometry that is worse than its noise says; so a robot that was carried a
+    little way may go on unawares, and bend its map. Where too much is off, another place is looked
+    for from which nearly all would fit.
+    """
+
+    def __init__(self) -> None:
+        self._search: Search | None = None
+        self._fits: deque[bool] = deque(maxlen=RECENT)
+
+    def clear(self) -> None:
+        """Drop the suspicion, if any."""
+        self._search = None
+        self._fits.clear()
+
+    def add_keyframe(self, motion: Motion) -> None:
+        """Let there be another keyframe, reached by a motion."""
+        if self._search is not None:
+            self._search.add_keyframe(motion)
+
+    def suspicion(self, innovations: list[Innovation], motion: Motion) -> tuple[Search, int] | None:
+        """Return a search for the robot, and how many sightings must agree for it to be moved.
+
+        Parameters
+        ----------
+        innovations : list of Innovation
+            What it saw ...
+        motion : Motion
+            ... so much after the newest keyframe.
+
+        Returns
+        -------
+        tuple of Search and int
+            None where it is where it was thought to be, for all that is seen.
+        """
+        fits = [abs(i.value) <= FITS * i.sigma for i in innovations]
+        if self._search is None:
+            if not fits or sum(fits) > SUSPECT_SHARE * len(fits):
+                return None
+            self._search = Search(motion)
+        self._fits.extend(fits)
+        held = self._search.way(motion).covariance[2, 2] < LOST_AGAIN_RAD**2
+        if not held or sum(self._fits) >= FITTING_SHARE * len(self._fits):
+            self.clear()
             return None
-        rows = np.array([r for _, r in known])
-        numbers = landmarks.number([n for n, _ in known])
-        positions, covariances = marginal.places(numbers)
-        by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
-        return relocate(
-            SightLines(
-                cameras=rows[:, OFFSET] + by_calibration @ calibration,
-                bearings=rows[:, BEARING],
-                sigmas=rows[:, SIGMA],
-                names=numbers,
-                positions=positions,
-                covariances=covariances,
-            )
-        )
+        return self._search, sum(self._fits) + GAIN
 
 
 def hopeless(motion: Motion, marginal: Marginal) -> bool:
@@ -114,9 +191,6 @@ def leap(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
 
     The landmarks' errors are in that pose too, so its covariance is doubled.
     """
-    x, y, psi = last.tolist()
-    c, s = math.cos(psi), math.sin(psi)
-    inverse = np.array([-c * x - s * y, s * x - c * y, -psi])  # heading not wrapped
     nothing = np.zeros((3, NC))
-    back = Motion(inverse, np.zeros((3, 3)), nothing)
+    back = Motion(last, np.zeros((3, 3)), nothing).back()
     return back.then(Motion(pose, 2.0 * covariance, nothing))

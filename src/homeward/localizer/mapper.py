@@ -12,13 +12,13 @@ from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, hopeless, leap
+from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, Search, Shoved, hopeless, leap
 from homeward.localizer.marginal import Marginal, Prediction
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.sightings import LANDMARK, SIGMA, sighting_rows
+from homeward.localizer.sightings import LANDMARK, SIGMA, Look, sighting_rows
 from homeward.localizer.window import NEAR_M, Window
 
 MOST_PER_KEYFRAME = 12
@@ -59,11 +59,11 @@ class Mapper:
         self._begin_map(0.0)
         self.begun_anew = False
         """Whether the first map was thrown away, and the origin with it."""
-        self.lost = Lost()
 
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
         self.window: Window = self._new_window()
+        self.lost, self._shoved = Lost(), Shoved()
         self.landmarks = Landmarks(self._settings.parallax)
         self._taken: dict[str, int] = {}
         self.begin(t)
@@ -129,6 +129,7 @@ class Mapper:
         bearings = np.array([sightings[n] for n in names])
         self.noise.see(t, {n: b for n, b in sightings.items() if n not in sigmas})
         deviations = np.array([sigmas.get(n, self.noise.sigma) for n in names])
+        look = Look(t, names, bearings, deviations)
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.lost.since is None and hopeless(motion, self.marginal)
         anew = gone and not self.landmarks.mapped
@@ -137,17 +138,20 @@ class Mapper:
         elif gone:
             self._lose(t)
         if self.lost.since is not None:
-            return [], self._look_around(t, names, bearings, deviations)
+            return [], self._look_around(look)
         fresh = self._wants_keyframe(t, motion)
         if fresh:
             self._add_keyframe(t, motion)
         since = Motion.none() if fresh else motion
-        rows = self._rows(since, names, bearings, deviations)
+        rows = self._rows(since, look)
         gate = self._settings.gate
         innovations, prediction = judge(self.marginal, motion, fresh, names, rows, gate)
         if self.lost.was_lifted(innovations):
             self._lose(t)
-            return innovations, self._look_around(t, names, bearings, deviations)
+            return innovations, self._look_around(look)
+        suspicion = self._shoved.suspicion(innovations, since)
+        if suspicion and self._relocated(*suspicion, since, look):
+            return innovations, True
         fits = {i.landmark: i.accepted for i in innovations}
         rows[:, SIGMA] = np.sqrt(deviations**2 + since.covariance[2, 2])
         kept = self._keep(t, names, rows, fits)
@@ -175,17 +179,15 @@ class Mapper:
             self._due = not self._take(self.marginal.corrected(seen))
         self.marginal = self.marginal.after(motion, linearised)
         self.window.adopt(self.marginal)
+        self._shoved.add_keyframe(motion)
         self._odometry.restart(t)
         self._taken.clear()
         self._between = []
 
-    def _rows(
-        self, motion: Motion, names: list[str], bearings: np.ndarray, sigmas: np.ndarray
-    ) -> np.ndarray:
+    def _rows(self, motion: Motion, look: Look) -> np.ndarray:
         """Return sightings as rows of the window's table, seen after a motion since its newest."""
-        w = self.window
-        rows = sighting_rows(w.newest, bearings, sigmas, motion, self._mount, w.calibration)
-        rows[:, LANDMARK] = self.landmarks.number(names)
+        rows = sighting_rows(self.window.newest, look, motion, self._mount, self.window.calibration)
+        rows[:, LANDMARK] = self.landmarks.number(look.names)
         return rows
 
     def _keep(
@@ -222,7 +224,6 @@ class Mapper:
         except np.linalg.LinAlgError:
             self._counts.reject("the map was thrown away")
             self._begin_anew(self.window.stamps[-1])
-            self.lost.end()
         self._between = []
 
     def _take(self, corrected: Marginal) -> bool:
@@ -268,22 +269,29 @@ class Mapper:
         """Begin to look for the robot in its map, from where it is at `t` [s]."""
         self._odometry.restart(t)
         self.lost.begin(t)
+        self._shoved.clear()
 
-    def _look_around(
-        self, t: float, names: list[str], bearings: np.ndarray, sigmas: np.ndarray
-    ) -> bool:
+    def _look_around(self, look: Look) -> bool:
         """Gather sight lines of a lost robot; return whether they tell where it is."""
-        motion = self.motion(t)
+        motion = self.motion(look.t)
         if motion.covariance[2, 2] > LOST_AGAIN_RAD**2:
-            self._lose(t)
+            self._lose(look.t)
             motion = Motion.none()
-        self.lost.see(names, self._rows(motion, names, bearings, sigmas))
-        found = self.lost.find(self.landmarks, self.marginal, self.window.calibration)
+        if self._relocated(self.lost.search, 0, motion, look):
+            return True
+        self._counts.reject("the robot is lost in its map", len(look.names))
+        return False
+
+    def _relocated(self, search: Search, fewest: int, motion: Motion, look: Look) -> bool:
+        """Look from where in the map so many sightings fit; move the robot there if it is told."""
+        way = search.way(motion)
+        search.see(look.names, self._rows(way, look))
+        found = search.find(self.landmarks, self.marginal, self.window.calibration, fewest)
         if found is None:
-            self._counts.reject("the robot is lost in its map", len(names))
             return False
-        self._add_keyframe(t, leap(self.window.poses[-1], *found).then(motion))
+        self._add_keyframe(look.t, leap(self.window.poses[-1], *found).then(way))
         self.lost.end()
-        self._keep(t, names, self._rows(Motion.none(), names, bearings, sigmas), {})
+        self._shoved.clear()
+        self._keep(look.t, look.names, self._rows(Motion.none(), look), {})
         self._correct(None)
         return True

@@ -18,7 +18,7 @@ from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
 HEAD = 3 + NC
 """The Gaussian begins with the newest pose and the calibration."""
 TRUSTED = 4.0
-"""Residuals beyond this many standard deviations lose weight, by the square."""
+"""What is off by more standard deviations than this loses weight, by the square."""
 
 
 @dataclass(frozen=True)

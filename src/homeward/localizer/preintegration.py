@@ -66,6 +66,13 @@ class Motion:
             self.turned + later.turned,
         )
 
+    def back(self) -> Motion:
+        """Return the motion back to the start, taken for exact and known."""
+        x, y, turn = self.delta.tolist()
+        c, s = math.cos(turn), math.sin(turn)
+        delta = np.array([-c * x - s * y, s * x - c * y, -turn])
+        return Motion(delta, np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
+
 
 def integrate(
     pieces: np.ndarray, calibration: np.ndarray, rates: np.ndarray, straightest: float

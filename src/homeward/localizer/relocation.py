@@ -49,8 +49,15 @@ class SightLines:
     """(m, 2, 2)"""
 
 
-def relocate(lines: SightLines) -> tuple[np.ndarray, np.ndarray] | None:
+def relocate(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
     """Return where the robot was lost, in the map, and the covariance of that.
+
+    Parameters
+    ----------
+    lines : SightLines
+        What it saw since.
+    fewest : int, optional
+        So many lines must agree at least.
 
     Returns
     -------
@@ -71,7 +78,7 @@ def relocate(lines: SightLines) -> tuple[np.ndarray, np.ndarray] | None:
         if not any(_same(refined[1], f[1], apart) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < max(FEWEST_LINES, SHARE * len(lines.names)):
+    if not found or found[0][0] < max(FEWEST_LINES, SHARE * len(lines.names), fewest):
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None

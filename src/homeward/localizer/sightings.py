@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +19,21 @@ COLUMNS = 7 + 3 * NC
 deviation [rad], the camera's pose in the keyframe's, and its derivative by the calibration."""
 
 
+class Look(NamedTuple):
+    """What the camera saw at one stamp."""
+
+    t: float
+    """[s]"""
+    names: list[str]
+    """Of m landmarks."""
+    bearings: np.ndarray
+    """(m,) [rad]"""
+    sigmas: np.ndarray
+    """(m,): their standard deviations [rad]."""
+
+
 def sighting_rows(
-    keyframe: int,
-    bearings: np.ndarray,
-    sigmas: np.ndarray,
-    motion: Motion,
-    mount: np.ndarray,
-    calibration: np.ndarray,
+    keyframe: int, look: Look, motion: Motion, mount: np.ndarray, calibration: np.ndarray
 ) -> np.ndarray:
     """Return rows of the table for the sightings of one stamp, their landmarks still open (-1).
 
@@ -32,8 +41,8 @@ def sighting_rows(
     ----------
     keyframe : int
         Its number.
-    bearings, sigmas : ndarray, shape (m,)
-        [rad]
+    look : Look
+        Of m landmarks.
     motion : Motion
         From the keyframe to the stamp.
     mount : ndarray, shape (3,)
@@ -53,9 +62,9 @@ def sighting_rows(
     jacobian[1] += swung_x * jacobian[2]
     jacobian[2, CAMERA_YAW] += 1.0
     offset = np.array([x + swung_x, y + swung_y, turn + mount[2] + calibration[CAMERA_YAW]])
-    rows = np.empty((len(bearings), COLUMNS))
+    rows = np.empty((len(look.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
-    rows[:, BEARING], rows[:, SIGMA] = bearings, sigmas
+    rows[:, BEARING], rows[:, SIGMA] = look.bearings, look.sigmas
     rows[:, OFFSET] = offset - jacobian @ calibration
     rows[:, OFFSET_JACOBIAN] = jacobian.ravel()
     return rows

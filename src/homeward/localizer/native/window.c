@@ -46,8 +46,8 @@ int add_sightings(long w, long n, long m, long first, double trusted, const doub
   return 0;
 }
 
-/* Add the steps (w - 1, STEP) between w poses. */
-void add_odometry(long w, long a, const double *poses, const double *turns,
+/* Add the steps (w - 1, STEP) between w poses, those far off at less weight. */
+void add_odometry(long w, long a, double trusted, const double *poses, const double *turns,
                   const double *calibration, const double *steps, double *own, double *next,
                   double *shared, double *common, double *slope, double *common_slope) {
   enum { ALL = 6 + NC };
@@ -68,6 +68,12 @@ void add_odometry(long w, long a, const double *poses, const double *turns,
     }
     double block[ALL][ALL], downhill[ALL], information[9];
     invert(steps + NOISE, information);
+    double square = 0.0;
+    for (int i = 0; i < 3; i++)
+      for (int q = 0; q < 3; q++) square += error[i] * information[3 * i + q] * error[q];
+    const double excess = square / (trusted * trusted);
+    if (excess > 1.0)
+      for (int i = 0; i < 9; i++) information[i] /= excess;
     for (int i = 0; i < ALL; i++) {
       double weighted[3];
       for (int q = 0; q < 3; q++) {
