@@ -43,17 +43,20 @@ def test_a_fifth_of_the_ids_swapped():
     assert rig.localizer.counts.rejected
 
 
-def test_a_landmark_that_moves_during_the_drive_is_noticed():
-    rig = Rig(ring(8))
+@pytest.mark.parametrize("metres", [0.5, 1.2])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_landmark_that_moves_during_the_drive_is_noticed(seed, metres):
+    rig = Rig(ring(8, seed), seed)
     rig.drive(60)
     x, y = rig.landmarks["L3"]
-    rig.landmarks["L3"] = (x - 1.2 * y / math.hypot(x, y), y + 1.2 * x / math.hypot(x, y))
+    aside = metres / math.hypot(x, y)
+    rig.landmarks["L3"] = (x - aside * y, y + aside * x)
     when = rig.t
     rig.drive(60)
     assert rig.error() < 0.1
     assert rig.wrong_share() < 0.01
     (known,) = [m for m in rig.localizer.landmarks() if m.landmark == "L3"]
-    assert known.moved_at == pytest.approx(when, abs=15)
+    assert known.moved_at == pytest.approx(when, abs=2)
     assert known.moved
     assert math.hypot(known.x - rig.landmarks["L3"][0], known.y - rig.landmarks["L3"][1]) < 0.4
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from homeward.estimator import Innovation
@@ -11,6 +13,10 @@ from homeward.localizer.sightings import LANDMARK
 
 HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
+FEWEST = 3
+"""Of so many sightings one can be told from the others."""
+FINEST = 1e-6
+"""No bearing is taken for better than this [rad]."""
 
 
 def judge(
@@ -51,6 +57,10 @@ def judge(
     variance = prediction.spread.diagonal() + (0.0 if fresh else drift)
     widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
+    if accepted.sum() >= FEWEST:
+        among = prediction.only(accepted)
+        by_motion = (HEAVY_TAIL**2 - fresh) * _from_motion(marginal, motion, fresh, among)
+        accepted[accepted] = agreeing(among.residual, among.spread + by_motion, gate)
     told = zip(
         [n for n, k in zip(names, known.tolist(), strict=True) if k],
         prediction.residual.tolist(),
@@ -59,3 +69,48 @@ def judge(
         strict=True,
     )
     return [Innovation(*each) for each in told], prediction
+
+
+def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarray:
+    """Return which residuals agree with each other.
+
+    One after the other, the one is left out that is farthest from what the others let expect
+    (data snooping: Baarda, "A testing procedure for use in geodetic networks", 1968).
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        [rad]
+    spread : ndarray, shape (m, m)
+        Their covariance.
+    gate : float
+        The farthest may be so far off [standard deviations].
+
+    Returns
+    -------
+    ndarray, shape (m,), bool
+    """
+    kept = np.ones(residual.size, bool)
+    information = np.linalg.inv(spread + FINEST**2 * np.eye(residual.size))
+    while kept.sum() >= FEWEST:
+        weight = np.sqrt(np.where(kept, information.diagonal(), np.inf))
+        off = np.abs(information @ residual) / weight
+        worst = int(off.argmax())
+        if off[worst] <= gate:
+            break
+        kept[worst] = False
+        row = information[worst].copy()
+        information -= np.outer(row, row) / row[worst]
+    return kept
+
+
+def _from_motion(
+    marginal: Marginal, motion: Motion, fresh: bool, prediction: Prediction
+) -> np.ndarray:
+    """Return the covariance of residuals (m, m) that comes from a motion's noise."""
+    heading = marginal.mean[2] - (motion.delta[2] if fresh else 0.0)
+    c, s = math.cos(heading), math.sin(heading)
+    to_map = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    off = prediction.jacobian[:, HEAD:]
+    by_motion = np.column_stack([-off, -np.ones(len(off))]) @ to_map
+    return np.asarray(by_motion @ motion.covariance @ by_motion.T)

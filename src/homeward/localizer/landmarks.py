@@ -30,6 +30,8 @@ PLACED = 0.3
 """Only a landmark seen under this angle can be said to have moved [rad] ..."""
 ESTABLISHED = 12
 """... and seen so often before, and so often since where it is now."""
+AS_WELL = 2.0
+"""Where another landmark is off by less than so many times as much, it is that one."""
 MISFIT, FEWEST_TO_JUDGE = 4.0, 6
 """A landmark is taken out when most of at least so many sightings are so many deviations off."""
 
@@ -118,7 +120,8 @@ class Landmarks:
                 self._waiting.setdefault(name, Waiting(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
-                self._waiting.pop(name, None)
+                if not landmark.refused:
+                    self._waiting.pop(name, None)
         window.add_sightings(rows[rows[:, LANDMARK] >= 0])
 
     def doubt(self, t: float, name: str, row: np.ndarray) -> None:
@@ -159,12 +162,14 @@ class Landmarks:
         rows = np.array(waiting.rows)
         found = self._triangulate(window, rows)
         known = name in self.mapped
-        if found is None or (known and not self._has_moved(window, name, rows[found[1]])):
+        if found is None or (known and not self._has_moved(window, name, rows[found[1]], found[0])):
             waiting.due = MORE * len(rows)
             self._waiting[name] = waiting  # behind the others
             return False
         position, agree = found
-        if known:
+        if known and self._was_there(window, name, position):
+            self._drop(window, name)  # it was never elsewhere, but wrongly started
+        elif known:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
         rows = rows[agree]
@@ -196,24 +201,29 @@ class Landmarks:
             return None
         return triangulate(eyes, rows[:, BEARING], _line_sigmas(window, rows), self._parallax)
 
-    def _has_moved(self, window: Window, name: str, rows: np.ndarray) -> bool:
-        """Return whether sightings that agree on another place show that a landmark is there."""
-        return len(rows) >= ESTABLISHED and not self._is_another(window, name, rows)
+    def _has_moved(self, window: Window, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
+        """Return whether sightings that agree on a position (2,) show that a landmark is there."""
+        return len(rows) >= ESTABLISHED and not self._is_another(window, name, rows, position)
 
-    def _is_another(self, window: Window, name: str, rows: np.ndarray) -> bool:
-        """Return whether sightings under a name are explained by another landmark of the map."""
+    def _was_there(self, window: Window, name: str, position: np.ndarray) -> bool:
+        """Return whether what was seen of a landmark before fits a new position (2,) as well."""
+        rows = window.sightings[window.sightings[:, LANDMARK] == self.mapped[name].number]
+        off = _off(window, rows, position[None])[0]
+        return bool((off < AGREES * rows[:, SIGMA]).sum() >= SHARE * max(len(rows), 1))
+
+    def _is_another(
+        self, window: Window, name: str, rows: np.ndarray, position: np.ndarray
+    ) -> bool:
+        """Return whether another landmark of the map explains sightings as well as a position."""
         others = np.delete(window.positions, self.mapped[name].number, axis=0)
-        eyes = cameras(rows, window.poses_of(rows), window.calibration)
-        sight = others[:, None, :] - eyes[:, :2]
-        expected = np.arctan2(sight[:, :, 1], sight[:, :, 0]) - eyes[:, 2]
-        fits = np.abs(wrap(rows[:, BEARING] - expected)) < AGREES * _line_sigmas(window, rows)
-        return bool((fits.mean(axis=1) >= SHARE).any())
+        own, *off = np.median(_off(window, rows, np.vstack([position, others])), axis=1).tolist()
+        return any(each < AS_WELL * own for each in off)
 
     def refused(self, fits: Mapping[str, bool]) -> list[str]:
         """Count which sightings of a stamp fitted; return the landmarks refused again and again."""
         for name, fit in fits.items():
             landmark = self.mapped[name]
-            landmark.refused = 0 if fit else landmark.refused + 1
+            landmark.refused = max(landmark.refused + (-2 if fit else 1), 0)
         return [name for name in fits if self.mapped[name].refused >= REFUSED]
 
     def restart(self, window: Window, names: list[str]) -> bool:
@@ -272,6 +282,14 @@ class Landmarks:
             waiting.due = min(waiting.due, MORE * len(waiting.rows) + 1)
             if not waiting.rows:
                 del self._waiting[name]
+
+
+def _off(window: Window, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return how far sightings (m) are off what places (k, 2) let expect, shape (k, m) [rad]."""
+    eyes = cameras(rows, window.poses_of(rows), window.calibration)
+    sight = places[:, None, :] - eyes[:, :2]
+    expected = np.arctan2(sight[:, :, 1], sight[:, :, 0]) - eyes[:, 2]
+    return np.asarray(np.abs(wrap(rows[:, BEARING] - expected)))
 
 
 def _line_sigmas(window: Window, rows: np.ndarray) -> np.ndarray:

@@ -154,8 +154,8 @@ class Mapper:
             return innovations, True
         fits = {i.landmark: i.accepted for i in innovations}
         rows[:, SIGMA] = np.sqrt(deviations**2 + since.covariance[2, 2])
-        kept = self._keep(t, names, rows, fits)
         refused = self.landmarks.refused(fits)
+        kept = self._keep(t, names, rows, fits)
         changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))

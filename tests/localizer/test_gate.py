@@ -1,0 +1,44 @@
+"""The gate: which sightings of a stamp agree with the others."""
+
+import numpy as np
+import pytest
+
+from homeward.localizer.gate import agreeing
+
+
+def spread(m, common, noise=0.01):
+    """Covariance of m residuals that share one unknown turn, and have noise of their own [rad]."""
+    return common**2 * np.ones((m, m)) + noise**2 * np.eye(m)
+
+
+def test_what_all_have_in_common_is_no_reason_to_leave_one_out():
+    assert agreeing(np.full(8, 0.3), spread(8, 0.1), 4.0).all()
+
+
+def test_one_that_differs_is_left_out_though_it_is_within_what_all_may_have_in_common():
+    residual = np.full(8, 0.02)
+    residual[3] = 0.1
+    assert agreeing(residual, spread(8, 0.1), 4.0).tolist() == [i != 3 for i in range(8)]
+
+
+@pytest.mark.parametrize("wrong", [[0, 1], [2, 5, 6]])
+def test_several_that_differ_are_left_out_one_by_one(wrong):
+    rng = np.random.default_rng(len(wrong))
+    residual = 0.05 + 0.01 * rng.normal(size=10)
+    residual[wrong] += rng.uniform(0.1, 0.4, len(wrong))
+    left = np.flatnonzero(~agreeing(residual, spread(10, 0.1), 4.0))
+    assert left.tolist() == wrong
+
+
+def test_of_two_nobody_can_tell_which_is_wrong():
+    assert agreeing(np.array([0.0, 0.5]), spread(2, 0.1), 4.0).all()
+
+
+def test_bearings_without_noise_do_no_harm():
+    assert agreeing(np.zeros(4), np.zeros((4, 4)), 4.0).all()
+
+
+def test_right_ones_are_seldom_left_out():
+    rng = np.random.default_rng(0)
+    draws = rng.multivariate_normal(np.zeros(6), spread(6, 0.1), 500)
+    assert np.mean([agreeing(each, spread(6, 0.1), 4.0).all() for each in draws]) > 0.995
