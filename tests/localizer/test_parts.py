@@ -164,6 +164,15 @@ def test_a_landmark_starts_among_wrong_sight_lines():
     assert not found[1][[2, 7, 11]].any()
 
 
+@pytest.mark.parametrize("wrong", [{3: 2.0}, {0: -0.5, 5: 1.0}])
+def test_a_wrong_sight_line_places_no_landmark_on_the_way(wrong):
+    cameras = np.stack([np.linspace(0, 0.5, 6), np.zeros(6), np.zeros(6)], axis=1)
+    bearings = np.arctan2(0.05, 8.0 - cameras[:, 0])  # ahead, with hardly any parallax
+    for line, off in wrong.items():
+        bearings[line] += off
+    assert triangulate(cameras, bearings, np.full(6, 0.01), 0.06) is None
+
+
 def test_a_landmark_without_parallax_waits():
     cameras = np.stack([np.linspace(0, 0.05, 10), np.zeros(10), np.zeros(10)], axis=1)
     lines = np.arctan2(3.0, 3.0 - cameras[:, 0])

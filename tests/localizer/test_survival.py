@@ -8,11 +8,12 @@ import pytest
 from rig import Rig, eight, ring
 
 from homeward.control import Twist
-from homeward.drives.drive import HomeBearing
+from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses
+from homeward.localizer.preintegration import TURN_SLIP
 
 
 def spin(_):
@@ -41,6 +42,22 @@ def test_a_fifth_of_the_ids_swapped():
     assert rig.error() < 0.2
     assert rig.wrong_share() < 0.02
     assert rig.localizer.counts.rejected
+
+
+@pytest.mark.parametrize("seed", [5, 9, 11, 17])
+def test_wrong_bearings_from_the_start_bend_no_map(seed):
+    rig = Rig(ring(10, seed, 2.0, 6.0), seed)
+    uncalibrated = DriveSettings(sensor=rig.settings.sensor)
+    rig.localizer = Localizer(rig.home, uncalibrated)
+
+    def wild(seen):
+        angle = rig.rng.uniform
+        return {n: angle(-math.pi, math.pi) if angle() < 0.2 else b for n, b in seen.items()}
+
+    rig.drive(20, see=wild)
+    assert rig.wrong_share() < 0.02
+    assert abs(rig.localizer.mapper.window.calibration[TURN_SLIP]) < 0.1
+    assert rig.answers[-1][0].status is Status.LOCALISED
 
 
 @pytest.mark.parametrize("metres", [0.5, 1.2])

@@ -16,6 +16,14 @@ AGREES = 3.0
 """A sighting agrees within this many standard deviations."""
 LARGEST_RELATIVE_SIGMA = 0.3
 """Of the distance; a landmark less certain waits for more parallax [1]."""
+BESIDE = 0.1
+"""A camera so near to a place, against how far the cameras lie apart, may see it anywhere [1]."""
+MARGIN = 1.5
+"""A place explains so many more than any other: one that is right by chance does not do."""
+ELSEWHERE = 0.67
+"""Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
+FAR = 100.0
+"""A place so many times as far stands for one at infinity [1]."""
 STEPS = 6
 
 
@@ -25,7 +33,8 @@ def triangulate(
     """Return the position on which most sight lines agree, and which of them do.
 
     All pairs out of at most `MOST_LINES` lines are intersected, the point with the smallest robust
-    cost is refined by Gauss-Newton.
+    cost is refined by Gauss-Newton. A wrong line crosses nearly parallel right ones close to the
+    robot and makes a place all alone; so where lines may be wrong, no single one may decide.
 
     Parameters
     ----------
@@ -52,9 +61,7 @@ def triangulate(
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
     if not len(points):
         return None
-    residuals = _residuals(points, cameras, lines)
-    cost = np.minimum((residuals / (AGREES * sigmas)) ** 2, 1.0).sum(axis=1)
-    position = points[int(np.argmin(cost))]
+    position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < AGREES * sigmas
     for _ in range(STEPS):
         if agree.sum() < FEWEST:
@@ -68,6 +75,15 @@ def triangulate(
     deviation = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(information))[-1])
     if not deviation < LARGEST_RELATIVE_SIGMA * distance:
         return None
+    none_wrong = agree.all() and not _is_beside(position, cameras)
+    if not none_wrong:
+        far = FAR * (distance + np.hypot(*np.ptp(cameras[:, :2], axis=0)))
+        ends = cameras[chosen, :2] + far * _along(lines[chosen])
+        middle = cameras[agree, :2].mean(axis=0)
+        rivals = _elsewhere(np.concatenate([points, ends]), position, middle)
+        costs = _costs(np.concatenate([position[None], rivals]), cameras, lines, sigmas)
+        if (costs[1:] < costs[0] + MARGIN).any():
+            return None
     return position, agree
 
 
@@ -75,6 +91,18 @@ def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
     """Return whether the lines span at least the angle `parallax`."""
     around = wrap(lines[use] - lines[use][0])
     return bool(np.ptp(around) >= parallax) if around.size else False
+
+
+def _is_beside(position: np.ndarray, cameras: np.ndarray) -> bool:
+    """Return whether a camera is so near to a place that its line fits whatever it measured."""
+    apart = np.hypot(*np.ptp(cameras[:, :2], axis=0))
+    return bool(np.hypot(*(cameras[:, :2] - position).T).min() < BESIDE * apart)
+
+
+def _elsewhere(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """Return those of points (k, 2) that are another place, seen from `eye`, than `position`."""
+    off, distance = np.hypot(*(points - position).T), np.hypot(*(points - eye).T)
+    return np.asarray(points[off > ELSEWHERE * distance])
 
 
 def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:
@@ -88,9 +116,20 @@ def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.n
     along_j = (d[:, 0] * np.sin(lines[i]) - d[:, 1] * np.cos(lines[i])) / sine
     front = (along_i > 0) & (along_j > 0)
     i, along = i[front], along_i[front]
-    return np.asarray(
-        centres[i] + along[:, None] * np.stack([np.cos(lines[i]), np.sin(lines[i])], axis=1)
-    )
+    return np.asarray(centres[i] + along[:, None] * _along(lines[i]))
+
+
+def _along(lines: np.ndarray) -> np.ndarray:
+    """Return unit vectors along directions, shape (k, 2)."""
+    return np.stack([np.cos(lines), np.sin(lines)], axis=1)
+
+
+def _costs(
+    points: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
+) -> np.ndarray:
+    """Return how many of the lines each point leaves unexplained, shape (k,); some in part."""
+    residuals = _residuals(points, cameras, lines)
+    return np.asarray(np.minimum((residuals / (AGREES * sigmas)) ** 2, 1.0).sum(axis=1))
 
 
 def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:
