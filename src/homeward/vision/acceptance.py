@@ -32,6 +32,8 @@ FEWEST_LOW_SECTORS = 3
 LEAST_LOW_SHARE = 0.25
 """... and such a share of all that agree: the tiles of a floor look the same a few tiles on, and
 from the other side."""
+LEAST_ALONE = 0.5
+"""Where a smaller share of matches shows what home saw but once, it must be enough by itself."""
 WITHIN = 0.6
 """Where the heading is known, a feature lies within this of where a mere turn takes it [rad]."""
 SHUFFLES = 8
@@ -76,6 +78,40 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
         words = _agreement(fit.inlier, pairs)
         return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
     return Verdict(True, "", alarms).reconsidered(fit.inlier, pairs)
+
+
+def judge_alone(
+    verdict: Verdict,
+    fit: Fit,
+    pairs: Pairs,
+    asked: np.ndarray,
+    recurs: np.ndarray,
+    heading: float | None = None,
+) -> Verdict:
+    """Return the verdict on a fit that was accepted, where it is known which of its matches recur.
+
+    The tiles of a floor agree with those of another room: where they are most of what agrees, the
+    others must be enough by themselves.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        So far.
+    fit, pairs, heading
+        Of what.
+    asked : ndarray of int, shape (k,)
+        Some or all of the matches that agree.
+    recurs : ndarray of bool, shape (k,)
+        Whether what they show is seen elsewhere in home's picture, too.
+    """
+    alone = np.zeros(len(pairs), bool)
+    alone[asked[~recurs]] = True
+    if alone.sum() >= LEAST_ALONE * len(asked):
+        return verdict
+    if judge(replace(fit, inlier=alone), pairs, heading).accepted:
+        return verdict
+    words = f"{_agreement(fit.inlier, pairs)}, most of them on what repeats itself"
+    return replace(verdict, accepted=False, reason=f"not enough in common: {words}")
 
 
 def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:

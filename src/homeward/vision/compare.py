@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.acceptance import WITHIN, Verdict, judge
+from homeward.vision.acceptance import WITHIN, Verdict, judge, judge_alone
 from homeward.vision.alignment import Alignment, align
 from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
@@ -16,8 +16,9 @@ from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
-from homeward.vision.neighbours import neighbours
+from homeward.vision.neighbours import neighbours, thinned
 from homeward.vision.refine import SCALE, Fit, descend, refine
+from homeward.vision.repeats import recurring
 from homeward.vision.search import search
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
@@ -34,6 +35,8 @@ LARGEST_TURN = 0.6
 """A feature may be turned in the image by this much [rad]."""
 FORGIVING_RATIO = 0.9
 """Of distances to the nearest and the second, once only a part of the panorama is searched."""
+MOST_ASKED = 100
+"""Of matches that agree, so many at most are asked whether they show what repeats itself."""
 CONFIRMED = 0.1
 """What is found there is believed where its heading is the guessed one to within this [rad]: a
 tiled floor has some motion for any guess."""
@@ -140,7 +143,7 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
     rows, pairs, laid, quality = _paired(home, now, camera, heading)
     i, j = rows.T
     fit = search(pairs, quality, camera.tilt_sigma)
-    verdict = judge(fit, pairs, heading)
+    verdict = _asked(judge(fit, pairs, heading), fit, pairs, home, i, camera, heading)
     agrees, moved = np.zeros((2, len(pairs)), bool)
     spread = np.full((2, 2), np.inf)
     if fit is not None:
@@ -151,8 +154,10 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
             # What lies beside may have led to another motion, on which matches agree less.
-            verdict = verdict.reconsidered(fit.inlier[: len(pairs)], pairs)
-        agrees = fit.inlier[: len(pairs)]
+            fit = replace(fit, inlier=fit.inlier[: len(pairs)])
+            verdict = verdict.reconsidered(fit.inlier, pairs)
+            verdict = _asked(verdict, fit, pairs, home, i, camera, heading)
+        agrees = fit.inlier
     if verdict.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
     else:
@@ -169,6 +174,26 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
         covariance=spread,
         parallax=0.0 if fit is None else fit.parallax,
     )
+
+
+def _asked(
+    verdict: Verdict,
+    fit: Fit | None,
+    pairs: Pairs,
+    home: View,
+    rows: np.ndarray,
+    camera: Panorama,
+    heading: float | None,
+) -> Verdict:
+    """Return the verdict on a fit whose matches were asked whether they show what repeats itself.
+
+    `rows`, (n,), are the features of home that were matched.
+    """
+    if fit is None or not verdict.accepted:
+        return verdict
+    asked = thinned(np.flatnonzero(fit.inlier), MOST_ASKED)
+    recurs = recurring(home, rows[asked], camera)
+    return judge_alone(verdict, fit, pairs, asked, recurs, heading)
 
 
 def _paired(

@@ -64,8 +64,8 @@ def neighbours(
     free = np.ones(len(patches), bool)
     for _ in range(ROUNDS):
         free[guides] = False
-        some = _thinned(np.arange(len(guides)), MOST_GUIDES)
-        others = _thinned(np.flatnonzero(free), MOST_PATCHES)
+        some = thinned(np.arange(len(guides)), MOST_GUIDES)
+        others = thinned(np.flatnonzero(free), MOST_PATCHES)
         guides, laid = _beside(home, now, others, guides[some], laid[some])
         found.append((guides, laid))
     rows, parts = zip(*found, strict=True)
@@ -73,7 +73,7 @@ def neighbours(
     return patches[np.concatenate(rows), :2].T, replace(laid, spread=SIGMA_TIMES**2 * laid.spread)
 
 
-def _thinned(rows: np.ndarray, most: int) -> np.ndarray:
+def thinned(rows: np.ndarray, most: int) -> np.ndarray:
     """Return the rows, or evenly chosen ones of too many."""
     return rows if len(rows) <= most else rows[np.arange(most) * len(rows) // most]
 
