@@ -1,5 +1,8 @@
 """`homeward reproduce --measurements images`, and the worlds behind it."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -11,6 +14,7 @@ from homeward.studies.paper.cases import run_filter
 from homeward.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
+from homeward.report.paper_figures import draw_panorama
 from homeward.studies.paper.images import draw_image_world
 
 ONE = Assumed(faults=1, longest=2.0)
@@ -58,6 +62,14 @@ def test_a_filter_runs_on_images(world):
     assert np.isfinite(run.rmse).all()
     # Some image told something: the bearings' variances have shrunk.
     assert run.variance[-1, 3:].min() < run.variance[0, 3:].min()
+
+
+@pytest.mark.parametrize("moved", [0, 1, 7])
+def test_the_panorama_s_legend_names_what_is_drawn(world, moved):
+    some = replace(world, moved=np.arange(7) < moved)
+    figure = draw_panorama(SimpleNamespace(worlds={"2": some}), "2")
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert named == ["features", *["landmarks"] * (moved < 7), *["moved"] * (moved > 0)]
 
 
 def test_the_page_has_the_panorama(tmp_path):

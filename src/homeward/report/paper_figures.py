@@ -199,6 +199,8 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
         axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")
         for moved, colour, words in ((False, GREEN, "landmarks"), (True, VERMILLION, "moved")):
             rows = world.sight.landmarks[world.moved == moved]
+            if not rows.size:  # or the legend would name what is not there
+                continue
             (marks,) = axes.plot(home.column[rows], home.row[rows], "o", color=colour, label=words)
             marks.set(markersize=9, markerfacecolor="none", markeredgewidth=1.6)
         bare(axes)
