@@ -31,6 +31,7 @@ def test_a_drive_without_images_has_none(tmp_path):
     [
         ("t,file\n1,../secret.png\n", "lies outside the folder"),
         ("t,file\n1,frames/2.jpg\n", "is not there"),
+        (f"t,file\n1,{'x' * 5000}.jpg\n", "cannot be a file"),
         ("t,file\n1,images.csv\n", r"neither \.jpg nor \.png"),
         ("t,file\n2,frames/1.jpg\n1,frames/1.jpg\n", "runs backwards"),
         ("t,name\n1,frames/1.jpg\n", "file"),

@@ -149,6 +149,41 @@ def test_a_file_outside_the_folder_is_refused(folder, tmp_path):
     )
 
 
+@pytest.mark.parametrize("key", ["home", "mask"])
+@pytest.mark.parametrize("name", ["../elsewhere.png", "/elsewhere.png", "link.png"])
+def test_home_and_mask_outside_the_folder_are_refused(folder, tmp_path, key, name):
+    elsewhere = tmp_path / "elsewhere.png"
+    shutil.copy(folder / "home.png", elsewhere)
+
+    def change(copy):
+        (copy / "link.png").symlink_to(elsewhere)
+        told = str(elsewhere) if name.startswith("/") else name
+        (copy / "images.yaml").write_text(f"{key}: {told}\n")
+
+    words = broken(folder, tmp_path, change)
+    assert f"images.yaml: {key} " in words
+    assert "lies outside the folder" in words
+
+
+@pytest.mark.parametrize("key", ["home", "mask"])
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [("none.png", "is not there"), ("a" * 5000, "cannot be"), ('"a\\0b"', "cannot be")],
+)
+def test_home_and_mask_that_are_no_files(folder, tmp_path, key, name, complaint):
+    words = broken(folder, tmp_path, lambda f: (f / "images.yaml").write_text(f"{key}: {name}\n"))
+    assert f"images.yaml: {key} " in words
+    assert complaint in words
+
+
+def test_a_home_image_that_is_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+    def change(copy):
+        (copy / "home.png").rename(tmp_path / "elsewhere.png")
+        (copy / "home.png").symlink_to(tmp_path / "elsewhere.png")
+
+    assert "home 'home.png' lies outside the folder" in broken(folder, tmp_path, change)
+
+
 def test_no_home_image(folder, tmp_path):
     assert "no home image" in broken(folder, tmp_path, lambda f: (f / "home.png").unlink())
 

@@ -55,14 +55,41 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     return Images(t[first], [files[k] for k in first])
 
 
+def file_within(folder: Path, name: str | Path, what: str, told_in: Path) -> Path:
+    """Return a file that something in a folder names.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it must be.
+    name : str or Path
+        As it is named, seen from the folder.
+    what : str
+        Whose file it is, for messages.
+    told_in : Path
+        Where it is named, for messages.
+
+    Raises
+    ------
+    InputError
+        When it lies outside the folder, also behind a link, or is not there.
+    """
+    file, named = folder / name, f"{what} {quoted(str(name))}"
+    try:
+        inside, there = file.resolve().is_relative_to(folder.resolve()), file.is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, with a zero in it, a ring of links
+        raise InputError(f"{named} cannot be a file", told_in) from None
+    # A folder from elsewhere must not draw other files of this machine into what is written.
+    if not inside:
+        raise InputError(f"{named} lies outside the folder", told_in)
+    if not there:
+        raise InputError(f"{named} is not there", told_in)
+    return file
+
+
 def _image(folder: Path, name: str) -> Path:
     """Return the file of an image."""
-    file = folder / name
-    # A table from elsewhere must not draw other files of this machine into a recording.
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"image {quoted(name)} lies outside the folder", folder / IMAGES)
+    file = file_within(folder, name, "image", folder / IMAGES)
     if file.suffix.lower() not in KINDS:
         raise InputError(f"image {quoted(name)} is neither .jpg nor .png", folder / IMAGES)
-    if not file.is_file():
-        raise InputError(f"image {quoted(name)} is not there", folder / IMAGES)
     return file

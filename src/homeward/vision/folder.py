@@ -18,7 +18,7 @@ from homeward.drives.folder import (
     read_odometry,
     read_truth,
 )
-from homeward.drives.images import IMAGES, Images, read_images
+from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.table import require_folder
 from homeward.errors import InputError
@@ -97,10 +97,10 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     Raises
     ------
     InputError
-        When there is none, or more than one could be it.
+        When there is none, more than one could be it, or it lies outside the folder.
     """
     if settings.home is not None:
-        return folder / settings.home
+        return file_within(folder, settings.home, "home", folder / IMAGE_SETTINGS)
     found = sorted(
         f
         for f in folder.iterdir()
@@ -109,7 +109,7 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     if len(found) != 1:
         what = "no home image" if not found else f"{len(found)} files named home"
         raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
-    return found[0]
+    return file_within(folder, found[0].name, "home", folder)
 
 
 def _span(t: np.ndarray) -> tuple[float, float]:

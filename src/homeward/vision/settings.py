@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Strict
+from homeward.drives.images import file_within
 from homeward.drives.settings import read_settings
 from homeward.vision.camera import Cylindrical, Equirectangular
 from homeward.vision.ring import Ring
@@ -42,11 +43,12 @@ def read_image_settings(path: Path | None) -> ImageSettings:
     Raises
     ------
     InputError
-        When it has a key that is not known, or a value out of range.
+        When it has a key that is not known, a value out of range, or a mask outside its folder.
     """
     if path is None:
         return ImageSettings()
     settings = read_settings(path, ImageSettings)
     if settings.mask is None:
         return settings
-    return settings.model_copy(update={"mask": path.parent / settings.mask})
+    mask = file_within(path.parent, settings.mask, "mask", path)
+    return settings.model_copy(update={"mask": mask})
