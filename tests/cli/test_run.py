@@ -80,6 +80,20 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
     assert line.startswith(f"{beyond} bearings beyond a full turn")
 
 
+@pytest.mark.parametrize("command", ["run", "info", "convert"])
+def test_stamps_in_milliseconds_are_remarked_on_the_terminal(short, tmp_path, command):
+    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
+        head, *rows = (short / name).read_text().splitlines()
+        cells = [row.partition(",") for row in rows]
+        late = [f"{round(1000 * float(t))},{rest}" for t, _, rest in cells]
+        (short / name).write_text("\n".join([head, *late]) + "\n")
+    where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
+    result = call(command, short, *where[command])
+    assert result.exit_code == 0, result.output
+    assert "odometry rows, 50.0 s apart in the median" in " ".join(result.stdout.split())
+    assert "(are their stamps in milliseconds?)" in result.stdout
+
+
 def test_smoothing_is_said_and_repeats(short, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     result = call("run", short, "--smooth", "--out", first)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.drives.one_clock import OUTSIDE
+from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -132,3 +132,39 @@ def test_gaps_are_no_reason_to_refuse(drive_folder, odometry, bearings):
 def test_most_bearings_beyond_odometry_are_remarked(drive_folder):
     drive = open_drive(stamped(drive_folder, (0, 20), np.arange(0, 2000, 4)))
     assert drive.remarks == {OUTSIDE: 500 - 7}
+
+
+@pytest.mark.parametrize(
+    ("rate", "a_second", "unit"),
+    [
+        (10, 1e3, "milliseconds"),
+        (100, 1e3, "milliseconds"),
+        (100, 1e6, "microseconds"),
+        (50, 1e9, "nanoseconds"),
+        (0.1, 1e9, "other units"),
+    ],
+)
+def test_stamps_in_smaller_units_are_remarked(drive_folder, rate, a_second, unit):
+    """Of odometry and bearings alike: that they are of one clock does not make it right."""
+    t = 1.7e9 + np.arange(40) / rate
+    times = np.round(t * a_second).astype(np.int64).tolist()
+    (remark, number), *rest = open_drive(stamped(drive_folder, times, times)).remarks.items()
+    assert (number, rest) == (40, [])
+    step = f"{round(a_second / rate):,}.0 s apart"
+    assert remark.startswith(f"odometry rows, {step}")
+    assert remark.endswith(f"(are their stamps in {unit}?)")
+
+
+@pytest.mark.parametrize(
+    "t",
+    [
+        np.arange(100) * 1.0,  # one a second
+        1.7e9 + np.arange(100) / 50,
+        np.append(np.arange(50) / 10, 3600 + np.arange(50) / 10),  # an hour's gap
+        np.arange(5) * 100.0,  # too few to tell
+    ],
+)
+def test_stamps_in_seconds_are_not_remarked(t):
+    remarks = {}
+    remark_other_units(t, remarks)
+    assert not remarks

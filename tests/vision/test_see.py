@@ -207,6 +207,18 @@ def test_images_of_another_clock_are_refused_before_they_are_looked_at(folder, t
     )
 
 
+def test_stamps_in_milliseconds_are_remarked(folder, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    rows = [f"{500 * k},pictures/{k}.png" for k in range(FRAMES)]
+    (copy / "images.csv").write_text("\n".join(["t,file", *rows]))
+    twists = [f"{100 * k},0.2,0" for k in range(70)]
+    (copy / "odometry.csv").write_text("\n".join(["t,v,omega", *twists]))
+    result = run("see", copy, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "(are their stamps in milliseconds?)" in result.output
+
+
 def test_of_images_with_one_stamp_the_first_counts(folder, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)

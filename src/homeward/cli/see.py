@@ -35,4 +35,6 @@ def see(
         drive = see_folder(folder, tell)
         write_folder(drive, out)
     typer.echo(describe_sightings(drive))
+    for line in drive.remark_lines:
+        typer.echo(line)
     typer.echo(f"Drive: {out}")

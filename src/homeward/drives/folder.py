@@ -19,6 +19,7 @@ from homeward.drives.drive import (
     Sightings,
     Truth,
 )
+from homeward.drives.one_clock import remark_other_units
 from homeward.drives.settings import read_settings, settings_yaml
 from homeward.drives.table import (
     Table,
@@ -61,8 +62,9 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     -------
     Drive
         Bearings are wrapped; of equal stamps in odometry and truth the last counts, and so it does
-        of sightings of one landmark at one stamp; they are counted in its remarks. Landmark ids
-        lose the white space around them.
+        of sightings of one landmark at one stamp; they are counted in its remarks, which also say
+        when angles or stamps seem to be in other units. Landmark ids lose the white space around
+        them.
 
     Raises
     ------
@@ -163,9 +165,10 @@ def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
 
 
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
-    """Read odometry.csv (t, v, omega); repeated stamps are counted in `remarks`."""
+    """Read odometry.csv (t, v, omega); `remarks` says what is odd about its stamps."""
     table = read_csv(path, {"t": numbers, "v": numbers, "omega": numbers})
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
+    remark_other_units(table["t"], remarks)
     return Odometry(table["t"], table["v"], table["omega"])
 
 

@@ -1,4 +1,4 @@
-"""Whether things that were recorded together can have been stamped by one clock."""
+"""Whether things that were recorded together can have been stamped by one clock, in seconds."""
 
 from __future__ import annotations
 
@@ -6,12 +6,25 @@ import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
+from homeward.estimator import HOLD_S
 
 APART_S = 5.0
 """What begins up to so long after another thing ended may be of the same drive [s]."""
 OUTSIDE = "sightings at times without odometry (are their stamps in other units?)"
+
+SLOW, FEWEST_TWISTS = 2.0 * HOLD_S, 10
+"""Twists that come so rarely in the median [s] lead nowhere, since each holds half as long at most;
+of fewer of them nobody says how often they come."""
+UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+"""Of stamps, how many are a second: odometry that is worth it comes more than once in one."""
+TOO_RARE = (
+    "odometry rows, {:,.1f} s apart in the median, where each holds {:g} s at most "
+    "(are their stamps in {}?)"
+)
 
 OTHER_CLOCK = (
     "their stamps are of different clocks or in different units (both must be in seconds), or "
@@ -46,6 +59,22 @@ def require_overlap(
         raise InputError(
             f"the first of {late} is {apart:,.1f} s after the last of {early}: {advice}", path
         )
+
+
+def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
+    """Remark odometry whose stamps seem to be in a smaller unit than seconds.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Its stamps as they stand there, increasing.
+    remarks : dict of str to int
+        Where it is said.
+    """
+    if t.size < FEWEST_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
+        return
+    unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
+    remarks[TOO_RARE.format(step, HOLD_S, unit)] = t.size
 
 
 def on_one_clock(drive: Drive, path: Path) -> Drive:

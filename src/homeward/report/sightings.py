@@ -1,4 +1,4 @@
-"""What the camera front-end found along a drive, in a few plain sentences."""
+"""What the camera front-end found along a drive, in a plain sentence."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from homeward.report.words import count
 
 
 def describe_sightings(drive: Drive) -> str:
-    """Say how many landmarks were seen, how often, and what was left out."""
+    """Say how many landmarks were seen, and how often."""
     stamps, ids = np.unique(drive.sightings.t).size, set(drive.sightings.landmark.tolist())
     at_home = len(ids & set(drive.home))
-    text = (
+    return (
         f"{drive.sightings.t.size:,} sightings of {count(len(ids), 'landmark')} in "
         f"{count(stamps, 'image')}; {at_home:,} of them were seen from home."
     )
-    left_out = [f"{reason}: {number:,}" for reason, number in drive.remarks.items()]
-    return text + (f" Left out: {'; '.join(left_out)}." if left_out else "")
