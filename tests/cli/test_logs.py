@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from homeward.cli.main import app
 from homeward.drives.drive import DriveSettings
+from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import read_settings
 from homeward.studies.single_run import sample_drive
@@ -50,6 +51,32 @@ def test_info_of_a_drive_folder(tmp_path):
     assert "no such file" in refused(call("info", tmp_path / "none"))
     (tmp_path / "notes.txt").write_text("hello")
     assert "neither" in refused(call("info", tmp_path / "notes.txt"))
+
+
+def test_info_says_why_a_drive_would_be_refused(tmp_path):
+    """In the words with which it is; what is there, is told all the same."""
+    folder = tmp_path / "drive"
+    shutil.copytree(sample_drive(), folder)
+    file = folder / "bearings.csv"
+    head, *rows = file.read_text().splitlines()
+    cells = [row.partition(",") for row in rows]
+    late = [f"{float(t) + 5000},{rest}" for t, _, rest in cells]
+    file.write_text("\n".join([head, *late]) + "\n")
+    told = call("info", folder)
+    assert told.exit_code == 0, told.output
+    assert "odometry.csv" in told.stdout
+    *_, last = told.stdout.splitlines()
+    words = refused(call("run", folder, "--out", tmp_path / "out"))
+    assert "the first of the bearings is 4,8" in words
+    assert last == f"homeward run refuses it: {words.partition('drive: ')[2]}."
+
+
+def test_info_says_that_most_bearings_are_beyond_the_odometry(tmp_path):
+    folder = tmp_path / "drive"
+    shutil.copytree(sample_drive(), folder)
+    file = folder / "odometry.csv"
+    file.write_text("\n".join(file.read_text().splitlines()[:500]) + "\n")
+    assert OUTSIDE in call("info", folder).stdout
 
 
 def test_convert_there_and_back(log, tmp_path):

@@ -6,6 +6,7 @@ import pytest
 from drives.ros.build import EPOCH, SECOND, odometry, pose, stamps, twist
 from drives.ros.rig import bearings_message
 
+from homeward.drives.ros.info import log_info
 from homeward.errors import InputError
 
 
@@ -74,7 +75,7 @@ def test_a_topic_without_headers_is_put_on_the_clock_of_the_others(made):
     assert drive.odometry.t == pytest.approx(drive.sightings.t)
 
 
-def test_clocks_that_cannot_be_are_refused_with_what_helps(made):
+def test_clocks_that_cannot_be_are_refused_with_what_helps(made, tmp_path):
     def other_clock(log):
         for t in stamps(5):
             log.write("/b", t, bearings_message(log, 5 * SECOND, ["a"], [0.5]))
@@ -97,6 +98,7 @@ def test_clocks_that_cannot_be_are_refused_with_what_helps(made):
         with pytest.raises(InputError, match=words) as caught:
             made(fill)
         assert "clock: receive" in str(caught.value)
+        assert log_info(tmp_path / "log.mcap").remarks[-1].endswith(f"{caught.value.what}.")
         assert made(fill, "clock: receive\n").sightings.t.size
 
 

@@ -10,15 +10,19 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import is_drive_folder, read_folder
+from homeward.drives.one_clock import on_one_clock
 from homeward.drives.ros.bag_folder import open_log
 from homeward.drives.ros.bearings import IN_IMAGE, POINT, READERS
-from homeward.drives.ros.choosing import choose
+from homeward.drives.ros.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.stamps import NANO
 from homeward.drives.ros.survey import Survey, Tell, Topic, survey
+from homeward.drives.ros.times import Clock
 from homeward.drives.settings import read_settings, settings_yaml
 from homeward.errors import InputError
+
+REFUSED = "homeward run refuses it: {}."
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         raise InputError("no such file or folder", path)
     if path.is_dir() and is_drive_folder(path):
         drive = read_folder(path)
-        return LogInfo("drive folder", _streams(drive), "", drive.remark_lines)
+        return LogInfo("drive folder", _streams(drive), "", tuple(_judged(drive, path)))
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
     known = survey(log, tell=tell)
@@ -62,13 +66,9 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         plan = choose(known, told)
     except InputError as error:
         return LogInfo(log.kind, known.topics, "", (f"{error.what}.", *_candidates(known)))
-    remarks = tuple(_missing(plan))
-    return LogInfo(
-        log.kind,
-        known.topics,
-        settings_yaml(plan),
-        (*remarks, *(_candidates(known) if remarks else ())),
-    )
+    missing = tuple(_missing(plan))
+    remarks = (*missing, *(_candidates(known) if missing else ()), *_clock_refused(known, plan))
+    return LogInfo(log.kind, known.topics, settings_yaml(plan), remarks)
 
 
 def _streams(drive: Drive) -> tuple[Topic, ...]:
@@ -82,6 +82,25 @@ def _streams(drive: Drive) -> tuple[Topic, ...]:
     return tuple(
         Topic(name, columns, np.rint(t * NANO).astype(np.int64), None) for name, columns, t in files
     )
+
+
+def _judged(drive: Drive, path: Path) -> Iterator[str]:
+    """Yield what looked wrong with a drive, and why it is refused where it would run."""
+    try:
+        yield from on_one_clock(drive, path).remark_lines
+    except InputError as error:
+        yield from drive.remark_lines
+        yield REFUSED.format(error.what)
+
+
+def _clock_refused(known: Survey, plan: LogSettings) -> Iterator[str]:
+    """Yield why the clocks of a log are refused where it would run."""
+    if OUR_SETTINGS in (topic.name for topic in known.topics):
+        return  # its clock is the drive's, with the epoch that its settings name
+    try:
+        Clock(known, plan, None)
+    except InputError as error:
+        yield REFUSED.format(error.what)
 
 
 def _missing(plan: LogSettings) -> Iterator[str]:
