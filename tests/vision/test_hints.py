@@ -161,3 +161,23 @@ def test_the_map_knows_better():
     sight = HomeSight(Map(POINTS, pose=Pose(1.0, 1.0, 0.0)))
     t, _ = circle(sight, right, 12)
     assert sight.estimate(t).pose == Pose(1.0, 1.0, 0.0)
+
+
+def test_pictures_that_come_late_guess_where_they_were_taken():
+    """Half a second late, in a turn of 0.5 rad/s: by the newest twist all would be 0.25 rad off."""
+    sight, rate, late = lost(), 20, 0.5
+    radius = SPEED / TURN
+
+    def pose(t):
+        turn = TURN * t
+        arc = Pose(radius * math.sin(turn), radius * (1 - math.cos(turn)), turn)
+        return compose(START, arc)
+
+    for k in range(100):
+        t = k / rate
+        sight.odometry(t, SPEED, TURN)
+        if k % 8 == 0 and t > late:
+            sight.home(t - late, refused(right(k, pose(t - late))))
+    said = sight.estimate(t)
+    assert said.status is Status.UNVERIFIED
+    assert is_right(said.pose, pose(t))

@@ -14,7 +14,7 @@ from homeward.vision.acceptance import Verdict
 from homeward.vision.approach import Anchors, Direction, _predict, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.epipolar import Motion, Pairs
-from homeward.vision.home_sight import DIRECTION_HOLD_S, POSE_HOLD_S, HomeSight
+from homeward.vision.home_sight import DIRECTION_HOLD_S, LATE, POSE_HOLD_S, HomeSight
 
 WIDE = np.diag([10.0, 10.0])
 SIGMA = 0.002
@@ -292,3 +292,81 @@ def test_a_wrong_direction_near_home_is_outvoted():
     wrong = Direction(1.0, 0.5, np.diag([math.radians(2.0), math.radians(0.05)]) ** 2)
     found = resect(anchors(scene(n=80), camera), wrong)
     np.testing.assert_allclose(found.pose[:2], camera[:2], atol=4e-3)
+
+
+def turning(t):
+    """Return the pose at `t` [s] of a robot that drives the arc whose twists `deliver` tells."""
+    turn, radius = 0.8 * t, 0.3 / 0.8
+    return compose(
+        Pose(1.2, -0.4, 0.5), Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
+    )
+
+
+def deliver(sight, until, pictures, points, rate=20.0):
+    """Feed twists up to a time; a picture's stamp comes when that of its key has passed [s]."""
+    waiting = sorted(pictures.items())
+    for t in np.arange(0.0, until, 1 / rate):
+        while waiting and waiting[0][0] <= t:
+            stamp = waiting.pop(0)[1]
+            sight.home(stamp, compared(points, turning(stamp)))
+        sight.odometry(t, 0.3, 0.8)
+    return sight.estimate(until)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.33, 0.9])
+def test_pictures_that_come_late_count_at_their_own_stamp(late):
+    """As they do from a camera on a bus: odometry of their stamp was there before."""
+    points = scene()
+    pictures = {t + late: t for t in np.arange(0.2, 2.0, 0.4)}
+    said = deliver(HomeSight(Map(points)), 2.9, pictures, points)
+    np.testing.assert_allclose(said.pose, turning(2.9), atol=2e-3)
+
+
+def test_the_first_picture_may_be_late():
+    points = scene()
+    said = deliver(HomeSight(Map(points)), 5.0, {4.8: 4.0}, points)
+    np.testing.assert_allclose(said.pose, turning(5.0), atol=2e-3)
+
+
+@pytest.mark.parametrize("stale", [0.1, 1.2])
+def test_a_picture_older_than_another_before_is_left_out_and_counted(stale):
+    points, other = scene(), Pose(-2.0, 1.0, 2.5)
+    sight = HomeSight(Map(points))
+    before = deliver(sight, 2.0, {1.5: 1.5}, points)
+    sight.home(1.5 - stale, compared(points, other))
+    after = sight.estimate(2.0)
+    assert sight.counts.rejected == {LATE: 1}
+    np.testing.assert_array_equal(after.pose, before.pose)
+    np.testing.assert_array_equal(after.covariance, before.covariance)
+
+
+@pytest.mark.parametrize("stamp", [0.5, math.nan, -math.inf])
+def test_a_picture_that_is_too_late_is_left_out_and_counted(stamp):
+    points = scene()
+    sight = HomeSight(Map(points))
+    deliver(sight, 2.0, {}, points)
+    sight.home(stamp, compared(points, turning(0.5)))
+    assert sight.counts.rejected == {LATE: 1}
+    assert sight.estimate(2.0).pose is None
+
+
+def test_refused_pictures_out_of_order_do_not_doubt_home():
+    points = scene()
+    sight = HomeSight(Map(points, pose=Pose(0.1, 0.0, 0.0)))
+    sight.home(5.0, compared(points, Pose(0.1, 0.0, 0.0)))
+    for t in (4.9, 4.8, 4.7, 4.6):
+        sight.home(t, compared(points, Pose(0.1, 0.0, 0.0), accepted=False))
+    assert sight.estimate(5.0 + POSE_HOLD_S + 0.1).status is Status.LOCALISED
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pictures_in_any_order_never_lead_astray(seed):
+    points, rng = scene(), np.random.default_rng(seed)
+    stamps = np.arange(0.1, 8.0, 0.2)
+    pictures = dict(
+        zip((stamps + rng.uniform(0.0, 2.0, stamps.size)).tolist(), stamps.tolist(), strict=True)
+    )
+    sight = HomeSight(Map(points))
+    said = deliver(sight, 8.0, pictures, points)
+    np.testing.assert_allclose(said.pose, turning(8.0), atol=5e-3)
+    assert sight.counts.rejected[LATE] > 3

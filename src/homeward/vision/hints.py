@@ -12,10 +12,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.clock import LATE_S
 from homeward.estimator import HOLD_S
 from homeward.vision.acceptance import lacking
 from homeward.vision.approach import Direction
@@ -57,14 +59,25 @@ class Hint:
     """That are alike."""
 
 
+class Twist(NamedTuple):
+    """What odometry said, and how far the robot had gone by then."""
+
+    t: float
+    """[s]"""
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+    gone: np.ndarray
+    """(2,): way and turn [m, rad]."""
+
+
 class Hints:
     """Remembers what was guessed, and how far the robot has turned since."""
 
     def __init__(self) -> None:
-        self._last: tuple[float, float, float] | None = None
-        """The last twist: t [s], v [m/s], omega [rad/s]."""
-        self._gone = np.zeros(2)
-        """Way and turn by odometry, when that twist came [m, rad]."""
+        self._twists: deque[Twist] = deque()
+        """The last one, and those since a picture may yet come late."""
         self._guessed_at = -math.inf
         """Way at the last guess [m]."""
         self._guesses: deque[Guess] = deque(maxlen=MOST)
@@ -73,10 +86,15 @@ class Hints:
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
-        self._gone, self._last = self._gone_at(t), (t, v, omega)
+        self._twists.append(Twist(t, v, omega, self._gone_at(t)))
+        while len(self._twists) > 1 and self._twists[1].t <= t - LATE_S:
+            self._twists.popleft()
 
     def guessed(self, t: float, seen: Comparison) -> None:
-        """Take what was guessed of a picture of stamp `t` [s] that was not recognised."""
+        """Take what was guessed of a picture of stamp `t` [s] that was not recognised.
+
+        It may be late by `LATE_S`: of longer ago it is not known how far the robot had turned.
+        """
         motion, agrees = seen.motion, seen.agrees
         way, turned = self._gone_at(t).tolist()
         too_near = way < self._guessed_at + ANOTHER_PLACE_M
@@ -104,10 +122,11 @@ class Hints:
 
     def _gone_at(self, t: float) -> np.ndarray:
         """Return way and turn by odometry up to `t` [s], (2,) [m, rad]."""
-        if self._last is None:
-            return self._gone
-        since, v, omega = self._last
-        return self._gone + np.array([abs(v), omega]) * min(max(t - since, 0.0), HOLD_S)
+        if not self._twists:
+            return np.zeros(2)
+        held = next((twist for twist in reversed(self._twists) if twist.t <= t), self._twists[0])
+        rates = np.array([abs(held.v), held.omega])
+        return held.gone + rates * min(max(t - held.t, 0.0), HOLD_S)
 
     def _agreed(self, t: float) -> Hint | None:
         """Return what guesses like the newest say; None if these are too few, or of one thing."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.clock import Clock
+from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
@@ -53,6 +54,7 @@ SLIP, TURN_SLIP = 0.05, 0.05
 """Odometry between pictures is off by such shares of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
 """So many sigmas apart, the map and home's picture contradict each other."""
+LATE = "home's picture came late"
 NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
 
@@ -74,9 +76,12 @@ class HomeSight:
         settings = drive or DriveSettings()
         self._home_mount, self._mount = settings.home_mount.pose, settings.sensor.pose
         self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
-        self._twists: list[tuple[float, float, float]] = []
-        """(t, v, omega) since the last fix, and the one that held then."""
+        self._twists: deque[tuple[float, float, float]] = deque()
+        """(t, v, omega) since the last fix, and as long as a picture may be late; and the one that
+        held when that began."""
         self._fix: Fix | None = None
+        self._pictured = -math.inf
+        """The newest stamp of a picture [s]."""
         self._refused = 0
         """How often in a row home's picture was not recognised."""
         self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
@@ -90,9 +95,8 @@ class HomeSight:
         if self._twists and t < self._twists[-1][0]:
             return
         self._hints.odometry(t, v, omega)
-        if self._fix is None or t - self._fix.t > DIRECTION_HOLD_S:
-            self._twists.clear()
         self._twists.append((t, v, omega))
+        self._forget_twists()
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
@@ -103,10 +107,19 @@ class HomeSight:
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
     def home(self, t: float, seen: Comparison | None) -> None:
-        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried."""
+        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
+
+        It may come up to `LATE_S` after odometry of its stamp, and counts at its own. One that is
+        later, or older than another picture before, is left out and counted.
+        """
         said, t = t, self._clock.read(t)
-        if seen is None or not math.isfinite(t):
+        if seen is None:
             return
+        newest = self._twists[-1][0] if self._twists else -math.inf
+        if not math.isfinite(t) or t < max(self._pictured, newest - LATE_S):
+            self.counts.reject(LATE)
+            return
+        self._pictured = t
         self._refused = 0 if seen.accepted else self._refused + 1
         if not seen.accepted:
             self._hints.guessed(t, seen)
@@ -116,7 +129,7 @@ class HomeSight:
         fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
         if fix is not None:
             self._fix = joined(self._carried(t), fix)
-            self._twists = self._twists[-1:]
+            self._forget_twists()
 
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
@@ -223,6 +236,17 @@ class HomeSight:
         noise = np.diag(slip**2 + self._white_noise(held, v, omega))
         covariance = jacobian @ fix.covariance @ jacobian.T + noise
         return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
+
+    def _forget_twists(self) -> None:
+        """Forget the twists that lie before all that is yet to be carried on."""
+        if not self._twists:
+            return
+        newest = self._twists[-1][0]
+        since = newest - LATE_S
+        if self._fix is not None and newest - self._fix.t <= DIRECTION_HOLD_S:
+            since = min(since, self._fix.t)
+        while len(self._twists) > 1 and self._twists[1][0] <= since:
+            self._twists.popleft()
 
     def _white_noise(self, held: np.ndarray, v: np.ndarray, omega: np.ndarray) -> np.ndarray:
         """Return the variances, (3,), that odometry's noise adds over twists `held` so long [s]."""
