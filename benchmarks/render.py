@@ -31,7 +31,7 @@ from homeward.registry import make_estimator
 from homeward.scoring import errors
 from homeward.simulation.course import Ending
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, grey, panorama_of, things_seen
+from homeward.simulation.render.loop import ImageLoop, panorama_of, things_seen
 from homeward.simulation.render.raycast import points, trace
 from homeward.simulation.render.rooms import PLANS, room
 from homeward.simulation.render.settings import RenderScenario
@@ -82,7 +82,7 @@ def pair(number: int, width: int) -> Pair:
     eye = Eye(scenario(number, width, (0.3, 3.0), moved=0))
     camera = panorama_of(eye)
     robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-    home, now = (look(grey(p), camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
+    home, now = (look(p, camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
     seen = compare(home, now, camera)
     # The point that home's feature shows, and the bearing that it has from the other place.
     view, surfaces = eye.home_view, eye.then.at(eye.scenario.home_time, eye.home_view)[0]

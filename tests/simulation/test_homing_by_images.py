@@ -9,7 +9,7 @@ from homeward.registry import make_estimator
 from homeward.simulation.course import Ending
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, grey, panorama_of
+from homeward.simulation.render.loop import ImageLoop, panorama_of
 from homeward.simulation.render.rooms import room
 from homeward.vision.features import look
 from homeward.vision.front_end import FrontEnd
@@ -33,7 +33,7 @@ def test_a_robot_comes_home_by_its_images_and_is_sure_of_it():
 def test_in_another_room_home_is_never_found():
     here, there = eye("classroom", 100, **{"trajectory.duration": 6.0}), eye("gallery", 100)
     loop, camera = ImageLoop(here), panorama_of(there)
-    loop.front_end = FrontEnd(look(grey(there.home_picture()), camera), camera)
+    loop.front_end = FrontEnd(look(there.home_picture(), camera), camera)
     drive = loop.run(make_estimator("robust", loop.drive))
     assert drive.ending is Ending.TIME_UP
     assert not any(e.status is Status.LOCALISED for e in drive.estimates)

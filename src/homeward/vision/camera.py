@@ -16,6 +16,7 @@ from pydantic import Field
 from homeward.angles import wrap
 from homeward.drives.drive import Finite, Strict
 from homeward.errors import InputError
+from homeward.vision.grey import as_grey
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Tilt = Annotated[float, Field(ge=-math.pi / 3, le=math.pi / 3)]
@@ -79,18 +80,19 @@ class Panorama(Strict):
 
         Parameters
         ----------
-        image : ndarray of uint8, shape (height, width)
-            As the camera gives it, grey.
+        image : ndarray
+            As the camera gives it, of any kind that `homeward.vision.grey.as_grey` takes.
 
         Raises
         ------
         InputError
-            When its size does not suit the camera.
+            When it is no picture, or its size does not suit the camera.
         """
-        height, width = image.shape
+        grey = as_grey(image)
+        height, width = grey.shape
         if height > width:
             raise InputError(f"{width}x{height} pixels: taller than wide; is it rotated?")
-        return image
+        return grey
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         """Return the elevation [rad] of rows `above` the horizon, in units of width / 2 pi."""
@@ -112,15 +114,16 @@ class Equirectangular(Panorama):
     """Elevation that a row spans, over the azimuth that a column spans [1]."""
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
-        """Return the image itself; it must not span more than 180 degrees of elevation."""
-        height, width = image.shape
+        """Return the image, in grey; it must not span more than 180 degrees of elevation."""
+        grey = as_grey(image)
+        height, width = grey.shape
         span = height * self.column_angle(width) * self.row_scale
         if span > math.pi * 1.01 and width >= height:
             raise InputError(
                 f"{width}x{height} pixels would span {math.degrees(span):.0f} deg of elevation: "
                 "no equirectangular panorama of 360 deg; name its camera"
             )
-        return super().panorama(image)
+        return super().panorama(grey)
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         return np.clip(above * self.row_scale, -math.pi / 2, math.pi / 2)

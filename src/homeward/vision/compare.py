@@ -14,6 +14,7 @@ from homeward.vision.camera import Panorama
 from homeward.vision.covariance import covariance
 from homeward.vision.epipolar import Motion, Pairs
 from homeward.vision.features import View
+from homeward.vision.grey import require_like_home
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.neighbours import neighbours, thinned
@@ -128,7 +129,13 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         From `homeward.vision.features.look`.
     camera : Panorama
         That took both.
+
+    Raises
+    ------
+    InputError
+        When they are not of one size.
     """
+    require_like_home(now.shape, home.shape)
     seen = _compared(home, now, camera)
     answered = seen.accepted and (seen.knows_direction or not seen.shows_parallax)
     if answered or seen.motion is None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from homeward.errors import InputError
 from homeward.vision.camera import Panorama
+from homeward.vision.grey import as_grey
 from homeward.vision.mask import Mask
 from homeward.vision.opencv import opencv
 from homeward.vision.picture import Picture, enlarged
@@ -104,8 +105,9 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (height, width)
-        Grey, columns all round.
+    image : ndarray
+        Of any kind that `homeward.vision.grey.as_grey` takes: 8 or 16 bits, grey, or colour in
+        OpenCV's order (BGR); columns all round.
     camera : Panorama
         What its pixels look at.
     mask : Mask, optional
@@ -114,8 +116,9 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     Raises
     ------
     InputError
-        When the mask has another shape.
+        When it is no picture, or the mask has another shape.
     """
+    image = as_grey(image)
     height, width = image.shape
     times = math.ceil(FEWEST_COLUMNS / width)
     found = _detect(image, times)

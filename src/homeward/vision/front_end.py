@@ -16,6 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.vision.camera import Panorama, sector_of
 from homeward.vision.compare import Comparison, compare
 from homeward.vision.features import View, look
+from homeward.vision.grey import require_like_home
 
 KEEP_SHARE = 0.5
 """A keyframe serves while this share of what its first successor shared with it agrees."""
@@ -103,11 +104,18 @@ class FrontEnd:
         return {self._name(i): HomeBearing(*pair) for i, pair in enumerate(pairs)}
 
     def see(self, panorama: np.ndarray) -> Glance:
-        """Take a panorama, uint8 (height, width), as `Panorama.panorama` gives it."""
+        """Take a panorama as `Panorama.panorama` gives it, of any kind that `look` takes.
+
+        Raises
+        ------
+        InputError
+            When it is no picture, or not as large as home's; it is as if it had not been taken.
+        """
         return self.take(look(panorama, self.camera, self.home.mask))
 
     def take(self, view: View) -> Glance:
-        """Take the next frame of the drive."""
+        """Take the next frame of the drive; errors as of `see`."""
+        require_like_home(view.shape, self.home.shape)
         landmark = np.full(len(view), NOBODY)
         compared = {}
         for k in self._references():

@@ -16,12 +16,9 @@ from homeward.drives.table import naming
 from homeward.errors import InputError
 from homeward.vision.camera import Panorama
 from homeward.vision.features import View, look
+from homeward.vision.grey import MOST_PIXELS, eight_bits, require_like_home, require_size
 from homeward.vision.mask import Mask
 
-NARROWEST, LOWEST = 64, 16
-"""Fewer columns or rows tell nothing [px]."""
-MOST_PIXELS = 64_000_000
-"""More are refused before they are decoded."""
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 
 
@@ -53,8 +50,10 @@ def read_grey(path: Path) -> np.ndarray:
             # Pillow warns of large images and odd tags; sizes are checked below.
             warnings.simplefilter("ignore")
             with Image.open(path, formats=FORMATS) as image:
-                _check(image, path)
-                return _grey(_upright(image), path)
+                _check(image)
+                return _grey(_upright(image))
+    except InputError as error:
+        raise InputError(error.what, path) from None
     except UnidentifiedImageError:
         raise InputError("not an image that can be read", path) from None
     except Image.DecompressionBombError:
@@ -93,11 +92,10 @@ def read_view(
     grey = read_grey(path)
     try:
         panorama = camera.panorama(grey)
+        if like is not None:
+            require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
     except InputError as error:
         raise InputError(error.what, path) from None
-    if like is not None and panorama.shape != like.shape:
-        (height, width), (home_height, home_width) = panorama.shape, like.shape
-        raise InputError(f"{width}x{height} pixels where home has {home_width}x{home_height}", path)
     masked = like.mask if like is not None else None
     if mask is not None:
         masked = read_mask(mask, camera, grey.shape)
@@ -135,17 +133,11 @@ def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
         raise InputError(error.what, path) from None
 
 
-def _check(image: Image.Image, path: Path) -> None:
+def _check(image: Image.Image) -> None:
     """Refuse what is no single panorama, before it is decoded."""
-    width, height = image.size
-    if width * height > MOST_PIXELS:
-        raise InputError(f"{width}x{height}: more than {MOST_PIXELS // 10**6} million pixels", path)
-    if width < NARROWEST or height < LOWEST:
-        raise InputError(
-            f"{width}x{height} pixels; a panorama has at least {NARROWEST}x{LOWEST}", path
-        )
+    require_size(*image.size)
     if (frames := getattr(image, "n_frames", 1)) > 1:
-        raise InputError(f"holds {frames} frames; give one image a file", path)
+        raise InputError(f"holds {frames} frames; give one image a file")
 
 
 def _upright(image: Image.Image) -> Image.Image:
@@ -158,16 +150,12 @@ def _upright(image: Image.Image) -> Image.Image:
         return image
 
 
-def _grey(image: Image.Image, path: Path) -> np.ndarray:
+def _grey(image: Image.Image) -> np.ndarray:
     """Decode to 8 bits of grey."""
     if image.mode.startswith("I"):
-        deep = np.asarray(image).astype(np.int64)
-        bits = max(8, int(deep.max(initial=0)).bit_length())
-        if deep.min() < 0 or bits > 16:
-            raise InputError("grey values beyond 16 bits", path)
-        return (deep >> (bits - 8)).astype(np.uint8)
+        return eight_bits(np.asarray(image))
     if image.mode == "F":
-        raise InputError("floating-point pixels; save it with 8 or 16 bits", path)
+        raise InputError("floating-point pixels; save it with 8 or 16 bits")
     if image.mode in ("P", "PA"):
         image = image.convert("RGB")
     return np.asarray(image.convert("L"))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.errors import InputError
+from homeward.vision.grey import as_grey
 from homeward.vision.opencv import opencv
 
 HALF = 128
@@ -33,18 +34,19 @@ class Mask:
 
         Parameters
         ----------
-        panorama : ndarray of uint8, shape (height, width)
-            As `Panorama.panorama` gives it; black (below 128) is left out.
+        panorama : ndarray
+            As `Panorama.panorama` gives it, of any kind that `homeward.vision.grey.as_grey` takes;
+            black (below 128) is left out.
 
         Raises
         ------
         InputError
-            When nothing would be left.
+            When it is no picture, or nothing would be left.
         """
-        used = panorama >= HALF
+        used = as_grey(panorama) >= HALF
         if not used.any():
             raise InputError("black all over: in a mask, white is what is used")
-        cv2, width = opencv(), panorama.shape[1]
+        cv2, width = opencv(), used.shape[1]
         # Across the seam, too, what is left out may be near.
         around = np.pad(used, [(0, 0), (width // 2, width // 2)], mode="wrap").astype(np.uint8)
         room = cv2.distanceTransform(around, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from homeward.drives.drive import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.vision.camera import Panorama
+from homeward.vision.grey import as_grey
 from homeward.vision.opencv import opencv
 
 FINEST, COARSEST = 2048, 256
@@ -73,7 +74,8 @@ class Ring(Panorama):
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
         """Unwrap a ring image to an equirectangular panorama with square pixels."""
-        height, width = image.shape
+        grey = as_grey(image)
+        height, width = grey.shape
         (x, y), margin = self.centre, 1.5
         if not (
             self.outer - margin <= x <= width - 1 - self.outer + margin
@@ -85,7 +87,7 @@ class Ring(Panorama):
             )
         columns, rows = self._map()
         cv2 = opencv()
-        return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR))
+        return np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR))
 
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
         """Return where each pixel of the panorama lies in the ring image."""
@@ -152,15 +154,15 @@ def find_ring(image: np.ndarray) -> FoundRing:
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (height, width)
-        Grey, dark outside the ring.
+    image : ndarray
+        Of any kind that `homeward.vision.grey.as_grey` takes, dark outside the ring.
 
     Raises
     ------
     InputError
-        When no dark surround is there to tell the ring from.
+        When it is no picture, or no dark surround is there to tell the ring from.
     """
-    cv2 = opencv()
+    image, cv2 = as_grey(image), opencv()
     blur = max(image.shape) / 250
     smooth = cv2.GaussianBlur(image, (0, 0), blur)
     border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])

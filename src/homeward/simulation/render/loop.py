@@ -18,7 +18,6 @@ from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
 from homeward.vision.features import View, look
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.home_sight import HomeSight
-from homeward.vision.opencv import opencv
 
 LEAST_TILT = 0.002
 """A camera that is said not to tilt is still not trusted more than this [rad]."""
@@ -67,7 +66,7 @@ class ImageLoop:
         self.front_end: FrontEnd | None = None
         if not blind:
             camera = panorama_of(eye)
-            self.front_end = FrontEnd(look(grey(eye.home_picture()), camera), camera)
+            self.front_end = FrontEnd(look(eye.home_picture(), camera), camera)
 
     @property
     def drive(self) -> Drive:
@@ -112,7 +111,7 @@ class ImageLoop:
             if keep is not None:
                 keep(t, robot, picture)
             if self.front_end is not None:
-                seen = self.front_end.see(grey(picture))
+                seen = self.front_end.see(picture)
                 if sight is not None:
                     sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)
@@ -129,12 +128,6 @@ def panorama_of(eye: Eye) -> Panorama:
     kind = Equirectangular if camera.projection == "equirectangular" else Cylindrical
     tilt = max(LEAST_TILT, camera.tilt_sigma)
     return kind(roll=camera.roll, pitch=camera.pitch, tilt_sigma=tilt)
-
-
-def grey(picture: np.ndarray) -> np.ndarray:
-    """Return a picture (height, width, 3) in grey, uint8."""
-    cv2 = opencv()
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
 
 
 def things_seen(eye: Eye, home: View) -> list[str]:

@@ -14,7 +14,7 @@ from homeward.angles import wrap
 from homeward.errors import InputError
 from homeward.frames import Polar, Pose, between, compose, from_polar
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import grey, panorama_of, things_seen
+from homeward.simulation.render.loop import panorama_of, things_seen
 from homeward.simulation.render.raycast import points, trace
 from homeward.simulation.render.settings import Furnish, PanoramaCamera, RenderScenario, Walls
 from homeward.simulation.scenario import Homing, RoomPose, StartPose
@@ -23,6 +23,7 @@ from homeward.studies.paper.world import CaseName, World, draw_world, fault_coun
 from homeward.vision.camera import Panorama, unit_vectors
 from homeward.vision.compare import Comparison, compare
 from homeward.vision.features import View, look
+from homeward.vision.grey import as_grey
 
 SIDE = 3.8
 """Length of the room's walls [m]: landmarks are 1 to 2.5 m from home, as in the paper's layout."""
@@ -70,7 +71,7 @@ class Sight:
         # A filter that diverged drives anywhere; inside of things nothing is seen.
         if sample % self.every or self.eye.now.blocked(centre.x, centre.y):
             return bearings, seen
-        now = look(grey(self.eye.look(sample * dt, pose, sample + 1)), self.camera)
+        now = look(self.eye.look(sample * dt, pose, sample + 1), self.camera)
         compared = compare(self.home, now, self.camera)
         azimuth = dict(zip(*_matched(compared, now), strict=True))
         for i, row in enumerate(self.landmarks.tolist()):
@@ -114,8 +115,8 @@ def _draw_sight(case: CaseName, settings: PaperSettings, run: int) -> Sight:
     best: Sight | None = None
     for attempt in range(TRIES):
         eye = Eye(_room(case, settings, (settings.seed * 1000 + run) * TRIES + attempt))
-        camera, image = panorama_of(eye), grey(eye.home_picture())
-        home, first = look(image, camera), look(grey(eye.look(0.0, start, 1)), camera)
+        camera, image = panorama_of(eye), as_grey(eye.home_picture())
+        home, first = look(image, camera), look(eye.look(0.0, start, 1), camera)
         moved = _on_moved_boxes(eye, home)
         rows = _choose(compare(home, first, camera), home, moved, q, wanted)
         if rows.size == q and (best is None or moved[rows].sum() > best.moved.sum()):
