@@ -34,6 +34,7 @@ def compare(
     from homeward.vision.compare import compare as compare_views
     from homeward.vision.images import read_view
     from homeward.vision.settings import read_image_settings
+    from homeward.vision.turning_along import turning_along
 
     settings = read_image_settings(camera)
     check_output(out, RESULT)
@@ -42,6 +43,8 @@ def compare(
     seen = compare_views(home_view, now_view, settings.camera)
     write_comparison(out, seen, (home_image, now_image), (home_view, now_view))
     typer.echo(describe(seen))
+    if found := turning_along(seen, settings.camera):
+        typer.echo(f"{found.matches} {found.words} (--mask FILE).")
     typer.echo(f"Picture: {out / PICTURE}")
     if not seen.accepted:
         raise typer.Exit(1)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Drive, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
@@ -18,13 +19,14 @@ from homeward.drives.folder import (
     read_odometry,
     read_truth,
 )
-from homeward.drives.images import IMAGES, Images, file_within, read_images
+from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.table import require_folder
 from homeward.errors import InputError
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_view
 from homeward.vision.settings import ImageSettings, read_image_settings
+from homeward.vision.turning_along import TurningAlong, TurnsAlong
 
 IMAGE_SETTINGS = "images.yaml"
 FEWEST_SIGHTINGS = 8
@@ -51,7 +53,8 @@ def see_folder(
     -------
     Drive
         Landmarks seen at home are called h and a number, others k and a number. Its remarks count
-        images that were like nothing seen before, and what was left out.
+        images that were like nothing seen before, what was left out, and matches that turn with the
+        camera, as what belongs to the robot does.
 
     Raises
     ------
@@ -77,9 +80,12 @@ def see_folder(
     truth = read_truth(folder / TRUTH, remarks)
     _, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
-    glances = _look_at_all(front_end, images, settings, progress)
+    headings = dead_reckoning(odometry, images.t).heading
+    glances, along = _look_at_all(front_end, images.files, headings, progress)
     if unlike := sum(not glance.bearings for glance in glances):
         remarks[UNLIKE] = unlike
+    if along is not None:
+        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
     return Drive(
         name=folder.resolve().name,
         odometry=odometry,
@@ -119,17 +125,19 @@ def _span(t: np.ndarray) -> tuple[float, float]:
 
 def _look_at_all(
     front_end: FrontEnd,
-    images: Images,
-    settings: ImageSettings,
+    files: list[Path],
+    headings: np.ndarray,
     progress: Callable[[float], None] | None,
-) -> list[Glance]:
-    glances = []
-    for k, file in enumerate(images.files):
-        _, view = read_view(file, settings.camera, like=front_end.home)
+) -> tuple[list[Glance], TurnsAlong | None]:
+    """Return what each image shows, and what turned with the camera; headings are by odometry."""
+    glances, along = [], TurningAlong()
+    for k, (file, heading) in enumerate(zip(files, headings.tolist(), strict=True)):
+        _, view = read_view(file, front_end.camera, like=front_end.home)
         glances.append(front_end.take(view))
+        along.see(view, heading)
         if progress is not None:
-            progress((k + 1) / len(images.files))
-    return glances
+            progress((k + 1) / len(files))
+    return glances, along.found
 
 
 def _sightings(t: np.ndarray, glances: list[Glance], remarks: dict[str, int]) -> Sightings:
