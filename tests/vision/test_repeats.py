@@ -14,7 +14,6 @@ from vision_scene import make_room
 
 from homeward.angles import wrap
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import grey
 from homeward.simulation.render.rooms import room
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.acceptance import judge, judge_alone
@@ -33,7 +32,7 @@ def seen_in(name, seed):
     camera = made.camera.model_copy(update={"width": 2048, "height": 512})
     eye = Eye(made.model_copy(update={"camera": camera}))
     start = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-    home, now = (look(grey(p), CAMERA) for p in (eye.home_picture(), eye.look(0.0, start, 1)))
+    home, now = (look(p, CAMERA) for p in (eye.home_picture(), eye.look(0.0, start, 1)))
     return start.heading, home, now
 
 
