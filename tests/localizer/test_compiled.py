@@ -13,6 +13,7 @@ from homeward.localizer import chain, fitting, sightings
 from homeward.localizer.answer import in_home_frame
 from homeward.localizer.compiled import compiled
 from homeward.localizer.fitting import fit, solved
+from homeward.localizer.gate import agreeing
 from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
@@ -230,3 +231,20 @@ def test_without_a_compiler_the_user_is_told(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     assert compiled() is None
     assert any("no-such-compiler" in note for note in Localizer({}).notes)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 9, 40])
+def test_which_residuals_agree(both, m):
+    rng = np.random.default_rng(m)
+    factor = rng.normal(size=(m, 3))
+    spread = 0.05**2 * factor @ factor.T + np.diag(rng.uniform(0.005, 0.02, m) ** 2)
+    residual = rng.multivariate_normal(np.zeros(m), spread)
+    wrong = m // 3 if m > 3 else 0  # three that have three unknowns in common tell nothing
+    residual[:wrong] += rng.choice([-0.3, 0.3], wrong)
+    native, plain = both(agreeing, residual, spread, 4.0)
+    assert native.tolist() == plain.tolist() == (np.arange(m) >= wrong).tolist()
+
+
+def test_where_nothing_can_be_told_all_agree(both):
+    for kept in both(agreeing, np.ones(3), -np.eye(3), 4.0):
+        assert kept.all()

@@ -19,6 +19,7 @@ _FUNCTIONS = {
     "move_on": "i" + 6 * "a",
     "predict": "ii" + 7 * "a",
     "correct": "ii" + 5 * "a",
+    "agree": "iid" + 4 * "a" + "b",
     "spread_home": "s" + 3 * "a",
     "solve_home": "s" + 9 * "a",
     "fit_home": "sid" + 13 * "a",
@@ -28,7 +29,7 @@ _FUNCTIONS = {
     "integrate": "iaaaddi" + 5 * "a",
 }
 _MAY_FAIL = (
-    *("add_sightings", "eliminate", "predict", "correct"),
+    *("add_sightings", "eliminate", "predict", "correct", "agree"),
     *("solve_home", "fit_home", "judge_home", "doubt_home"),
 )
 """Where an index is out of range or a matrix not positive definite."""

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from homeward.estimator import Innovation
+from homeward.localizer.compiled import compiled
 from homeward.localizer.marginal import HEAD, Marginal, Prediction
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.sightings import LANDMARK
@@ -90,8 +91,18 @@ def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarra
     -------
     ndarray, shape (m,), bool
     """
-    kept = np.ones(residual.size, bool)
-    information = np.linalg.inv(spread + FINEST**2 * np.eye(residual.size))
+    m, kept = residual.size, np.ones(residual.size, bool)
+    spread = spread + FINEST**2 * np.eye(m)
+    native = compiled()
+    if native is not None:
+        scratch = np.empty((m, m)), np.empty(m)
+        native.agree(m, FEWEST, gate, residual, spread, *scratch, kept)
+        return kept
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(spread))
+    except np.linalg.LinAlgError:  # nothing can be told
+        return kept
+    information = root.T @ root
     while kept.sum() >= FEWEST:
         weight = np.sqrt(np.where(kept, information.diagonal(), np.inf))
         off = np.abs(information @ residual) / weight
@@ -112,5 +123,6 @@ def _from_motion(
     c, s = math.cos(heading), math.sin(heading)
     to_map = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     off = prediction.jacobian[:, HEAD:]
-    by_motion = np.column_stack([-off, -np.ones(len(off))]) @ to_map
+    by_motion = off @ to_map[:2]  # less the sign, which does not matter
+    by_motion[:, 2] = 1.0
     return np.asarray(by_motion @ motion.covariance @ by_motion.T)

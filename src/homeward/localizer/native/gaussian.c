@@ -90,3 +90,49 @@ int correct(long size, long m, double *residual, double *correlated, double *spr
   }
   return 0;
 }
+
+/* Which residuals (m) agree with each other: one after the other, the one is left out that is
+ * farthest from what the others let expect, until none is beyond the gate. `spread` (m, m) is used
+ * up; `inverse` (m, m) and `told` (m) are scratch. 1 if `spread` is not positive definite. */
+int agree(long m, long fewest, double gate, const double *residual, double *spread,
+          double *inverse, double *told, unsigned char *kept) {
+  if (root(m, spread)) return 1;
+  memset(inverse, 0, m * m * sizeof *inverse);
+  for (long i = 0; i < m; i++) { /* of the root: lower triangular, too */
+    double *mine = inverse + m * i;
+    mine[i] = 1.0;
+    for (long k = 0; k < i; k++)
+      for (long q = 0; q <= k; q++) mine[q] -= spread[m * i + k] * inverse[m * k + q];
+    for (long q = 0; q <= i; q++) mine[q] /= spread[m * i + i];
+  }
+  double *information = spread;
+  memset(information, 0, m * m * sizeof *information);
+  for (long k = 0; k < m; k++)
+    for (long i = 0; i <= k; i++)
+      for (long q = 0; q <= k; q++)
+        information[m * i + q] += inverse[m * k + i] * inverse[m * k + q];
+  for (long i = 0; i < m; i++) {
+    kept[i] = 1;
+    told[i] = 0.0;
+    for (long q = 0; q < m; q++) told[i] += information[m * i + q] * residual[q];
+  }
+  for (long left = m; left >= fewest; left--) {
+    long worst = -1;
+    double farthest = gate * gate;
+    for (long i = 0; i < m; i++) {
+      const double square = kept[i] ? told[i] * told[i] / information[m * i + i] : 0.0;
+      if (square > farthest) farthest = square, worst = i;
+    }
+    if (worst < 0) break;
+    kept[worst] = 0;
+    const double *row = information + m * worst;
+    const double own = row[worst], share = told[worst] / own;
+    for (long i = 0; i < m; i++) told[i] -= share * row[i];
+    for (long i = 0; i < m; i++) {
+      if (!kept[i]) continue;
+      const double by = row[i] / own;
+      for (long q = 0; q < m; q++) information[m * i + q] -= by * row[q];
+    }
+  }
+  return 0;
+}
