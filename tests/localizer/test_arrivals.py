@@ -77,7 +77,7 @@ def test_bearings_do_not_wait_for_odometry_that_is_gone(rig):
     used = localizer.counts.used
     for k in range(1, 20):
         localizer.bearings(t + 0.2 * k, seen, sigmas)
-    assert localizer.counts.used > used + 8 * 10
+    assert localizer.counts.used > used + 8 * 6  # at keyframes: nobody knows the way from there
 
 
 @pytest.mark.parametrize("kind", ["odometry", "bearings"])

@@ -1,5 +1,7 @@
 """The gate: which sightings of a stamp agree with the others."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,25 @@ def test_right_ones_are_seldom_left_out():
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(np.zeros(6), spread(6, 0.1), 500)
     assert np.mean([agreeing(each, spread(6, 0.1), 4.0).all() for each in draws]) > 0.995
+
+
+def test_where_as_many_differ_as_agree_nobody_is_left_out():
+    rng = np.random.default_rng(0)
+    residual = 0.005 * rng.normal(size=6)
+    residual[:3] += 0.2
+    assert agreeing(residual, spread(6, 0.5), 4.0).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_numbers_that_are_none_end_it(value, both):
+    residual, wild = np.full(5, 0.01), spread(5, 0.1)
+    residual[2] = value
+    with np.errstate(all="ignore"):
+        both(agreeing, residual, spread(5, 0.1), 4.0)
+        wild[2, 2] = value
+        both(agreeing, np.full(5, 0.01), wild, 4.0)
+
+
+def test_what_is_lost_in_rounding_is_no_error(both):
+    for kept in both(agreeing, np.full(4, 0.1), np.full((4, 4), 1e8), 4.0):
+        assert kept.all()

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from rig import Rig, eight, ring, still
 
@@ -109,6 +110,17 @@ def test_wheels_that_slip(seed):
     rig.drive(30)
     assert rig.error() < 0.1
     assert rig.wrong_share(said) * 32 < 5.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("sigma", [0.05, 0.08])
+def test_noisy_odometry_makes_the_map_not_larger(sigma, seed):
+    rig = Rig(ring(10, seed), seed, speed_sigma=sigma)
+    rig.drive(60)
+    known = {m.landmark: math.hypot(m.x, m.y) for m in rig.localizer.landmarks()}
+    larger = [known[name] / math.hypot(*place) for name, place in rig.landmarks.items()]
+    assert np.median(larger) == pytest.approx(1.0, abs=0.07)
+    assert rig.wrong_share() < 0.02
 
 
 def test_sightings_that_agree_by_chance_do_not_carry_the_robot_off():

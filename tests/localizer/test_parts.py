@@ -9,12 +9,15 @@ from homeward.angles import wrap
 from homeward.drives.clock import Clock
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.estimator import Innovation
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer import chain
 from homeward.localizer.fitting import fit
+from homeward.localizer.landmarks import Landmark, Landmarks
+from homeward.localizer.lost import Shoved
 from homeward.localizer.moved import search
 from homeward.localizer.odometry import Odometry
-from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE
+from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.resection import poses_from_triples
@@ -241,9 +244,35 @@ def test_a_lost_robot_is_found_in_its_map():
     )
     found = relocate(lines)
     assert found is not None
+    assert relocate(lines, fewest=13) is None
     off = between(lost, Pose(*found[0]))
     assert math.hypot(off.x, off.y) < 0.05
     assert abs(off.heading) < 0.03
+
+
+def sighted(*fits):
+    """Innovations of which some fit."""
+    return [Innovation(f"L{i}", 0.0 if f else 0.1, 0.01, f) for i, f in enumerate(fits)]
+
+
+def test_more_must_fit_from_elsewhere_than_from_here():
+    shoved = Shoved()
+    assert shoved.suspicion(sighted(True, True, False), Motion.none()) is None
+    suspicion = shoved.suspicion(sighted(True, False, False, False), Motion.none())
+    assert suspicion is not None
+    assert suspicion[1] == 1 + 5
+    assert shoved.suspicion(sighted(True, True, True, True, True), Motion.none()) is None
+
+
+def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
+    landmarks = Landmarks(0.06)
+    landmarks.mapped["a"] = Landmark("a", 0)
+    assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, True])
+    assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, True])
+    assert any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, False, True])
+    for _ in range(300):
+        landmarks.refused({"a": False})
+    assert not [landmarks.refused({"a": True}) for _ in range(20)][-1]
 
 
 def test_a_clock_that_is_set_back_goes_on():

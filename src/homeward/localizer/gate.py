@@ -16,8 +16,10 @@ HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
 FEWEST = 3
 """Of so many sightings one can be told from the others."""
-FINEST = 1e-6
-"""No bearing is taken for better than this [rad]."""
+MOST_LEFT_OUT = 1.0 / 3.0
+"""Where a larger share differs from the others, it may be the others that are wrong."""
+FINEST, ROUNDING = 1e-6, 1e-10
+"""No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
 
 
 def judge(
@@ -90,29 +92,34 @@ def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarra
     Returns
     -------
     ndarray, shape (m,), bool
+        All, where too many would have to be left out.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
-    spread = spread + FINEST**2 * np.eye(m)
+    finest = FINEST**2 + ROUNDING * spread.diagonal().max(initial=0.0)
+    spread = spread + finest * np.eye(m)
     native = compiled()
     if native is not None:
-        scratch = np.empty((m, m)), np.empty(m)
-        native.agree(m, FEWEST, gate, residual, spread, *scratch, kept)
-        return kept
+        native.agree(m, FEWEST, gate, residual, spread, np.empty((m, m)), np.empty(m), kept)
+    else:
+        _leave_out(kept, residual, spread, gate)
+    return kept if (~kept).sum() <= MOST_LEFT_OUT * m else np.ones(m, bool)
+
+
+def _leave_out(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate: float) -> None:
+    """Leave out those that do not agree with the others, in `kept`."""
     try:
         root = np.linalg.inv(np.linalg.cholesky(spread))
     except np.linalg.LinAlgError:  # nothing can be told
-        return kept
+        return
     information = root.T @ root
     while kept.sum() >= FEWEST:
-        weight = np.sqrt(np.where(kept, information.diagonal(), np.inf))
-        off = np.abs(information @ residual) / weight
-        worst = int(off.argmax())
-        if off[worst] <= gate:
-            break
+        squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
+        worst = int(squares.argmax())
+        if not squares[worst] > gate**2:
+            return
         kept[worst] = False
         row = information[worst].copy()
         information -= np.outer(row, row) / row[worst]
-    return kept
 
 
 def _from_motion(

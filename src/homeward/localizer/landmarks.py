@@ -23,7 +23,7 @@ MOST_STARTS = 6
 MORE = 1.1
 """Sight lines that did not tell a position are tried again when there are so many times more."""
 REFUSED = 6
-"""A landmark refused so often in a row starts anew, when others fit."""
+"""A landmark refused so much more often than not starts anew, when others fit."""
 MOST_FROM_HOME = 48
 """Home is found among so many landmarks at most; those that came first are the nearest."""
 PLACED = 0.3
@@ -47,7 +47,7 @@ class Landmark:
     entered: int = 0
     """Keyframe at which it entered the map."""
     refused: int = 0
-    """Sightings in a row that did not fit."""
+    """By how many more sightings of late did not fit than, counted twice, did."""
     lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Direction of the first sight line [rad], and how far others lie to either side of it."""
 
@@ -220,10 +220,11 @@ class Landmarks:
         return any(each < AS_WELL * own for each in off)
 
     def refused(self, fits: Mapping[str, bool]) -> list[str]:
-        """Count which sightings of a stamp fitted; return the landmarks refused again and again."""
+        """Count which sightings of a stamp fitted; return the landmarks refused too often."""
         for name, fit in fits.items():
             landmark = self.mapped[name]
-            landmark.refused = max(landmark.refused + (-2 if fit else 1), 0)
+            refused = landmark.refused + (-2 if fit else 1)
+            landmark.refused = min(max(refused, 0), 5 * REFUSED)
         return [name for name in fits if self.mapped[name].refused >= REFUSED]
 
     def restart(self, window: Window, names: list[str]) -> bool:

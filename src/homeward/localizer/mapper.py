@@ -10,6 +10,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
+from homeward.localizer.blur import blurred
 from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, Search, Shoved, hopeless, leap
@@ -125,11 +126,10 @@ class Mapper:
         if not self.feels:
             self._counts.reject("no odometry yet", len(sightings))
             return [], False
-        names = list(sightings)
-        bearings = np.array([sightings[n] for n in names])
         self.noise.see(t, {n: b for n, b in sightings.items() if n not in sigmas})
+        names = list(sightings)
         deviations = np.array([sigmas.get(n, self.noise.sigma) for n in names])
-        look = Look(t, names, bearings, deviations)
+        look = Look(t, names, np.array([sightings[n] for n in names]), deviations)
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.lost.since is None and hopeless(motion, self.marginal)
         anew = gone and not self.landmarks.mapped
@@ -144,8 +144,8 @@ class Mapper:
             self._add_keyframe(t, motion)
         since = Motion.none() if fresh else motion
         rows = self._rows(since, look)
-        gate = self._settings.gate
-        innovations, prediction = judge(self.marginal, motion, fresh, names, rows, gate)
+        told = self.marginal, motion, fresh, names, rows, self._settings.gate
+        innovations, prediction = judge(*told)
         if self.lost.was_lifted(innovations):
             self._lose(t)
             return innovations, self._look_around(look)
@@ -153,7 +153,12 @@ class Mapper:
         if suspicion and self._relocated(*suspicion, since, look):
             return innovations, True
         fits = {i.landmark: i.accepted for i in innovations}
-        rows[:, SIGMA] = np.sqrt(deviations**2 + since.covariance[2, 2])
+        if not fresh:
+            widened = blurred(rows, since, len(self._between) + 1, prediction, self.marginal)
+            if widened is None:
+                self._counts.reject("odometry since the keyframe is too uncertain", len(names))
+                return innovations, anew
+            rows[:, SIGMA] = widened
         refused = self.landmarks.refused(fits)
         kept = self._keep(t, names, rows, fits)
         changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)

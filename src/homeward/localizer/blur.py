@@ -1,0 +1,58 @@
+"""What odometry's noise since the keyframe does to the sightings that hang on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.localizer.marginal import HEAD, Marginal, Prediction
+from homeward.localizer.preintegration import Motion
+from homeward.localizer.sightings import LANDMARK, SIGMA
+
+MOST, MOST_OF_WAY = 0.7, 0.2
+"""Sightings are of no use where the way blurs them by more [standard deviations of bearings], or,
+while there is no map to tell that, where the way is uncertain by more than such a share of it."""
+
+
+def blurred(
+    rows: np.ndarray, motion: Motion, stamp: int, prediction: Prediction, marginal: Marginal
+) -> np.ndarray | None:
+    """Return the deviations of bearings, with what the way since the newest keyframe adds.
+
+    The table of sightings takes that way for exact and the sightings for independent, while the
+    error of the way is in all sightings of a stamp, and goes on in the later stamps'. So the k-th
+    stamp bears its variance k + 1 times for each of its sightings: as the variance grows with k,
+    and sum(1 / k / (k + 1)) = 1, all stamps then tell of the keyframe what the first one alone
+    would. Else noisy odometry makes the map too large, and the pose too sure.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (m, COLUMNS)
+        Of the table of sightings, with the deviations of the bearings alone. Those of landmarks
+        that are not mapped are taken to be as far as the mapped ones mostly are.
+    motion : Motion
+        From the newest keyframe to the stamp.
+    stamp : int
+        Its number k since then, from 1.
+    prediction : Prediction
+        Of those that are mapped.
+    marginal : Marginal
+        What is known of the newest keyframe and the map.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        [rad]; None where the way is so uncertain that the bearings are of no use.
+    """
+    sigmas, known = rows[:, SIGMA], rows[:, LANDMARK] >= 0
+    if not known.size:
+        return sigmas
+    across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
+    distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
+    if not distances.size and across > (MOST_OF_WAY * motion.path) ** 2:
+        return None
+    by_shift = np.full(known.size, np.median(distances) ** -2.0 if distances.size else 0.0)
+    by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
+    if across * np.median(by_shift) > (MOST * np.median(sigmas)) ** 2:
+        return None
+    shared = (stamp + 1) * known.size * across * by_shift
+    return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))
