@@ -9,6 +9,7 @@ from rig import Rig, ring
 from test_parts import problem
 
 from homeward.angles import TWO_PI, wrap
+from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, between
 from homeward.localizer import moved
 from homeward.localizer.answer import (
@@ -23,6 +24,8 @@ from homeward.localizer.faults import log_odds, log_right, log_wrong
 from homeward.localizer.fitting import fit
 from homeward.localizer.glimpses import glimpse
 from homeward.localizer.moved import Hypotheses, renamed, search
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.standing import Standing
 
 CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 
@@ -50,6 +53,21 @@ def test_a_bearing_further_off_is_less_probably_right_and_one_that_nothing_predi
     assert nothing == pytest.approx(math.log(9.0))
     near, far = log_wrong(np.array([0.3, 2.5]), np.full(2, 0.02**2))
     assert near > far > -math.log(TWO_PI) - math.log(2.5)
+
+
+def test_a_home_that_wanders_leaves_the_pose_unfixed_if_it_is_as_probable():
+    known = problem({})[1]
+    found = fit(known, np.zeros(3), np.ones(8, bool))
+    small = fit(known, np.zeros(3), np.arange(8) < 4)
+    for adrift, fixed in (((), True), ((small,), True), ((found,), False)):
+        standing = Standing(LocalizerSettings(), OdometryNoise())
+        now = Hypotheses((found,), np.ones(1), adrift)
+        standing.take(now, firm=True)
+        assert standing.fixed == fixed
+        assert now.peak == found.evidence
+    assert now.unrest == pytest.approx(0.5)
+    standing.take(Hypotheses((small,), np.ones(1), (found,)), firm=True)
+    assert not standing.fixed
 
 
 def test_evidence_of_a_flip_is_what_the_odds_say_while_another_one_is_wrong():

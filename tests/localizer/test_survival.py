@@ -136,6 +136,15 @@ def test_home_on_the_circle_through_its_landmarks_is_never_a_confident_lie():
     assert rig.wrong_share() < 0.01
 
 
+@pytest.mark.parametrize("seed", [5, 8, 18, 35])
+def test_a_home_that_wanders_on_the_circle_gives_way_to_no_worse_one_that_rests(seed):
+    angles = np.random.default_rng(seed).uniform(-math.pi, math.pi, 8)
+    marks = {f"L{i}": (2.0 + 2.0 * math.cos(a), 2.0 * math.sin(a)) for i, a in enumerate(angles)}
+    rig = Rig(marks, seed, pose=Pose(1.0, 0.3, 0.2))
+    rig.drive(40)
+    assert rig.wrong_share() < 0.01
+
+
 def test_three_landmarks_give_an_unverified_pose():
     rig = Rig(ring(3))
     assert rig.drive(60).status is Status.UNVERIFIED

@@ -25,6 +25,7 @@ from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.moved import (
+    PROBABLE,
     Hypotheses,
     Start,
     carry,
@@ -222,8 +223,12 @@ class Localizer:
             self._starts.clear()
             self._seen_from_home = names
         else:
+            before = now.peak
             now = (follow if self._mapper.solved else carry)(problem, now)
-            if now is not None:
+            if now is not None and now.peak < before + math.log(PROBABLE):
+                # The best set's home went astray: there may be a way back to it, or a better one.
+                now = search(problem, [(f.home, f.right) for f in (*now.fits, *now.adrift)])
+            elif now is not None:
                 now = self._challenged(problem, now)
         self._hypotheses = now
         self._standing.take(now, self._mapper.solved and not self._coasts(self._t))

@@ -7,8 +7,10 @@ for the linearised problem; pairs are tried too while q is small.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -47,6 +49,9 @@ class Hypotheses:
     fits: tuple[HomeFit, ...]
     weights: np.ndarray
     """(k,), sum to one."""
+    adrift: tuple[HomeFit, ...] = ()
+    """Sets whose home wanders, as on the circle through its landmarks: what the fit says of them
+    is of one place out of many."""
 
     @property
     def best(self) -> HomeFit:
@@ -57,6 +62,20 @@ class Hypotheses:
         """Return the probability that each home bearing is wrong, shape (q,)."""
         wrong = [1.0 / (1.0 + np.exp(np.clip(f.odds, -500, 500))) for f in self.fits]
         return np.asarray(self.weights @ np.array(wrong))
+
+    @cached_property
+    def unrest(self) -> float:
+        """About how probable the sets are whose home wanders; all of it if the best one's does."""
+        if not self.best.settled:
+            return 1.0
+        first, at_rest = self.best.evidence, 1.0 / float(self.weights[0])
+        wanders = sum(math.exp(min(f.evidence - first, 500.0)) for f in self.adrift)
+        return wanders / (wanders + at_rest)
+
+    @cached_property
+    def peak(self) -> float:
+        """The log evidence of the most probable set, its home at rest or not."""
+        return max(f.evidence for f in (*self.fits, *self.adrift))
 
     def rivals(self, deviations: float) -> float:
         """Return the probability of those that put home elsewhere than the best one does."""
@@ -109,6 +128,10 @@ def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return the same sets, flipped where that is better, after the map has changed a little."""
     found: dict[bytes, HomeFit] = {}
     lead: HomeFit | None = None
+    for wanders in hypotheses.adrift:
+        again = fit(problem, wanders.home, wanders.right, steps=3)
+        if again is not None:
+            found[again.right.tobytes()] = again
     for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
         again = _fit_beside(lead, problem, hypothesis.home, hypothesis.right)
         if again is None:
@@ -132,7 +155,7 @@ def renamed(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) ->
 
 def challenged(problem: HomeProblem, hypotheses: Hypotheses, start: Start) -> Hypotheses:
     """Return the sets with those among them that are climbed to from another home and set."""
-    found = {f.right.tobytes(): f for f in hypotheses.fits}
+    found = {f.right.tobytes(): f for f in (*hypotheses.adrift, *hypotheses.fits)}
     known = set(found)
     _climb(problem, *start, found)
     weighed = _weigh(problem, found)
@@ -149,7 +172,7 @@ def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     best = carried(hypotheses.best, problem)
     if best is None:
         return follow(problem, hypotheses)
-    return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights)
+    return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights, hypotheses.adrift)
 
 
 def posed(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
@@ -238,7 +261,8 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
 def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     """Return the fits and the best one's neighbours as hypotheses, without the negligible ones.
 
-    What an iteration that has not come to rest says of its evidence is not comparable.
+    What an iteration that has not come to rest says of its evidence is not comparable; but where
+    it is greater all the same, the set is kept, for home may be anywhere along its way.
     """
     settled = {key: f for key, f in found.items() if f.settled} or found
     best = max(settled.values(), key=lambda f: f.evidence)
@@ -247,7 +271,10 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     weights = np.exp(np.array([f.evidence for f in fits]) - fits[0].evidence)
     keep = weights > NEGLIGIBLE
     weights = weights[keep] / weights[keep].sum()
-    return Hypotheses(tuple(f for f, k in zip(fits, keep, strict=True) if k), weights)
+    at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
+    least = best.evidence + math.log(NEGLIGIBLE)
+    adrift = [f for f in found.values() if not f.settled and f.evidence > least]
+    return Hypotheses(at_rest, weights, tuple(adrift) if best.settled else ())
 
 
 def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) -> Iterator[HomeFit]:

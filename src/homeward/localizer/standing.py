@@ -80,7 +80,8 @@ class Standing:
             self._checked = now.best.checked
         self._answer = answer_of(now.best, self._others)
         if firm or not self.fixed:
-            self.fixed = self._is_fixed(now.best)
+            at_rest = now.unrest < 1.0 - self._settings.sure
+            self.fixed = at_rest and self._is_fixed(now.best)
             self._rivals = now.rivals(ELSEWHERE)
         faults = unchecked(now.best, self._checked)
         if faults is not None:
@@ -137,14 +138,14 @@ class Standing:
 
     def _is_fixed(self, best: HomeFit) -> bool:
         """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
-        if not best.settled:
-            return self.fixed
         # A wrong home that lies far away would call its landmarks distant; the robot does not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
         self._most = STILL_FIXED * reach
         most = self._most if self.fixed else reach
-        return _sigma(self._answer.with_scale(self._speed_scale).covariance) <= most
+        # Where home may turn by as much, what is linear in its heading no longer holds.
+        turn = math.sqrt(self._answer.covariance[2, 2]) * distance
+        return max(turn, _sigma(self._answer.with_scale(self._speed_scale).covariance)) <= most
 
 
 def _sigma(covariance: np.ndarray) -> float:
