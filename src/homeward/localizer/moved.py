@@ -65,9 +65,7 @@ class Hypotheses:
 
     @cached_property
     def unrest(self) -> float:
-        """About how probable the sets are whose home wanders; all of it if the best one's does."""
-        if not self.best.settled:
-            return 1.0
+        """About how probable the sets are whose home wanders, the best one aside."""
         first, at_rest = self.best.evidence, 1.0 / float(self.weights[0])
         wanders = sum(math.exp(min(f.evidence - first, 500.0)) for f in self.adrift)
         return wanders / (wanders + at_rest)

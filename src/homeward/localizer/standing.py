@@ -24,8 +24,6 @@ from homeward.localizer.settings import LocalizerSettings
 
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
-PATIENCE = 6
-"""A pose that was given is withdrawn when home wanders in so many solutions in a row."""
 ELSEWHERE = 3.0
 """Hypotheses count as rivals when their homes are this many standard deviations apart."""
 CHECKED = 4
@@ -57,8 +55,6 @@ class Standing:
         self._checked = np.zeros(0, bool)
         """The home bearings of the best one that the others check."""
         self._rivals = 0.0
-        self._restless = 0
-        """For how many solutions in a row a home that wanders has been likely."""
         self._most = math.inf
         """How uncertain a pose may be that was given [m]."""
         self.fixed = False
@@ -84,10 +80,8 @@ class Standing:
             self._checked = now.best.checked
         self._answer = answer_of(now.best, self._others)
         if firm or not self.fixed:
-            at_rest = now.unrest < 1.0 - self._settings.sure
-            self._restless = 0 if at_rest else self._restless + 1
-            borne = self.fixed and self._restless < PATIENCE
-            self.fixed = (at_rest or borne) and self._is_fixed(now.best)
+            at_rest = self.fixed or (now.best.settled and now.unrest < 0.5)
+            self.fixed = at_rest and self._is_fixed(now.best)
             self._rivals = now.rivals(ELSEWHERE)
         faults = unchecked(now.best, self._checked)
         if faults is not None:
