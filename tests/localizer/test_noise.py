@@ -34,7 +34,7 @@ def test_some_wrong_ids_do_not_matter_much(wrong):
     assert seen_noise(0.05, 5.0, wrong=wrong).sigma == pytest.approx(0.05, rel=0.25)
 
 
-def test_it_is_never_believed_to_be_less_than_the_default_and_what_was_given_is_believed():
+def test_it_is_never_believed_to_be_less_than_the_default_and_differences_doubt_nothing_given():
     assert seen_noise(0.001, 5.0).sigma == 0.02
     assert seen_noise(0.1, 5.0, given=0.03).sigma == 0.03
     assert seen_noise(0.1, 5.0, given=0.03).ratio == 1.0

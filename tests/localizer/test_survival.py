@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from rig import Rig, eight, ring
+from rig import BEARING_SIGMA, Rig, eight, ring
 
 from homeward.control import Twist
-from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import DriveSettings, HomeBearing, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.localizer.localizer import Localizer
+from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.moved import Hypotheses
 from homeward.localizer.preintegration import TURN_SLIP
 
@@ -200,6 +200,32 @@ def test_a_camera_worse_than_expected_is_found_out_before_it_is_believed(sigma, 
     assert rig.localizer.mapper.noise.sigma == pytest.approx(sigma, rel=0.3)
     assert not any(m.moved for m in rig.localizer.landmarks())
     assert rig.wrong_share() <= 0.02
+
+
+@pytest.mark.parametrize("told_with_each", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, seed):
+    rig, small = Rig(ring(10, seed), seed=seed), BEARING_SIGMA / 10
+    home = {n: HomeBearing(b.bearing, b.sigma / 10) for n, b in rig.home.items()}
+    if told_with_each:
+        rig.sigmas = dict.fromkeys(rig.home, small)
+        sensor = Sensor()
+    else:
+        sensor = Sensor(bearing_sigma=small)
+    rig.localizer = Localizer(home, rig.settings.model_copy(update={"sensor": sensor}))
+    assert NOISY_NOTE not in rig.localizer.notes
+    assert rig.drive(60).status is Status.LOCALISED
+    assert rig.localizer.mapper.noise.doubt == pytest.approx(10.0, rel=0.25)
+    assert NOISY_NOTE in rig.localizer.notes
+    assert not rig.moved()
+    assert rig.wrong_share() <= 0.05
+
+
+def test_bearings_as_noisy_as_was_given_are_not_doubted():
+    rig = Rig(ring(10), faults={"L1": 0.5})
+    rig.drive(60, see=lambda seen: {n: b for n, b in seen.items() if rig.rng.random() < 0.7})
+    assert rig.localizer.mapper.noise.doubt == 1.0
+    assert NOISY_NOTE not in rig.localizer.notes
 
 
 def test_a_home_that_may_be_anywhere_judges_no_landmark():

@@ -43,6 +43,7 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
+NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
 SEARCH_EVERY = 40
@@ -200,6 +201,8 @@ class Localizer:
                 self._last_accepted = glance.t
             if fresh:
                 self._find_home()
+        if self._mapper.noise.doubt > 1.0 and NOISY_NOTE not in self.notes:
+            self.notes += (NOISY_NOTE,)
         return () if self._arrivals.waits else tuple(innovations)
 
     def _advance(self, t: float) -> None:
@@ -269,11 +272,10 @@ class Localizer:
 
     def _home_sigma(self, name: str) -> float:
         """Return the standard deviation of a home bearing [rad]."""
-        told = self._home[name].sigma
-        if math.isfinite(told):
-            return told
-        # A camera that is worse than expected was so at home.
-        return self.settings.home_sigma * self._mapper.noise.ratio
+        told, noise = self._home[name].sigma, self._mapper.noise
+        if not math.isfinite(told):  # a camera that is worse than expected was so at home
+            return self.settings.home_sigma * noise.ratio
+        return told * noise.doubt if self._drive.home_sensor is None else told
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""

@@ -126,10 +126,10 @@ class Mapper:
         if not self.feels:
             self._counts.reject("no odometry yet", len(sightings))
             return [], False
-        self.noise.see(t, {n: b for n, b in sightings.items() if n not in sigmas})
+        self.noise.see(t, sightings, sigmas)
         names = list(sightings)
-        deviations = np.array([sigmas.get(n, self.noise.sigma) for n in names])
-        look = Look(t, names, np.array([sightings[n] for n in names]), deviations)
+        bearings = np.array([sightings[n] for n in names])
+        look = Look(t, names, bearings, self.noise.sigmas(names, sigmas))
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.lost.since is None and hopeless(motion, self.marginal)
         anew = gone and not self.landmarks.mapped

@@ -4,17 +4,23 @@ At once by their second differences, which need no map: between a sighting of a 
 next but one its direction, the odometry's turns taken out, is all but linear in time. Later by what
 the map leaves of them. Whichever is larger is believed: the first knows nothing of slow errors, and
 the second nothing of what was rejected.
+
+What was given is doubted where the map leaves far more of the bearings than it allows: a number in
+a file is easily wrong by a factor of ten, and who takes it at its word is then sure of a wrong
+pose.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S
+from homeward.localizer.sightings import OWN, SIGMA
 from homeward.localizer.window import Window
 
 LEAST = 1.0
@@ -32,15 +38,19 @@ WILD = 4.0
 """Larger errors are not noise [standard deviations]."""
 KEPT = 0.9
 """So much of what was believed is kept from keyframe to keyframe [1]."""
+CLEAR = 1.1
+"""Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
+DOUBTFUL = 1.5
+"""Given deviations are doubted where the map leaves residuals so many times larger [1]."""
 
 
 class BearingNoise:
-    """The standard deviation of a bearing that comes without one.
+    """The standard deviations of bearings.
 
     Parameters
     ----------
     given : float or None
-        What the drive says [rad]; it is taken at its word.
+        What the drive says of those that come without one [rad].
     default : float
         What is believed at first if it says nothing [rad].
     """
@@ -49,30 +59,44 @@ class BearingNoise:
         self._given, self._default = given, default
         self._by_map = given or default
         self._by_differences = 0.0
+        self._told = given is not None
+        """Whether the newest bearings came with deviations, or the drive gave one."""
+        self.doubt = 1.0
+        """How many times larger than what was given the deviations are believed to be."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
         self._last: dict[str, deque[tuple[float, float]]] = {}
         self._turned = _Turned()
 
     @property
     def sigma(self) -> float:
-        """As believed now [rad]."""
-        return max(self._by_map, self._by_differences)
+        """Of a bearing that comes without one, as believed now [rad]."""
+        return self.doubt * max(self._by_map, self._by_differences)
 
     @property
     def ratio(self) -> float:
         """How many times the default it is believed to be, at least one; one where given."""
         return 1.0 if self._given is not None else max(1.0, self.sigma / self._default)
 
+    def sigmas(self, names: list[str], told: Mapping[str, float]) -> np.ndarray:
+        """Return the deviations of the bearings of landmarks, some of which came with one [rad]."""
+        return np.array([self.doubt * told[n] if n in told else self.sigma for n in names])
+
     def turn(self, t: float, omega: float) -> None:
         """Take a turn rate that holds from `t` [s] on [rad/s]."""
         self._turned.take(t, omega)
 
-    def see(self, t: float, sightings: dict[str, float]) -> None:
-        """Take the bearings of a stamp `t` [s], by landmark [rad]."""
+    def see(
+        self, t: float, sightings: Mapping[str, float], told: Mapping[str, float] | None = None
+    ) -> None:
+        """Take the bearings of a stamp `t` [s], and the deviations of some, by landmark [rad]."""
+        told = told or {}
+        self._told = self._given is not None or bool(told)
         if self._given is not None:
             return
         heading = self._turned.at(t)
         for name, bearing in sightings.items():
+            if name in told:
+                continue
             last = self._last.setdefault(name, deque(maxlen=2))
             if len(last) == 2 and last[0][0] < last[1][0] < t <= last[0][0] + SPAN_S:
                 first, middle = last
@@ -82,12 +106,27 @@ class BearingNoise:
             self._by_differences = _scale(np.array(self._differences))
 
     def follow(self, window: Window, keyframes: int) -> None:
-        """Follow the residuals of a window after so many keyframes, unless it was given."""
-        if self._given is not None or len(window.sightings) < RESIDUALS:
+        """Follow the residuals of a window after so many keyframes."""
+        if len(window.sightings) < RESIDUALS:
             return
-        now = MAD_TO_SIGMA * float(np.median(np.abs(window.residuals())))
+        off = np.abs(window.residuals())
+        if self._told:
+            self._judge(window, off)
+            return
+        now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, LEAST * self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
+
+    def _judge(self, window: Window, off: np.ndarray) -> None:
+        """Doubt what was given as much as residuals of a window, by size (m,) [rad], tell."""
+        own = window.sightings[:, OWN]
+        clear = window.sightings[:, SIGMA] <= CLEAR * own
+        if clear.sum() < RESIDUALS:
+            return
+        before, excess = self.doubt, MAD_TO_SIGMA * float(np.median((off / own)[clear]))
+        if before > 1.0 or excess > DOUBTFUL:
+            self.doubt = max(1.0, before * excess)
+            window.widen(self.doubt / before)
 
 
 class _Turned:

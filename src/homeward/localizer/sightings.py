@@ -12,11 +12,12 @@ from homeward.localizer.compiled import compiled
 from homeward.localizer.preintegration import CALIBRATION, CAMERA_YAW, Motion
 
 NC = len(CALIBRATION)
-KEYFRAME, LANDMARK, BEARING, SIGMA, OFFSET = 0, 1, 2, 3, slice(4, 7)
-OFFSET_JACOBIAN = slice(7, 7 + 3 * NC)
-COLUMNS = 7 + 3 * NC
+KEYFRAME, LANDMARK, BEARING, SIGMA, OWN, OFFSET = 0, 1, 2, 3, 4, slice(5, 8)
+OFFSET_JACOBIAN = slice(8, 8 + 3 * NC)
+COLUMNS = 8 + 3 * NC
 """Columns of the table of sightings: numbers of keyframe and landmark, bearing [rad], its standard
-deviation [rad], the camera's pose in the keyframe's, and its derivative by the calibration."""
+deviation [rad] with and without what the way from the keyframe adds, the camera's pose in the
+keyframe's, and its derivative by the calibration."""
 
 
 class Look(NamedTuple):
@@ -64,7 +65,7 @@ def sighting_rows(
     offset = np.array([x + swung_x, y + swung_y, turn + mount[2] + calibration[CAMERA_YAW]])
     rows = np.empty((len(look.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
-    rows[:, BEARING], rows[:, SIGMA] = look.bearings, look.sigmas
+    rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = look.bearings, look.sigmas, look.sigmas
     rows[:, OFFSET] = offset - jacobian @ calibration
     rows[:, OFFSET_JACOBIAN] = jacobian.ravel()
     return rows

@@ -23,6 +23,8 @@ from homeward.localizer.sightings import (
     KEYFRAME,
     LANDMARK,
     NC,
+    OWN,
+    SIGMA,
     bearing_residuals,
     without_landmark,
 )
@@ -135,6 +137,13 @@ class Window:
     def add_sightings(self, rows: np.ndarray) -> None:
         """Add rows of the table of sightings, shape (m, COLUMNS), of open keyframes."""
         self.sightings = np.concatenate([self.sightings, rows])
+
+    def widen(self, factor: float) -> None:
+        """Let the bearings' own deviations be so many times as large, of all that are kept."""
+        for rows in (self.sightings, *(rows for _, _, rows, _ in self._closed or [])):
+            added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
+            rows[:, OWN] *= factor
+            rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
 
     def drop_landmark(self, number: int) -> None:
         """Take a landmark out; those after it move up by one number."""

@@ -9,9 +9,9 @@
 #define LANDMARK 1
 #define BEARING 2
 #define SIGMA 3
-#define OFFSET 4
-#define OFFSET_JACOBIAN 7
-#define COLUMNS (7 + 3 * NC)     /* of a sighting */
+#define OFFSET 5
+#define OFFSET_JACOBIAN 8
+#define COLUMNS (8 + 3 * NC)     /* of a sighting */
 #define HEAD (3 + NC)            /* pose and calibration */
 #define UNKNOWNS (HEAD + 2)      /* a sighting's: those, and the landmark */
 #define FREE 0
