@@ -241,10 +241,10 @@ def test_which_residuals_agree(both, m):
     residual = rng.multivariate_normal(np.zeros(m), spread)
     wrong = m // 3 if m > 3 else 0  # three that have three unknowns in common tell nothing
     residual[:wrong] += rng.choice([-0.3, 0.3], wrong)
-    native, plain = both(agreeing, residual, spread, 4.0)
+    native, plain = both(agreeing, residual, spread, 4.0, np.zeros(m, bool))
     assert native.tolist() == plain.tolist() == (np.arange(m) >= wrong).tolist()
 
 
 def test_where_nothing_can_be_told_all_agree(both):
-    for kept in both(agreeing, np.ones(3), -np.eye(3), 4.0):
+    for kept in both(agreeing, np.ones(3), -np.eye(3), 4.0, np.ones(3, bool)):
         assert kept.all()

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from homeward.localizer.gate import agreeing
+from homeward.localizer import gate
+
+
+def agreeing(residual, spread, most, likely=None):
+    """As in `gate`; odometry has none where it is, if not told otherwise."""
+    none = np.zeros(residual.size, bool)
+    return gate.agreeing(residual, spread, most, none if likely is None else likely)
 
 
 def spread(m, common, noise=0.01):
@@ -51,6 +57,13 @@ def test_where_as_many_differ_as_agree_nobody_is_left_out():
     residual = 0.005 * rng.normal(size=6)
     residual[:3] += 0.2
     assert agreeing(residual, spread(6, 0.5), 4.0).all()
+
+
+@pytest.mark.parametrize(("likely", "left"), [([0, 1, 2], [3, 4, 5]), ([3, 4], [])])
+def test_where_as_many_differ_as_agree_odometry_decides_if_half_are_where_it_has_them(likely, left):
+    residual = np.array([0.0, 0.01, -0.005, 0.2, 0.21, 0.2])
+    told = np.isin(np.arange(6), likely)
+    assert np.flatnonzero(~agreeing(residual, spread(6, 0.5), 4.0, told)).tolist() == left
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])

@@ -16,8 +16,9 @@ HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
 FEWEST = 3
 """Of so many sightings one can be told from the others."""
-MOST_LEFT_OUT = 1.0 / 3.0
-"""Where a larger share differs from the others, it may be the others that are wrong."""
+MOST_LEFT_OUT, LEAST_LIKELY = 1.0 / 3.0, 0.5
+"""Where a larger share differs from the others, it may be the others that are wrong; odometry may
+decide, if such a share is where it has them."""
 FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
 
@@ -63,7 +64,8 @@ def judge(
     if accepted.sum() >= FEWEST:
         among = prediction.only(accepted)
         by_motion = (HEAVY_TAIL**2 - fresh) * _from_motion(marginal, motion, fresh, among)
-        accepted[accepted] = agreeing(among.residual, among.spread + by_motion, gate)
+        likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
+        accepted[accepted] = agreeing(among.residual, among.spread + by_motion, gate, likely)
     told = zip(
         [n for n, k in zip(names, known.tolist(), strict=True) if k],
         prediction.residual.tolist(),
@@ -74,7 +76,9 @@ def judge(
     return [Innovation(*each) for each in told], prediction
 
 
-def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarray:
+def agreeing(
+    residual: np.ndarray, spread: np.ndarray, gate: float, likely: np.ndarray
+) -> np.ndarray:
     """Return which residuals agree with each other.
 
     One after the other, the one is left out that is farthest from what the others let expect
@@ -88,11 +92,13 @@ def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarra
         Their covariance.
     gate : float
         The farthest may be so far off [standard deviations].
+    likely : ndarray, shape (m,), bool
+        Which are where odometry has them, its noise being what it says.
 
     Returns
     -------
     ndarray, shape (m,), bool
-        All, where too many would have to be left out.
+        Where too many would have to be left out, the likely ones; all, where these are too few.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
     finest = FINEST**2 + ROUNDING * spread.diagonal().max(initial=0.0)
@@ -102,7 +108,10 @@ def agreeing(residual: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarra
         native.agree(m, FEWEST, gate, residual, spread, np.empty((m, m)), np.empty(m), kept)
     else:
         _leave_out(kept, residual, spread, gate)
-    return kept if (~kept).sum() <= MOST_LEFT_OUT * m else np.ones(m, bool)
+    if (~kept).sum() <= MOST_LEFT_OUT * m:
+        return kept
+    enough = likely.sum() >= max(FEWEST, LEAST_LIKELY * m)
+    return likely if enough else np.ones(m, bool)
 
 
 def _leave_out(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate: float) -> None:
