@@ -36,11 +36,12 @@ from homeward.localizer.moved import (
     starts,
 )
 from homeward.localizer.noise import deviation
-from homeward.localizer.preintegration import CAMERA_YAW, Motion
-from homeward.localizer.problem import HomeProblem, home_from_start
+from homeward.localizer.preintegration import Motion
+from homeward.localizer.problem import HomeProblem
 from homeward.localizer.reasons import LOST, why_home_is_not_found
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
+from homeward.localizer.stored import StoredHome
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
@@ -77,14 +78,8 @@ class Localizer:
         self.notes: tuple[str, ...] = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
-        self._home = {
-            n: HomeBearing(float(b.bearing), deviation(b.sigma))
-            for n, b in home.items()
-            if math.isfinite(b.bearing)
-        }
-        self._home_mount = np.array(self._drive.home_mount.pose)
+        self._home = StoredHome(home, self._drive, self.settings)
         self._mapper = Mapper(self._drive, self.settings, self.counts)
-        self._prior = home_from_start(self._drive)
         self._standing = Standing(self.settings, self._drive.odometry)
         self._hypotheses: Hypotheses | None = None
         self._seen_from_home: list[str] = []
@@ -143,7 +138,7 @@ class Localizer:
         """Return everything known of each landmark, in order of name."""
         found = self._hypotheses is not None and self._standing.home_is_found(self._hypotheses.best)
         inventory = Inventory(
-            {n: HomeBearing(b.bearing, self._home_sigma(n)) for n, b in self._home.items()},
+            self._home.believed(self._mapper.noise),
             self._drive.home_mount.yaw,
             self._mapper.landmarks,
             self._mapper.marginal,
@@ -159,7 +154,7 @@ class Localizer:
 
     def problem(self, marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a Gaussian of this map."""
-        return self._problem(self._seen_from_home, marginal)
+        return self._home.problem(self._seen_from_home, self._mapper, marginal)
 
     def home_bearing_sigmas(self) -> dict[str, float]:
         """Return how well each home bearing is predicted by everything else [rad], by landmark."""
@@ -209,16 +204,16 @@ class Localizer:
         """Let time come to `t` [s], unless it was there."""
         if self._t == -math.inf:
             self._mapper.begin(t)
-            if self._prior is not None:
+            if self._home.has_start:
                 self._find_home()
         self._t = max(self._t, t)
 
     def _find_home(self) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
         if self._mapper.begun_anew:
-            self._prior = None
-        names = self._mapper.landmarks.seen_from(self._home)
-        problem = self._problem(names, self._mapper.marginal)
+            self._home.forget_start()
+        names = self._mapper.landmarks.seen_from(self._home.bearings)
+        problem = self._home.problem(names, self._mapper, self._mapper.marginal)
         now = self._hypotheses
         if now is None or names != self._seen_from_home:
             also = renamed(now, self._seen_from_home, names) if now else []
@@ -251,38 +246,12 @@ class Localizer:
             self._searched = self._mapper.window.newest
         return now
 
-    def _problem(self, names: list[str], marginal: Marginal) -> HomeProblem:
-        """Return what is known of home's landmarks, in the odometry frame."""
-        placed = [self._mapper.as_home_saw(n) for n in names]
-        numbers = np.array([m.number for m in placed if m is not None], int)
-        columns = np.empty(4 + 2 * numbers.size, int)
-        columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
-        columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
-        return HomeProblem(
-            mean=marginal.mean[columns],
-            covariance=marginal.covariance[columns[:, None], columns],
-            bearings=np.array([self._home[n].bearing for n in names]),
-            sigmas=np.array([self._home_sigma(n) for n in names]),
-            mount=self._home_mount,
-            same_camera=self._drive.home_sensor is None,
-            moved_prior=self.settings.moved_prior,
-            prior=None if self._prior is None else self._prior[0],
-            prior_information=None if self._prior is None else self._prior[1],
-        )
-
-    def _home_sigma(self, name: str) -> float:
-        """Return the standard deviation of a home bearing [rad]."""
-        told, noise = self._home[name].sigma, self._mapper.noise
-        if not math.isfinite(told):  # a camera that is worse than expected was so at home
-            return self.settings.home_sigma * noise.ratio
-        return told * noise.doubt if self._drive.home_sensor is None else told
-
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
         complaint = self._arrivals.complaint()
         if self._hypotheses is None:
             words = complaint or why_home_is_not_found(
-                self._mapper, self._home, self._seen_from_home
+                self._mapper, self._home.bearings, self._seen_from_home
             )
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self._mapper.lost.since is not None:

@@ -1,0 +1,82 @@
+"""What home stored, and what it makes of a map: the problem of finding home in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.localizer.mapper import Mapper
+from homeward.localizer.marginal import HEAD, Marginal
+from homeward.localizer.noise import BearingNoise, deviation
+from homeward.localizer.preintegration import CAMERA_YAW
+from homeward.localizer.problem import HomeProblem, home_from_start
+from homeward.localizer.settings import LocalizerSettings
+
+
+class StoredHome:
+    """The home bearings, where the camera sat, and perhaps a start prior.
+
+    Parameters
+    ----------
+    home : dict of str to HomeBearing
+        What the camera saw at home; a bearing that is not finite is none.
+    drive : DriveSettings
+        Camera and start prior as far as known.
+    settings : LocalizerSettings
+        Everything else.
+    """
+
+    def __init__(
+        self, home: Mapping[str, HomeBearing], drive: DriveSettings, settings: LocalizerSettings
+    ) -> None:
+        self.bearings = {
+            n: HomeBearing(float(b.bearing), deviation(b.sigma))
+            for n, b in home.items()
+            if math.isfinite(b.bearing)
+        }
+        self._mount = np.array(drive.home_mount.pose)
+        self._same_camera = drive.home_sensor is None
+        self._settings = settings
+        self._prior = home_from_start(drive)
+
+    @property
+    def has_start(self) -> bool:
+        """Whether there is a start prior."""
+        return self._prior is not None
+
+    def forget_start(self) -> None:
+        """Forget the start prior: the map does not begin there any more."""
+        self._prior = None
+
+    def believed(self, noise: BearingNoise) -> dict[str, HomeBearing]:
+        """Return the home bearings with what their deviations are believed to be."""
+        return {n: HomeBearing(b.bearing, self._sigma(b, noise)) for n, b in self.bearings.items()}
+
+    def problem(self, names: Sequence[str], mapper: Mapper, marginal: Marginal) -> HomeProblem:
+        """Return what is known of landmarks of home, by a Gaussian of the map that they are in."""
+        placed = [mapper.as_home_saw(n) for n in names]
+        numbers = np.array([m.number for m in placed if m is not None], int)
+        columns = np.empty(4 + 2 * numbers.size, int)
+        columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
+        columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
+        stored = [self.bearings[n] for n in names]
+        return HomeProblem(
+            mean=marginal.mean[columns],
+            covariance=marginal.covariance[columns[:, None], columns],
+            bearings=np.array([b.bearing for b in stored]),
+            sigmas=np.array([self._sigma(b, mapper.noise) for b in stored]),
+            mount=self._mount,
+            same_camera=self._same_camera,
+            moved_prior=self._settings.moved_prior,
+            prior=None if self._prior is None else self._prior[0],
+            prior_information=None if self._prior is None else self._prior[1],
+        )
+
+    def _sigma(self, stored: HomeBearing, noise: BearingNoise) -> float:
+        """Return the standard deviation of a home bearing [rad]."""
+        if not math.isfinite(stored.sigma):  # a camera that is worse than expected was so at home
+            return self._settings.home_sigma * noise.ratio
+        return stored.sigma * noise.doubt if self._same_camera else stored.sigma
