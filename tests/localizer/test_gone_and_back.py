@@ -9,6 +9,7 @@ from rig import Rig, eight, ring, still
 from homeward.control import Twist
 from homeward.estimator import Status
 from homeward.frames import Pose
+from homeward.localizer.reasons import REPLACED
 
 
 def carried(pose, metres, way):
@@ -84,6 +85,42 @@ def test_kidnapped_and_localised_again():
     ]
     # Nobody can know at once; it must not go on for more than a few seconds.
     assert sum(lying) * 0.2 < 5.0
+
+
+@pytest.mark.parametrize("blind_s", [0.1, 20])
+def test_carried_to_where_nothing_of_the_map_is_in_sight_and_back(blind_s):
+    rig = Rig(ring(10))
+    far = {f"far {n}": (x + 40.0, y + 30.0) for n, (x, y) in ring(8, 1).items()}
+    rig.landmarks = rig.landmarks | far
+
+    def near(seen):
+        return {n: b for n, b in seen.items() if n.startswith("far") == (rig.pose.x > 20.0)}
+
+    rig.drive(60, see=near)
+    rig.drive(blind_s, still, see=lambda _: {})
+    rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)
+    said = len(rig.answers)
+    there = rig.drive(20, see=near)
+    assert there.reason == REPLACED
+    assert not any(a.status in (Status.LOCALISED, Status.COASTING) for a, _ in rig.answers[said:])
+    rig.pose = Pose(0.5, 0.3, -2.0)
+    assert rig.drive(60, see=near).status is Status.LOCALISED
+    assert rig.error() < 0.15
+
+
+@pytest.mark.parametrize("degrees", [60, 120])
+def test_a_narrow_camera_that_turns_away_from_all_it_saw_is_not_carried_off(degrees):
+    rig, half = Rig(ring(40, 0, 2.0, 5.0)), math.radians(degrees / 2)
+    for omega in (0.3, 1.2, -2.5, 0.3):
+        rig.drive(15, lambda _, w=omega: Twist(0.3, w), see=lambda seen: among(seen, half))
+    reasons = {a.reason for a, _ in rig.answers}
+    assert rig.answers[-1][0].pose is not None
+    assert REPLACED not in reasons
+
+
+def among(seen, half):
+    """What a camera sees that sees to both sides of its axis so far [rad]."""
+    return {n: b for n, b in seen.items() if abs(b) < half}
 
 
 @pytest.mark.parametrize("seed", range(3))

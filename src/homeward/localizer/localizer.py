@@ -21,6 +21,7 @@ from homeward.estimator import (
 )
 from homeward.localizer.arrivals import Arrivals, Glance
 from homeward.localizer.compiled import why_not
+from homeward.localizer.elsewhere import Elsewhere
 from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
@@ -38,7 +39,7 @@ from homeward.localizer.moved import (
 from homeward.localizer.noise import deviation
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.problem import HomeProblem
-from homeward.localizer.reasons import LOST, why_home_is_not_found
+from homeward.localizer.reasons import LOST, REPLACED, why_home_is_not_found
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 from homeward.localizer.stored import StoredHome
@@ -86,7 +87,7 @@ class Localizer:
         self._starts: deque[Start] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
-        self._clock, self._arrivals = Clock(), Arrivals()
+        self._clock, self._arrivals, self._elsewhere = Clock(), Arrivals(), Elsewhere()
         self._t = -math.inf
         self._last_accepted = -math.inf
 
@@ -192,6 +193,7 @@ class Localizer:
         innovations: list[Innovation] = []
         for glance in self._arrivals.due(self._mapper.felt, self._t):
             innovations, fresh = self._mapper.sight(*glance)
+            self._elsewhere.look(glance.t, glance.sightings, innovations, self._mapper)
             if any(i.accepted for i in innovations):
                 self._last_accepted = glance.t
             if fresh:
@@ -262,8 +264,8 @@ class Localizer:
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             moved = motion.delta, drift
         found = self._standing.estimate(t, moved, self._coasts(t), innovations)
-        return (
-            found
-            if found.pose or complaint is None
-            else dataclasses.replace(found, reason=complaint)
-        )
+        if found.pose is None:
+            return dataclasses.replace(found, reason=complaint or found.reason)
+        if self._elsewhere.doubted:
+            return dataclasses.replace(found, status=Status.UNVERIFIED, reason=REPLACED)
+        return found

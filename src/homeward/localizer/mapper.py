@@ -115,6 +115,12 @@ class Mapper:
         """Return the motion from the newest keyframe to `t` [s]."""
         return self._odometry.motion(t, self.window.calibration)
 
+    def place(self, t: float) -> np.ndarray:
+        """Return where the robot is at `t` [s], (3,), in the odometry frame."""
+        (x, y, heading), (dx, dy, turn) = self.marginal.mean[:3], self.motion(t).delta
+        c, s = np.cos(heading), np.sin(heading)
+        return np.array([x + c * dx - s * dy, y + s * dx + c * dy, heading + turn])
+
     def as_home_saw(self, name: str) -> Landmark | None:
         """Return a landmark where it stood when home was stored, for all the drive knows."""
         return self.landmarks.former.get(name) or self.landmarks.mapped.get(name)

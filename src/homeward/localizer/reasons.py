@@ -8,6 +8,7 @@ from homeward.localizer.mapper import Mapper
 from homeward.localizer.problem import FEWEST
 
 LOST = "the robot is lost in its map: what it sees does not fit, or odometry was gone"
+REPLACED = "at once none of the map was in sight and as much else: was the robot carried off?"
 NOT_FIXED = "home is not fixed well enough; drive on, best in an arc"
 
 

@@ -1,0 +1,76 @@
+"""What tells that a robot may have been carried to where nothing of its map is in sight.
+
+Bearings that do not fit the map tell that it was lifted. Where all are of landmarks that were not
+mapped yet, nothing contradicts the map, and odometry knows nothing of the way. But a robot that
+hardly moved does not lose everything out of sight and see as much else instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.estimator import Innovation
+from homeward.localizer.mapper import Mapper
+
+FEWEST = 4
+"""So many landmarks must go out of sight, and so many others come, at the fewest."""
+HARDLY_RAD, HARDLY_SHARE = 0.3, 0.3
+"""A robot has hardly moved that turned by less [rad] and drove less [distance of landmarks]."""
+FITTING = 3
+"""So many landmarks known before must fit at one stamp for the robot to be where it was."""
+
+
+class Elsewhere:
+    """Watches for all that is in sight being replaced at once."""
+
+    def __init__(self) -> None:
+        self._before: frozenset[str] | None = None
+        """What was mapped when the robot may have been carried off; None where it was not."""
+        self._seen: frozenset[str] = frozenset()
+        """What was in sight when enough of the map last was ..."""
+        self._from = np.zeros(3)
+        """... and from where, (3,), in the odometry frame."""
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the robot may be elsewhere."""
+        return self._before is not None
+
+    def look(self, t: float, names: Collection[str], seen: list[Innovation], map_: Mapper) -> None:
+        """Take what was in sight at `t` [s].
+
+        Parameters
+        ----------
+        t : float
+            Not before the last one's.
+        names : collection of str
+            All landmarks in sight.
+        seen : list of Innovation
+            Of those that were mapped.
+        map_ : Mapper
+            After it took them.
+        """
+        if map_.lost.since is not None:  # the map is contradicted, and searched for the robot
+            self._before, self._seen = None, frozenset()
+        elif self._before is not None:
+            if sum(i.accepted and i.landmark in self._before for i in seen) >= FITTING:
+                self._before = None
+        elif len(seen) >= FEWEST:
+            self._seen, self._from = frozenset(names), map_.place(t)
+        elif self._all_others(names, seen) and self._hardly_moved(t, map_):
+            self._before = frozenset(map_.landmarks.mapped)
+
+    def _all_others(self, names: Collection[str], seen: list[Innovation]) -> bool:
+        """Return whether enough is in sight, none of it mapped or in sight before."""
+        enough = bool(self._seen) and len(names) >= FEWEST
+        return enough and not seen and self._seen.isdisjoint(names)
+
+    def _hardly_moved(self, t: float, map_: Mapper) -> bool:
+        """Return whether the robot is at `t` [s] near where enough of the map was in sight."""
+        off = map_.place(t) - self._from
+        distances = np.hypot(*(map_.marginal.positions - self._from[:2]).T)
+        near = np.hypot(*off[:2]) < HARDLY_SHARE * np.median(distances)
+        return bool(near and abs(wrap(off[2])) < HARDLY_RAD)
