@@ -37,8 +37,16 @@ def test_some_wrong_ids_do_not_matter_much(wrong):
 def test_it_is_never_believed_to_be_less_than_the_default_and_differences_doubt_nothing_given():
     assert seen_noise(0.001, 5.0).sigma == 0.02
     assert seen_noise(0.1, 5.0, given=0.03).sigma == 0.03
-    assert seen_noise(0.1, 5.0, given=0.03).ratio == 1.0
-    assert seen_noise(0.1, 5.0).ratio == pytest.approx(5.0, rel=0.2)
+    assert seen_noise(0.1, 5.0).usual == pytest.approx(0.1, rel=0.2)
+
+
+def test_deviations_of_new_bearings_and_of_most_of_them():
+    noise, told = BearingNoise(None, 0.02), {"a": 0.001, "b": 0.004, "c": 0.003}
+    assert noise.usual == 0.02
+    assert noise.sigmas(["a", "z"], told).tolist() == [0.001, 0.02]
+    noise.sigmas(["a", "b", "c"], told)
+    noise.sigmas([], {})
+    assert noise.usual == 0.003
 
 
 def test_sightings_too_rare_to_be_linear_in_time_tell_nothing():

@@ -61,6 +61,7 @@ class BearingNoise:
         self._by_differences = 0.0
         self._told = given is not None
         """Whether the newest bearings came with deviations, or the drive gave one."""
+        self._usual = math.nan
         self.doubt = 1.0
         """How many times larger than what was given the deviations are believed to be."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
@@ -73,13 +74,16 @@ class BearingNoise:
         return self.doubt * max(self._by_map, self._by_differences)
 
     @property
-    def ratio(self) -> float:
-        """How many times the default it is believed to be, at least one; one where given."""
-        return 1.0 if self._given is not None else max(1.0, self.sigma / self._default)
+    def usual(self) -> float:
+        """Of most of the newest bearings [rad]."""
+        return self.sigma if math.isnan(self._usual) else self._usual
 
     def sigmas(self, names: list[str], told: Mapping[str, float]) -> np.ndarray:
-        """Return the deviations of the bearings of landmarks, some of which came with one [rad]."""
-        return np.array([self.doubt * told[n] if n in told else self.sigma for n in names])
+        """Return the deviations of new bearings, of which some came with one [rad]."""
+        sigmas = np.array([self.doubt * told[n] if n in told else self.sigma for n in names])
+        if sigmas.size:
+            self._usual = float(np.median(sigmas))
+        return sigmas
 
     def turn(self, t: float, omega: float) -> None:
         """Take a turn rate that holds from `t` [s] on [rad/s]."""

@@ -18,8 +18,8 @@ class LocalizerSettings(Strict):
 
     bearing_sigma: Positive = 0.02
     """Of a bearing whose noise nobody gave, at first [rad]; then scaled by its own residuals."""
-    home_sigma: Positive = 0.01
-    """Of a home bearing whose noise nobody gave [rad]."""
+    home_sigma: Positive | None = None
+    """Of a home bearing that comes without one [rad]; None: as of any other bearing."""
     odometry: OdometryDefaults = OdometryDefaults()
     lag_sigma: NonNegative = 0.2
     """Of the unknown lag of the odometry behind the camera, which has mean zero [s]."""

@@ -77,6 +77,7 @@ class StoredHome:
 
     def _sigma(self, stored: HomeBearing, noise: BearingNoise) -> float:
         """Return the standard deviation of a home bearing [rad]."""
-        if not math.isfinite(stored.sigma):  # a camera that is worse than expected was so at home
-            return self._settings.home_sigma * noise.ratio
-        return stored.sigma * noise.doubt if self._same_camera else stored.sigma
+        told = stored.sigma if math.isfinite(stored.sigma) else self._settings.home_sigma
+        if told is None:  # one sighting as any other
+            return noise.usual
+        return told * noise.doubt if self._same_camera else told

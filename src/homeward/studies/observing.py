@@ -172,7 +172,7 @@ class _Seen:
         defaults, sensor = LocalizerSettings(), drive.settings.sensor
         self.sigma = sensor.bearing_sigma or defaults.bearing_sigma
         given = [b.sigma for b in drive.home.values() if np.isfinite(b.sigma)]
-        self.home_sigma = float(np.median(given)) if given else defaults.home_sigma
+        self.home_sigma = float(np.median(given)) if given else self.sigma
         camera = between(drive.settings.home_mount.pose, compose(robot, sensor.pose))
         every = np.stack([camera.x, camera.y, camera.heading], axis=1)
         stamps = drive.sightings.t[rows]
