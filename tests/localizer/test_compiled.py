@@ -17,7 +17,7 @@ from homeward.localizer.gate import agreeing
 from homeward.localizer.linear import linearised
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.marginal import Marginal
+from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.preintegration import Motion, integrate
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
@@ -87,7 +87,7 @@ def test_residuals_and_their_derivatives(both):
 
 def a_gaussian(rng, n=5):
     """A Gaussian on pose, calibration and landmarks, and sightings of some of these."""
-    size = 8 + 2 * n
+    size = HEAD + 2 * n
     root = 0.1 * rng.normal(size=(size, size))
     rows = a_map(rng, n=n, m=7)[3]
     rows[:, sightings.OFFSET_JACOBIAN] *= 0.1

@@ -74,9 +74,9 @@ def integrated(calibration, until=3.0):
 
 
 def test_motion_is_linear_in_its_calibration_as_it_says():
-    at = np.array([0.02, 0.003, 0.01, 0.13, 0.0])
+    at = np.array([0.02, 0.003, 0.01, 0.13, 0.0, 0.1, -0.1])
     motion = integrated(at)
-    for i in range(4):
+    for i in range(len(CALIBRATION)):
         step = np.zeros(len(CALIBRATION))
         step[i] = 1e-6
         numeric = (integrated(at + step).delta - integrated(at - step).delta) / 2e-6
@@ -131,7 +131,7 @@ def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     drive(odometry)
-    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02])
+    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     look = Look(1.7, ["a"], 0.4 * one, 0.01 * one)
@@ -148,7 +148,7 @@ def test_bearings_have_the_derivatives_they_say():
         numeric = -(expected(x + step)[0] - expected(x - step)[0]) / 2e-6
         assert jacobian[0, i] == pytest.approx(numeric[0], abs=1e-6)
     robot = compose(Pose(*x[:3]), Pose(*motion.delta))
-    camera = compose(robot, Pose(0.2, -0.1, 0.32))
+    camera = compose(robot, Pose(0.23, -0.12, 0.32))
     assert expected(x)[0][0] == pytest.approx(wrap(0.4 - bearing(camera, 3.0, 2.0)))
     assert motion.jacobian[2, TURN_SCALE] != 0
     assert motion.jacobian[2, LAG] != 0

@@ -14,7 +14,8 @@ from homeward.localizer.sightings import LANDMARK, NC, Look, sighting_rows
 from homeward.localizer.smoothing import _bridged
 from homeward.localizer.window import Window
 
-SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.01])
+SIGMAS = np.array([0.02, 0.002, 0.02, 0.05])
+MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])
 POINTS = np.array([[3.0, 1.0], [-1.0, 3.0], [2.0, -2.5]])
 MOUNT = np.array([0.1, 0.0, 0.0])
 
@@ -22,7 +23,7 @@ MOUNT = np.array([0.1, 0.0, 0.0])
 def circle(rng, keyframes):
     """A window that was solved after a drive in a circle, and the twists' odometry."""
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
-    window = Window(SIGMAS, np.full(NC, 1e-9))
+    window = Window(SIGMAS, np.full(NC, 1e-9), MOUNT_SIGMAS)
     for point in POINTS:
         window.add_landmark(point + 0.02 * rng.normal(size=2))
     for k in range(keyframes):

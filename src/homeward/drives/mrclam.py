@@ -13,7 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Odometry,
+    Sensor,
+    Sightings,
+    Truth,
+)
 from homeward.drives.folder import (
     REPEATED_ODOMETRY,
     REPEATED_TRUTH,
@@ -79,6 +87,7 @@ def read_mrclam(
             folder / f"Robot{robot}_Measurement.dat", subjects, set(landmarks), remarks
         ),
         home=_home_bearings(landmarks, home, home_noise, seed),
+        settings=DriveSettings(sensor=Sensor(x=0.0, y=0.0, yaw=0.0)),
         truth=_read_truth(folder / f"Robot{robot}_Groundtruth.dat", home, remarks),
         remarks=remarks,
     )

@@ -59,7 +59,7 @@ class Elsewhere:
             if sum(i.accepted and i.landmark in self._before for i in seen) >= FITTING:
                 self._before = None
         elif len(seen) >= FEWEST:
-            self._seen, self._from = frozenset(names), map_.place(t)
+            self._seen, self._from = frozenset(names), map_.marginal.place(map_.motion(t))
         elif self._all_others(names, seen) and self._hardly_moved(t, map_):
             self._before = frozenset(map_.landmarks.mapped)
 
@@ -70,7 +70,7 @@ class Elsewhere:
 
     def _hardly_moved(self, t: float, map_: Mapper) -> bool:
         """Return whether the robot is at `t` [s] near where enough of the map was in sight."""
-        off = map_.place(t) - self._from
+        off = map_.marginal.place(map_.motion(t)) - self._from
         distances = np.hypot(*(map_.marginal.positions - self._from[:2]).T)
         near = np.hypot(*off[:2]) < HARDLY_SHARE * np.median(distances)
         return bool(near and abs(wrap(off[2])) < HARDLY_RAD)

@@ -15,11 +15,11 @@ LEAST_VARIANCE = 1e-8
 FREE, NOISE, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
 """Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
-its covariance (3, 3), and its derivative by the calibration (3, 5)."""
+its covariance (3, 3), and its derivative by the calibration (3, 7)."""
 
 
 def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
-    """Return a motion that was linearised at a calibration (5,) as a row (1, STEP) of the table."""
+    """Return a motion that was linearised at a calibration (7,) as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.delta - motion.jacobian @ calibration
     row[0, NOISE] = motion.covariance.ravel()
@@ -31,7 +31,7 @@ def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
 def add_odometry(
     e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (5,).
+    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (7,).
 
     Those far off have less weight, as sightings do: wheels slip, and robots are shoved.
     """
@@ -90,7 +90,7 @@ def add_sightings(
         Of w poses, and the calibration and n landmarks that they share.
     poses : ndarray, shape (w, 3)
         Of the keyframes.
-    calibration : ndarray, shape (5,)
+    calibration : ndarray, shape (7,)
         As it is believed to be.
     positions : ndarray, shape (n, 2)
         Of the landmarks [m].

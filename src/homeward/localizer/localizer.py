@@ -76,7 +76,7 @@ class Localizer:
         settings: LocalizerSettings | None = None,
     ) -> None:
         self.counts = Counts()
-        self.notes: tuple[str, ...] = tuple(filter(None, (SCALE_NOTE, why_not())))
+        self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
         self._home = StoredHome(home, self._drive, self.settings)
@@ -90,6 +90,17 @@ class Localizer:
         self._clock, self._arrivals, self._elsewhere = Clock(), Arrivals(), Elsewhere()
         self._t = -math.inf
         self._last_accepted = -math.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Assumptions, and what was found out about the robot; each a sentence."""
+        map_, noisy = self._mapper, (NOISY_NOTE,) if self._mapper.noise.doubt > 1.0 else ()
+        return (*self._notes, *noisy, *map_.mounting.words(map_.window.calibration))
+
+    @notes.setter
+    def notes(self, notes: tuple[str, ...]) -> None:
+        now = self.notes
+        self._notes += tuple(note for note in notes if note not in now)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
@@ -198,8 +209,6 @@ class Localizer:
                 self._last_accepted = glance.t
             if fresh:
                 self._find_home()
-        if self._mapper.noise.doubt > 1.0 and NOISY_NOTE not in self.notes:
-            self.notes += (NOISY_NOTE,)
         return () if self._arrivals.waits else tuple(innovations)
 
     def _advance(self, t: float) -> None:

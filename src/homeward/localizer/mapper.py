@@ -15,6 +15,7 @@ from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, Search, Shoved, hopeless, leap
 from homeward.localizer.marginal import Marginal, Prediction
+from homeward.localizer.mounting import Mounting
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
 from homeward.localizer.preintegration import Motion
@@ -55,15 +56,16 @@ class Mapper:
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
         self._start_told = drive.start is not None
-        sigmas = calibration_sigmas(drive, settings)
-        self._new_window = partial(Window, sigmas, (DRIFT_SHARE * sigmas) ** 2 / DRIFT_S)
+        self.mounting, sigmas = Mounting(drive, settings), calibration_sigmas(drive, settings)
+        drift = DRIFT_SHARE * np.concatenate([sigmas, self.mounting.sigmas])
+        self._new_window = partial(Window, sigmas, drift**2 / DRIFT_S)
         self._begin_map(0.0)
         self.begun_anew = False
         """Whether the first map was thrown away, and the origin with it."""
 
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
-        self.window: Window = self._new_window()
+        self.window: Window = self._new_window(self.mounting.sigmas)
         self.lost, self._shoved = Lost(), Shoved()
         self.landmarks = Landmarks(self._settings.parallax)
         self._taken: dict[str, int] = {}
@@ -114,12 +116,6 @@ class Mapper:
     def motion(self, t: float) -> Motion:
         """Return the motion from the newest keyframe to `t` [s]."""
         return self._odometry.motion(t, self.window.calibration)
-
-    def place(self, t: float) -> np.ndarray:
-        """Return where the robot is at `t` [s], (3,), in the odometry frame."""
-        (x, y, heading), (dx, dy, turn) = self.marginal.mean[:3], self.motion(t).delta
-        c, s = np.cos(heading), np.sin(heading)
-        return np.array([x + c * dx - s * dy, y + s * dx + c * dy, heading + turn])
 
     def as_home_saw(self, name: str) -> Landmark | None:
         """Return a landmark where it stood when home was stored, for all the drive knows."""
@@ -255,6 +251,9 @@ class Mapper:
         misfits = self.landmarks.drop_misfits(self.window) if self.window.settled else 0
         if misfits:
             self._counts.reject("landmark did not agree with itself", misfits)
+            self.marginal = self.window.solve()
+        if self.window.settled and self.mounting.denies(self.marginal):
+            self.window.mount_sigmas = self.mounting.sigmas
             self.marginal = self.window.solve()
         since = self.window.newest - self._solved_at
         self.solved = True

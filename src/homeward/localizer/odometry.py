@@ -25,7 +25,7 @@ LONGEST_LAG = 0.8
 
 
 def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.ndarray:
-    """Return how unknown the calibration is a priori, shape (5,)."""
+    """Return how unknown the odometry's calibration is a priori, shape (4,)."""
     given, default = drive.odometry, settings.odometry
     scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
     return np.array(
@@ -34,7 +34,6 @@ def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
             settings.lag_sigma,
-            settings.camera_yaw_sigma,
         ]
     )
 
@@ -94,7 +93,7 @@ class Odometry:
         ----------
         t : float
             A time before the end of what is done counts as that end.
-        calibration : ndarray, shape (5,)
+        calibration : ndarray, shape (7,)
             Where to linearise.
         """
         if t <= self._done:

@@ -3,8 +3,8 @@
 The unknowns are one vector, constant or nearly so (`CALIBRATION`): the true turn rate is
 ``(1 + turn_scale) omega + turn_bias`` while the robot moves, the true speed is less in bends than
 on the straight, by ``turn_slip (|omega| - r |v|)``, twists act ``lag`` seconds after their stamps,
-and the camera's axis is turned by ``camera_yaw``. A robot whose twist is exactly zero stands, and
-neither drifts nor gathers noise.
+and the camera is turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from where
+it is said to sit. A robot whose twist is exactly zero stands, and neither drifts nor gathers noise.
 
 In the slip, r is how much this robot turns per metre where it drives straightest. So the speed is
 right there, and a robot that always turns alike has no slip: it could trade slip for the scale of
@@ -21,9 +21,11 @@ import numpy as np
 
 from homeward.localizer.compiled import compiled
 
-CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "camera_yaw")
-"""The unknowns of the odometry and the camera: [1], [rad/s], [m], [s], [rad]."""
-TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW = range(5)
+OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag")
+CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
+"""The unknowns of odometry and camera: [1], [rad/s], [m], [s], [rad], [m], [m]."""
+TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(len(CALIBRATION))
+MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 BEND, BENDS = 0.125, 33
 """The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
 
@@ -37,7 +39,7 @@ class Motion:
     covariance: np.ndarray
     """(3, 3), of `delta`, from white noise alone."""
     jacobian: np.ndarray
-    """(3, 5), of `delta` with respect to the calibration."""
+    """(3, 7), of `delta` with respect to the calibration."""
     path: float = 0.0
     """Length driven [m]."""
     turned: float = 0.0
@@ -84,7 +86,7 @@ def integrate(
     pieces : ndarray, shape (n, 5)
         By what the variances of shift [m^2] and heading [rad^2] grow before each while odometry is
         silent; time with it [s], v [m/s] and omega [rad/s].
-    calibration : ndarray, shape (5,)
+    calibration : ndarray, shape (7,)
         Where to linearise; the lag is in the pieces' times.
     rates : ndarray, shape (3, 3)
         Of the noise; see `homeward.drives.odometry_noise.noise_rates`.

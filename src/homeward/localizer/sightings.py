@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.compiled import compiled
-from homeward.localizer.preintegration import CALIBRATION, CAMERA_YAW, Motion
+from homeward.localizer.preintegration import CALIBRATION, CAMERA_X, CAMERA_Y, CAMERA_YAW, Motion
 
 NC = len(CALIBRATION)
 KEYFRAME, LANDMARK, BEARING, SIGMA, OWN, OFFSET = 0, 1, 2, 3, 4, slice(5, 8)
@@ -48,7 +48,7 @@ def sighting_rows(
         From the keyframe to the stamp.
     mount : ndarray, shape (3,)
         Pose of the camera on the robot.
-    calibration : ndarray, shape (5,)
+    calibration : ndarray, shape (7,)
         Where `motion` was linearised.
 
     Returns
@@ -57,11 +57,13 @@ def sighting_rows(
     """
     x, y, turn = motion.delta.tolist()
     c, s = math.cos(turn), math.sin(turn)
-    swung_x, swung_y = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
+    at_x, at_y = mount[0] + calibration[CAMERA_X], mount[1] + calibration[CAMERA_Y]
+    swung_x, swung_y = c * at_x - s * at_y, s * at_x + c * at_y
     jacobian = motion.jacobian.copy()
     jacobian[0] -= swung_y * jacobian[2]
     jacobian[1] += swung_x * jacobian[2]
     jacobian[2, CAMERA_YAW] += 1.0
+    jacobian[:2, CAMERA_X : CAMERA_Y + 1] += [[c, -s], [s, c]]
     offset = np.array([x + swung_x, y + swung_y, turn + mount[2] + calibration[CAMERA_YAW]])
     rows = np.empty((len(look.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
@@ -80,7 +82,7 @@ def cameras(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.
         Of the table.
     poses : ndarray, shape (m, 3)
         Of the rows' keyframes.
-    calibration : ndarray, shape (5,)
+    calibration : ndarray, shape (7,)
         As it is believed to be.
 
     Returns
@@ -108,7 +110,7 @@ def bearing_residuals(
     ----------
     poses : ndarray, shape (m, 3)
         Of the rows' keyframes.
-    calibration : ndarray, shape (5,)
+    calibration : ndarray, shape (7,)
         As it is believed to be.
     positions : ndarray, shape (m, 2)
         Of the rows' landmarks [m].
@@ -119,7 +121,7 @@ def bearing_residuals(
     -------
     residual : ndarray, shape (m,)
         [rad], wrapped.
-    jacobian : ndarray, shape (m, 10)
+    jacobian : ndarray, shape (m, 12)
         By keyframe's pose, calibration and landmark.
     """
     native = compiled()

@@ -11,7 +11,7 @@ from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.noise import BearingNoise, deviation
-from homeward.localizer.preintegration import CAMERA_YAW
+from homeward.localizer.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
 from homeward.localizer.problem import HomeProblem, home_from_start
 from homeward.localizer.settings import LocalizerSettings
 
@@ -62,13 +62,16 @@ class StoredHome:
         columns = np.empty(4 + 2 * numbers.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
         columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
+        shift = np.zeros(3)
+        if self._same_camera:
+            shift[:2] = marginal.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
         stored = [self.bearings[n] for n in names]
         return HomeProblem(
             mean=marginal.mean[columns],
             covariance=marginal.covariance[columns[:, None], columns],
             bearings=np.array([b.bearing for b in stored]),
             sigmas=np.array([self._sigma(b, mapper.noise) for b in stored]),
-            mount=self._mount,
+            mount=self._mount + shift,
             same_camera=self._same_camera,
             moved_prior=self._settings.moved_prior,
             prior=None if self._prior is None else self._prior[0],

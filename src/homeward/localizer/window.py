@@ -17,7 +17,7 @@ import numpy as np
 from homeward.localizer import chain
 from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.preintegration import Motion
+from homeward.localizer.preintegration import MOUNT, OF_ODOMETRY, Motion
 from homeward.localizer.sightings import (
     COLUMNS,
     KEYFRAME,
@@ -44,13 +44,17 @@ class Window:
 
     Parameters
     ----------
-    calibration_sigmas : ndarray, shape (5,)
-        A priori, around zero.
-    drift : ndarray, shape (5,)
+    odometry_sigmas : ndarray, shape (4,)
+        Of the odometry's calibration a priori, around zero.
+    drift : ndarray, shape (7,)
         Variances by which the calibration drifts, per second.
+    mount_sigmas : ndarray, shape (3,)
+        Of the camera's on the robot, around zero.
     """
 
-    def __init__(self, calibration_sigmas: np.ndarray, drift: np.ndarray) -> None:
+    def __init__(
+        self, odometry_sigmas: np.ndarray, drift: np.ndarray, mount_sigmas: np.ndarray
+    ) -> None:
         self.first = 0
         """Number of the oldest keyframe that is still open."""
         self.poses = np.zeros((1, 3))
@@ -67,13 +71,14 @@ class Window:
         """The same of its length [m^2]."""
         self.settled = True
         """Whether the last `solve` came to rest."""
+        self.mount_sigmas = mount_sigmas
+        """What is believed beforehand may change; so it is never marginalised."""
         self._steps = np.zeros((0, STEP))
         """(w - 1, STEP): the motions from keyframe to keyframe."""
         self._closed: list[tuple[np.ndarray, list[float], np.ndarray, np.ndarray]] | None = None
         self._drift = drift
-        information = np.concatenate(
-            [np.full(3, 1e10), 1.0 / np.maximum(calibration_sigmas, 1e-6) ** 2]
-        )
+        of_odometry = 1.0 / np.maximum(odometry_sigmas, 1e-6) ** 2
+        information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._prior_information = np.diag(information)
         self._prior_gradient = np.zeros(HEAD)
         self._prior_at = np.zeros(HEAD)
@@ -85,7 +90,7 @@ class Window:
 
     def whole(self) -> Window:
         """Return a window in which every keyframe since `keep_closed` is open, not yet solved."""
-        whole = Window(np.ones(NC), self._drift)
+        whole = Window(np.ones(len(OF_ODOMETRY)), self._drift, self.mount_sigmas)
         closed = self._closed or []
         whole.first = self.first - sum(len(poses) for poses, _, _, _ in closed)
         whole.poses = np.concatenate([*(poses for poses, _, _, _ in closed), self.poses])
@@ -258,7 +263,8 @@ class Window:
     def _normal_equations(self, w: int, rows: np.ndarray) -> chain.NormalEquations:
         """Return what the oldest w poses and rows from them say, and the prior.
 
-        They are linearised where poses, calibration and landmarks are believed to be.
+        They are linearised where poses, calibration and landmarks are believed to be. What is
+        believed of the camera's mount beforehand is not among it.
         """
         equations = chain.NormalEquations.zeros(w, NC + self.positions.size)
         poses, calibration = self.poses[:w], self.calibration
@@ -269,7 +275,11 @@ class Window:
 
     def _all(self) -> chain.NormalEquations:
         """Return everything that is known."""
-        return self._normal_equations(len(self.poses), self.sightings)
+        equations = self._normal_equations(len(self.poses), self.sightings)
+        at, information = np.arange(NC)[MOUNT], self.mount_sigmas**-2.0
+        equations.common[at, at] += information
+        equations.common_slope[at] -= information * self.calibration[at]
+        return equations
 
     def _add_prior(self, e: chain.NormalEquations) -> None:
         """Add what closed poses said."""

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#define NC 5                     /* calibration */
+#define NC 7                     /* calibration */
 #define LANDMARK 1
 #define BEARING 2
 #define SIGMA 3

@@ -1,0 +1,75 @@
+"""Where the camera sits on the robot, if nobody told: at the centre, until the bearings deny it.
+
+Where a robot turns and drives on, bearings and odometry tell where its camera sits; where it hardly
+turns they tell nothing, and to leave it open there costs much. So it is taken to sit at the centre,
+looking ahead, and what the bearings would rather have it is watched.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.drives.drive import DriveSettings
+from homeward.localizer.marginal import Marginal
+from homeward.localizer.preintegration import MOUNT
+from homeward.localizer.settings import LocalizerSettings
+
+DENIAL = (
+    "The camera does not sit at the robot's centre and look ahead, which nobody had told; "
+    "about right would be, in drive.yaml: sensor: {{x: {:.2f}, y: {:.2f}, yaw: {:.2f}}}."
+)
+CENTRE_M = 1e-3
+"""It is taken to sit where it was told, or at the centre, as nearly as this."""
+DENIED = 5.0
+"""So many standard deviations off, the bearings deny it ..."""
+LEAST = np.array([0.03, 0.03, 0.03])
+"""... if it is so far off at least [rad, m, m]."""
+ANYWHERE = np.array([0.3, 0.3, 0.3])
+"""Then it may be anywhere; standard deviations [rad, m, m]."""
+
+
+class Mounting:
+    """What is believed of the camera's yaw, x and y on the robot beforehand.
+
+    Parameters
+    ----------
+    drive : DriveSettings
+        The camera as far as it is described.
+    settings : LocalizerSettings
+        Everything else.
+    """
+
+    def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
+        self.sigmas = np.array([settings.camera_yaw_sigma, CENTRE_M, CENTRE_M])
+        """(3,), around what was told or zero [rad, m, m]."""
+        self.denied = False
+        """Whether bearings deny what was taken for granted."""
+        told, self._said = drive.sensor.model_fields_set, drive.sensor
+        self._untold = np.array([part not in told for part in ("yaw", "x", "y")])
+
+    def words(self, calibration: np.ndarray) -> tuple[str, ...]:
+        """Return what the user must know of it, a calibration (7,) being the present one."""
+        if not self.denied:
+            return ()
+        yaw, x, y = calibration[MOUNT].tolist()
+        said = self._said
+        return (DENIAL.format(said.x + x, said.y + y, said.yaw + yaw),)
+
+    def denies(self, now: Marginal) -> bool:
+        """Return whether the map denies for the first time what was taken for granted.
+
+        What it would say on its own follows from what it says with the prior, whose information is
+        known.
+        """
+        if self.denied or not self._untold.any():
+            return False
+        at = np.arange(3, now.mean.size)[MOUNT]
+        mean, precision = now.mean[at], 1.0 / now.covariance[at, at]
+        own = precision - self.sigmas**-2.0
+        tells = self._untold & (own > ANYWHERE**-2.0)
+        own[~tells] = np.inf
+        off = np.abs(mean) * precision / own
+        self.denied = bool((tells & (off > np.maximum(DENIED * own**-0.5, LEAST))).any())
+        if self.denied:
+            self.sigmas = np.where(self._untold, ANYWHERE, self.sigmas)
+        return self.denied

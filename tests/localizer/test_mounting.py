@@ -1,0 +1,102 @@
+"""Where the camera sits, where nobody told: found out, and left alone where it is as expected."""
+
+import math
+
+import numpy as np
+import pytest
+from rig import BEARING_SIGMA, Rig, ring
+
+from homeward.drives.drive import DriveSettings, Sensor
+from homeward.estimator import Status
+from homeward.frames import Pose, compose
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.marginal import HEAD, Marginal
+from homeward.localizer.mounting import ANYWHERE, DENIED, Mounting
+from homeward.localizer.preintegration import MOUNT
+from homeward.localizer.settings import LocalizerSettings
+
+
+class Mounted(Rig):
+    """A robot whose camera sits elsewhere than at its centre."""
+
+    mount = Pose(0.0, 0.0, 0.0)
+
+    def look(self):
+        """As the camera sees it."""
+        robot, self.pose = self.pose, compose(self.pose, self.mount)
+        seen = super().look()
+        self.pose = robot
+        return seen
+
+
+def mounted(mount, seed, told):
+    """A robot with a camera there, and what its drive says of that."""
+    rig = Mounted(ring(10, seed), seed=seed)
+    rig.mount = mount
+    home, rig.pose = rig.pose, Pose(0.0, 0.0, 0.0)
+    bearings = rig.look()
+    rig.pose = home
+    stored = {n: type(b)(bearings[n], BEARING_SIGMA) for n, b in rig.home.items()}
+    sensor = Sensor(bearing_sigma=BEARING_SIGMA, **told)
+    rig.localizer = Localizer(stored, rig.settings.model_copy(update={"sensor": sensor}))
+    return rig
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "mount", [Pose(0.2, 0.0, 0.0), Pose(-0.1, 0.15, 0.0), Pose(0.15, 0.0, 0.3), Pose(0.0, 0.0, 0.2)]
+)
+def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
+    rig = mounted(mount, seed, {})
+    assert rig.drive(60).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert rig.wrong_share() < 0.25  # in one bend it cannot be told
+    assert rig.wrong_share(len(rig.answers) // 2) == 0
+    assert not rig.moved()
+    window = rig.localizer.mapper.window
+    yaw, x, y = window.calibration[MOUNT]
+    assert (x, y, yaw) == pytest.approx(tuple(mount), abs=0.03)
+    (note,) = (n for n in rig.localizer.notes if "camera" in n)
+    assert f"x: {x:.2f}, y: {y:.2f}, yaw: {yaw:.2f}" in note
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_at_the_centre_is_left_there(seed):
+    rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
+    rig.drive(60)
+    assert not rig.localizer.mapper.mounting.denied
+    assert not any("camera" in n for n in rig.localizer.notes)
+
+
+def test_what_was_told_is_not_doubted():
+    rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0, "yaw": 0.3})
+    rig.drive(60)
+    assert np.abs(rig.localizer.mapper.window.calibration[MOUNT]).max() < 0.02
+    assert rig.error() < 0.05
+    wrong = Mounting(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
+    assert not wrong.denies(told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
+
+
+def told_by_map(off, information, sigmas):
+    """A Gaussian that has the camera off (3,), by so much information beside the prior's."""
+    covariance = np.eye(HEAD)
+    mean = np.zeros(HEAD)
+    at = np.arange(3, HEAD)[MOUNT]
+    both = information + sigmas**-2.0
+    mean[at], covariance[at, at] = off * information / both, 1.0 / both
+    return Marginal(mean, covariance)
+
+
+def test_it_is_denied_by_what_the_map_says_on_its_own():
+    off = np.array([0.0, 0.1, 0.0])
+    for sigma, denied in ((0.1 / DENIED * 0.9, True), (0.1 / DENIED * 1.1, False)):
+        mounting = Mounting(DriveSettings(), LocalizerSettings())
+        now = told_by_map(off, sigma**-2.0, mounting.sigmas)
+        assert mounting.denies(now) is denied
+        assert mounting.denied is denied
+        assert not mounting.denies(now)  # a second time
+        assert np.array_equal(mounting.sigmas, ANYWHERE) is denied
+    vague = Mounting(DriveSettings(), LocalizerSettings())
+    assert not vague.denies(told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
+    assert not vague.denies(told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
+    assert math.isfinite(vague.sigmas.sum())
