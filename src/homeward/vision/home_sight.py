@@ -135,10 +135,9 @@ class HomeSight:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         mapped, at = self._inner.estimate(t), self._clock.peek(t)
         fix = self._carried(at)
-        if fix is None or not (fix.whole or fix.against or not _agree(mapped, fix)):
+        if fix is None or not (fix.whole or fix.against or not agree(mapped, fix)):
             return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
-        status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
-        return Estimate(t, status, fix.reason, fix.pose, fix.covariance)
+        return self._answer(mapped, fix)
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
@@ -150,8 +149,13 @@ class HomeSight:
         if hint is None:
             return mapped
         words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
-        pose, covariance = self._of_robot(*_far(hint.direction, UNKNOWN_DISTANCE))
-        return Estimate(mapped.t, Status.UNVERIFIED, words, pose, covariance)
+        there = self._of_robot(*_far(hint.direction, UNKNOWN_DISTANCE))
+        return self._answer(mapped, Fix(t, *there, False, False, False, words))
+
+    def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
+        """Return a pose that leads home, though its distance may be a guess."""
+        status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
+        return Estimate(mapped.t, status, fix.reason, fix.pose, fix.covariance)
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture should be seen, but is not."""
@@ -268,7 +272,7 @@ def _far(told: Direction, distance: float) -> tuple[Pose, np.ndarray]:
     return from_polar(there), polar_covariance_to_pose(there, covariance)
 
 
-def _agree(mapped: Estimate, fix: Fix) -> bool:
+def agree(mapped: Estimate, fix: Fix) -> bool:
     """Say whether the map's pose lies in the direction that home's picture tells."""
     if mapped.pose is None or mapped.covariance is None:
         return False
