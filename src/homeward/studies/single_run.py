@@ -18,7 +18,7 @@ from homeward.engine.online import OnlineFilter
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
-from homeward.localizer.localizer import Localizer
+from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.registry import DEFAULT, NEED_START, estimator_settings, make_estimator
 from homeward.track import Track
@@ -101,9 +101,10 @@ def execute(
     drive, estimator, complete = prepare(run, progress)
     if not run.smooth:
         return drive, follow(drive, estimator, progress), complete
-    if not isinstance(estimator, Localizer):
+    settings = estimator_settings(run.estimator, run.settings)
+    if not isinstance(settings, LocalizerSettings):
         raise InputError(f"{estimator.name} cannot smooth; the estimator robust can")
-    track = smooth(drive, estimator.settings)
+    track = smooth(drive, settings)
     return drive, replace(track, notes=(*track.notes, SMOOTH_NOTE)), complete
 
 

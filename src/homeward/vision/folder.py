@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import Drive, Sightings
+from homeward.drives.drive import Sightings
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
@@ -25,6 +25,7 @@ from homeward.drives.table import require_folder
 from homeward.errors import InputError
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_view
+from homeward.vision.recorded import SeenDrive
 from homeward.vision.settings import ImageSettings, read_image_settings
 from homeward.vision.turning_along import TurningAlong, TurnsAlong
 
@@ -38,7 +39,7 @@ RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
 def see_folder(
     path: str | os.PathLike[str], progress: Callable[[float], None] | None = None
-) -> Drive:
+) -> SeenDrive:
     """Turn an image folder into a drive.
 
     Parameters
@@ -51,7 +52,7 @@ def see_folder(
 
     Returns
     -------
-    Drive
+    SeenDrive
         Landmarks seen at home are called h and a number, others k and a number. Its remarks count
         images that were like nothing seen before, what was left out, and matches that turn with the
         camera, as what belongs to the robot does.
@@ -86,7 +87,8 @@ def see_folder(
         remarks[UNLIKE] = unlike
     if along is not None:
         remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
-    return Drive(
+    pictures = zip(images.t.tolist(), (glance.home for glance in glances), strict=True)
+    return SeenDrive(
         name=folder.resolve().name,
         odometry=odometry,
         sightings=_sightings(images.t, glances, remarks),
@@ -94,6 +96,7 @@ def see_folder(
         settings=sensor,
         truth=truth,
         remarks=remarks,
+        pictures=tuple(pictures),
     )
 
 
