@@ -42,6 +42,7 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.render --pairs 60 --homings 50 --width 1024)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 clean:
 	rm -rf $(VENV) out build dist src/*.egg-info

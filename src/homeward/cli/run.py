@@ -18,7 +18,7 @@ def run(
     drive: Annotated[
         str,
         typer.Argument(
-            help="A drive folder, a ROS bag or MCAP file, an MRCLAM folder, "
+            help="A drive folder, a folder of images, a ROS bag or MCAP file, an MRCLAM folder, "
             "the run.yaml of an earlier run, or: sample."
         ),
     ],
