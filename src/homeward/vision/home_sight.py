@@ -72,7 +72,8 @@ class HomeSight:
 
     def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
         self._inner = estimator
-        self.name, self.notes, self.counts = estimator.name, estimator.notes, estimator.counts
+        self.name, self.counts = estimator.name, estimator.counts
+        self._own_notes: tuple[str, ...] = ()
         settings = drive or DriveSettings()
         self._home_mount, self._mount = settings.home_mount.pose, settings.sensor.pose
         self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
@@ -85,6 +86,16 @@ class HomeSight:
         self._refused = 0
         """How often in a row home's picture was not recognised."""
         self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the other estimator, and its own."""
+        return (*self._inner.notes, *self._own_notes)
+
+    @notes.setter
+    def notes(self, notes: tuple[str, ...]) -> None:
+        now = self.notes
+        self._own_notes += tuple(note for note in notes if note not in now)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
