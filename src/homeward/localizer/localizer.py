@@ -40,6 +40,7 @@ from homeward.localizer.noise import deviation
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.reasons import LOST, REPLACED, why_home_is_not_found
+from homeward.localizer.senses import REVERSED, Senses
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 from homeward.localizer.stored import StoredHome
@@ -88,12 +89,15 @@ class Localizer:
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
         self._clock, self._arrivals, self._elsewhere = Clock(), Arrivals(), Elsewhere()
+        self._senses = Senses(self._drive.sensor.yaw)
         self._t = -math.inf
         self._last_accepted = -math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and what was found out about the robot; each a sentence."""
+        if self._senses.reversed:
+            return (*self._notes, f"{REVERSED[0].upper()}{REVERSED[1:]}.")
         map_, noisy = self._mapper, (NOISY_NOTE,) if self._mapper.noise.doubt > 1.0 else ()
         return (*self._notes, *noisy, *map_.mounting.words(map_.window.calibration))
 
@@ -115,6 +119,7 @@ class Localizer:
             return
         self._advance(t)
         self._mapper.twist(t, v, omega)
+        self._senses.odometry(t, v, omega)
         self._see_what_is_due()
 
     def bearings(
@@ -135,6 +140,7 @@ class Localizer:
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
         self._arrivals.bearings(Glance(t, usable, good))
+        self._senses.bearings(t, usable)
         innovations = self._see_what_is_due()
         return dataclasses.replace(self._estimate(t, innovations), t=said)
 
@@ -259,6 +265,8 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
+        if self._senses.reversed:
+            return Estimate(t, Status.MAPPING, REVERSED, None, None, innovations)
         complaint = self._arrivals.complaint()
         if self._hypotheses is None:
             words = complaint or why_home_is_not_found(
