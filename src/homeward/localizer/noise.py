@@ -80,10 +80,11 @@ class BearingNoise:
 
     def sigmas(self, names: list[str], told: Mapping[str, float]) -> np.ndarray:
         """Return the deviations of new bearings, of which some came with one [rad]."""
-        sigmas = np.array([self.doubt * told[n] if n in told else self.sigma for n in names])
-        if sigmas.size:
-            self._usual = float(np.median(sigmas))
-        return sigmas
+        untold = self.sigma
+        sigmas = [self.doubt * told[n] if n in told else untold for n in names]
+        if sigmas:
+            self._usual = sorted(sigmas)[len(sigmas) // 2]
+        return np.array(sigmas)
 
     def turn(self, t: float, omega: float) -> None:
         """Take a turn rate that holds from `t` [s] on [rad/s]."""

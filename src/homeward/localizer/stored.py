@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -41,6 +41,9 @@ class StoredHome:
         self._same_camera = drive.home_sensor is None
         self._settings = settings
         self._prior = home_from_start(drive)
+        self._names: list[str] = []
+        """Whom these are of, which were asked for last:"""
+        self._bearings = self._told = np.zeros(0)
 
     @property
     def has_start(self) -> bool:
@@ -53,24 +56,26 @@ class StoredHome:
 
     def believed(self, noise: BearingNoise) -> dict[str, HomeBearing]:
         """Return the home bearings with what their deviations are believed to be."""
-        return {n: HomeBearing(b.bearing, self._sigma(b, noise)) for n, b in self.bearings.items()}
+        names = list(self.bearings)
+        columns = (column.tolist() for column in self._columns(names, noise))
+        return {n: HomeBearing(*row) for n, *row in zip(names, *columns, strict=True)}
 
-    def problem(self, names: Sequence[str], mapper: Mapper, marginal: Marginal) -> HomeProblem:
+    def problem(self, names: list[str], mapper: Mapper, marginal: Marginal) -> HomeProblem:
         """Return what is known of landmarks of home, by a Gaussian of the map that they are in."""
         placed = [mapper.as_home_saw(n) for n in names]
         numbers = np.array([m.number for m in placed if m is not None], int)
         columns = np.empty(4 + 2 * numbers.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
         columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
+        bearings, sigmas = self._columns(names, mapper.noise)
         shift = np.zeros(3)
         if self._same_camera:
             shift[:2] = marginal.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
-        stored = [self.bearings[n] for n in names]
         return HomeProblem(
             mean=marginal.mean[columns],
             covariance=marginal.covariance[columns[:, None], columns],
-            bearings=np.array([b.bearing for b in stored]),
-            sigmas=np.array([self._sigma(b, mapper.noise) for b in stored]),
+            bearings=bearings,
+            sigmas=sigmas,
             mount=self._mount + shift,
             same_camera=self._same_camera,
             moved_prior=self._settings.moved_prior,
@@ -78,9 +83,15 @@ class StoredHome:
             prior_information=None if self._prior is None else self._prior[1],
         )
 
-    def _sigma(self, stored: HomeBearing, noise: BearingNoise) -> float:
-        """Return the standard deviation of a home bearing [rad]."""
-        told = stored.sigma if math.isfinite(stored.sigma) else self._settings.home_sigma
-        if told is None:  # one sighting as any other
-            return noise.usual
-        return told * noise.doubt if self._same_camera else told
+    def _columns(self, names: list[str], noise: BearingNoise) -> tuple[np.ndarray, np.ndarray]:
+        """Return home bearings, and what their deviations are believed to be, (q,) each [rad]."""
+        if names != self._names:
+            self._names = names
+            stored = [self.bearings[n] for n in names]
+            self._bearings = np.array([b.bearing for b in stored])
+            self._told = np.array([b.sigma for b in stored])
+        widened, untold = noise.doubt if self._same_camera else 1.0, self._settings.home_sigma
+        # One that nobody told is of one sighting as any other.
+        default = noise.usual if untold is None else widened * untold
+        sigmas = np.where(np.isfinite(self._told), widened * self._told, default)
+        return self._bearings, sigmas
