@@ -221,6 +221,21 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     assert rig.wrong_share() <= 0.05
 
 
+@pytest.mark.parametrize(("lag", "words"), [(0.5, "twists act 0.5 s after"), (0.1, None)])
+def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
+    rig = Rig(ring(10))
+    feel = rig.localizer.odometry
+
+    def winding(t):
+        return Twist(0.2, 0.6 * math.sin(t))
+
+    rig.localizer.odometry = lambda t, v, omega: feel(t, *winding(t + lag))
+    assert rig.drive(60, winding).status is Status.LOCALISED
+    assert rig.error() < 0.1
+    told = [note for note in rig.localizer.notes if "twists act" in note]
+    assert told == [] if words is None else words in told[0]
+
+
 def test_bearings_as_noisy_as_was_given_are_not_doubted():
     rig = Rig(ring(10), faults={"L1": 0.5})
     rig.drive(60, see=lambda seen: {n: b for n, b in seen.items() if rig.rng.random() < 0.7})

@@ -37,6 +37,7 @@ from homeward.localizer.moved import (
     starts,
 )
 from homeward.localizer.noise import deviation
+from homeward.localizer.odometry import lag_words
 from homeward.localizer.preintegration import Motion
 from homeward.localizer.problem import HomeProblem
 from homeward.localizer.reasons import LOST, REPLACED, why_home_is_not_found
@@ -98,8 +99,9 @@ class Localizer:
         """Assumptions, and what was found out about the robot; each a sentence."""
         if self._senses.reversed:
             return (*self._notes, f"{REVERSED[0].upper()}{REVERSED[1:]}.")
-        map_, noisy = self._mapper, (NOISY_NOTE,) if self._mapper.noise.doubt > 1.0 else ()
-        return (*self._notes, *noisy, *map_.mounting.words(map_.window.calibration))
+        noisy = (NOISY_NOTE,) if self._mapper.noise.doubt > 1.0 else ()
+        mounting, calibration = self._mapper.mounting, self._mapper.window.calibration
+        return (*self._notes, *noisy, *mounting.words(calibration), *lag_words(calibration))
 
     @notes.setter
     def notes(self, notes: tuple[str, ...]) -> None:

@@ -20,6 +20,8 @@ STRAIGHTEST = 0.2
 """So large a share of the path counts as the straightest [1]."""
 STRAIGHT_BEFORE_M = 1.0
 """Before it began the robot is thought to have driven straight for so long [m]."""
+NOTABLE_LAG = 0.25
+"""A lag beyond this is told to the user [s]."""
 LONGEST_LAG = 0.8
 """A lag beyond this is not believed [s]."""
 
@@ -36,6 +38,15 @@ def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.
             settings.lag_sigma,
         ]
     )
+
+
+def lag_words(calibration: np.ndarray) -> tuple[str, ...]:
+    """Return what the user must know of the lag in a calibration (7,), if it is notable."""
+    lag = float(calibration[LAG])
+    if abs(lag) < NOTABLE_LAG:
+        return ()
+    way = "after" if lag > 0 else "before"
+    return (f"By the bearings, twists act {abs(lag):.1f} s {way} their stamps: is it one clock?",)
 
 
 class _Done(NamedTuple):
