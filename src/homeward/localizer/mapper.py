@@ -252,14 +252,15 @@ class Mapper:
         if misfits:
             self._counts.reject("landmark did not agree with itself", misfits)
             self.marginal = self.window.solve()
-        if self.window.settled and self.mounting.denies(self.marginal):
-            self.window.mount_sigmas = self.mounting.sigmas
-            self.marginal = self.window.solve()
         since = self.window.newest - self._solved_at
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
         self._forget()
         self.noise.follow(self.window, since)
+        sound = self.window.settled and self.noise.settled
+        if sound and self.mounting.denies(self.marginal):
+            self.window.mount_sigmas = self.mounting.sigmas
+            self.marginal = self.window.solve()
 
     def _forget(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

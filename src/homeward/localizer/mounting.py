@@ -51,8 +51,10 @@ class Mounting:
         """Return what the user must know of it, a calibration (7,) being the present one."""
         if not self.denied:
             return ()
-        yaw, x, y = calibration[MOUNT].tolist()
-        said = self._said
+        off, said = calibration[MOUNT], self._said
+        if (np.abs(off) < LEAST).all():
+            return ()
+        yaw, x, y = off.tolist()
         return (DENIAL.format(said.x + x, said.y + y, said.yaw + yaw),)
 
     def denies(self, now: Marginal) -> bool:

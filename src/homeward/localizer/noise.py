@@ -62,6 +62,8 @@ class BearingNoise:
         self._told = given is not None
         """Whether the newest bearings came with deviations, or the drive gave one."""
         self._usual = math.nan
+        self.settled = False
+        """Whether residuals have been looked at, and bear out what is believed."""
         self.doubt = 1.0
         """How many times larger than what was given the deviations are believed to be."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
@@ -118,6 +120,7 @@ class BearingNoise:
         if self._told:
             self._judge(window, off)
             return
+        self.settled = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, LEAST * self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
@@ -129,6 +132,7 @@ class BearingNoise:
         if clear.sum() < RESIDUALS:
             return
         before, excess = self.doubt, MAD_TO_SIGMA * float(np.median((off / own)[clear]))
+        self.settled = excess <= DOUBTFUL
         if before > 1.0 or excess > DOUBTFUL:
             self.doubt = max(1.0, before * excess)
             window.widen(self.doubt / before)
