@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.noise import BearingNoise, deviation
+from homeward.localizer.sightings import COLUMNS, OWN, SIGMA
 
 
 def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
@@ -57,3 +58,48 @@ def test_what_can_be_a_deviation():
     assert deviation(0.01) == 0.01
     assert deviation(1e200) == math.pi
     assert all(math.isnan(deviation(s)) for s in (0.0, -1.0, math.nan, math.inf, 1e-300))
+
+
+class Left:
+    """A window of which nothing but what it leaves of bearings is asked."""
+
+    def __init__(self, scale, count=100):
+        self.sightings = np.zeros((count, COLUMNS))
+        self.sightings[:, SIGMA] = self.sightings[:, OWN] = 0.01
+        self._off = 0.01 * scale * np.random.default_rng(0).normal(size=count)
+
+    def residuals(self):
+        """Of its sightings."""
+        return self._off
+
+    def widen(self, factor):
+        """As a window does."""
+        self.sightings[:, [SIGMA, OWN]] *= factor
+
+
+def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
+    noise = BearingNoise(0.01, 0.02)
+    assert (noise.settled, noise.doubt) == (False, 1.0)
+    noise.follow(Left(1.2), 1)
+    assert (noise.settled, noise.doubt) == (True, 1.0)
+    bad = Left(5.0)
+    noise.follow(bad, 1)
+    assert not noise.settled  # what was made of them has been too sure
+    assert noise.doubt == pytest.approx(5.0, rel=0.2)
+    assert noise.sigma == pytest.approx(0.01 * noise.doubt)
+    assert bad.sightings[0, OWN] == pytest.approx(0.01 * noise.doubt)
+    noise.follow(bad, 1)
+    assert noise.settled
+    better = Left(0.2)
+    better.widen(noise.doubt)
+    noise.follow(better, 1)
+    assert noise.doubt == 1.0
+    assert better.sightings[0, OWN] == pytest.approx(0.01)
+
+
+def test_few_sightings_and_blurred_ones_doubt_nothing():
+    noise, blurred = BearingNoise(0.01, 0.02), Left(5.0)
+    blurred.sightings[:, SIGMA] *= 2.0
+    noise.follow(Left(5.0, 20), 1)
+    noise.follow(blurred, 1)
+    assert (noise.settled, noise.doubt) == (False, 1.0)
