@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -147,6 +147,15 @@ class Estimator(Protocol):
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark, in a fixed order."""
+
+
+@runtime_checkable
+class FindsMount(Protocol):
+    """An estimator that may find out where the camera sits on the robot."""
+
+    @property
+    def mount(self) -> Pose | None:
+        """The camera on the robot, if it was found to sit elsewhere than was expected."""
 
 
 HOLD_S = 1.0

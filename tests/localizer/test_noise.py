@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.noise import BearingNoise, deviation
-from homeward.localizer.sightings import COLUMNS, OWN, SIGMA
+from homeward.localizer.sightings import COLUMNS, OWN, SIGMA, widen
 
 
 def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
@@ -72,18 +72,14 @@ class Left:
         """Of its sightings."""
         return self._off
 
-    def widen(self, factor):
-        """As a window does."""
-        self.sightings[:, [SIGMA, OWN]] *= factor
-
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     noise = BearingNoise(0.01, 0.02)
     assert (noise.settled, noise.doubt) == (False, 1.0)
-    noise.follow(Left(1.2), 1)
+    assert noise.follow(Left(1.2), 1) == 1.0
     assert (noise.settled, noise.doubt) == (True, 1.0)
     bad = Left(5.0)
-    noise.follow(bad, 1)
+    widen(bad.sightings, noise.follow(bad, 1))
     assert not noise.settled  # what was made of them has been too sure
     assert noise.doubt == pytest.approx(5.0, rel=0.2)
     assert noise.sigma == pytest.approx(0.01 * noise.doubt)
@@ -91,8 +87,8 @@ def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     noise.follow(bad, 1)
     assert noise.settled
     better = Left(0.2)
-    better.widen(noise.doubt)
-    noise.follow(better, 1)
+    widen(better.sightings, noise.doubt)
+    widen(better.sightings, noise.follow(better, 1))
     assert noise.doubt == 1.0
     assert better.sightings[0, OWN] == pytest.approx(0.01)
 

@@ -222,7 +222,7 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     assert rig.wrong_share() <= 0.05
 
 
-@pytest.mark.parametrize(("lag", "words"), [(0.5, "twists act 0.5 s after"), (0.1, None)])
+@pytest.mark.parametrize(("lag", "words"), [(0.5, "s after their stamps"), (0.1, None)])
 def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
     rig = Rig(ring(10))
     feel = rig.localizer.odometry

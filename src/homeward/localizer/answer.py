@@ -48,6 +48,12 @@ class Answer:
         covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
         return Answer(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
 
+    def with_mount(self, spread: np.ndarray) -> Answer:
+        """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
+        covariance = self.covariance.copy()
+        covariance[:2, :2] += spread
+        return Answer(self.pose, covariance)
+
     def with_scale(self, sigma: float) -> Answer:
         """Return it with an error of the map's scale, of which `sigma` [1] is the deviation."""
         out = np.array([self.pose.x, self.pose.y, 0.0])

@@ -13,14 +13,15 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.estimator import Innovation
+from homeward.localizer.landmarks import Landmarks
 from homeward.localizer.mapper import Mapper
 
 FEWEST = 4
 """So many landmarks must go out of sight, and so many others come, at the fewest."""
 HARDLY_RAD, HARDLY_SHARE = 0.3, 0.3
 """A robot has hardly moved that turned by less [rad] and drove less [distance of landmarks]."""
-FITTING = 3
-"""So many landmarks known before must fit at one stamp for the robot to be where it was."""
+FITTING = 6
+"""So many sightings in a row of landmarks known before must fit for it to be where it was."""
 
 
 class Elsewhere:
@@ -33,6 +34,9 @@ class Elsewhere:
         """What was in sight when enough of the map last was ..."""
         self._from = np.zeros(3)
         """... and from where, (3,), in the odometry frame."""
+        self._fitting = 0
+        """Sightings in a row of landmarks known before that fit."""
+        self._map: Landmarks | None = None
 
     @property
     def doubted(self) -> bool:
@@ -53,11 +57,15 @@ class Elsewhere:
         map_ : Mapper
             After it took them.
         """
-        if map_.lost.since is not None:  # the map is contradicted, and searched for the robot
-            self._before, self._seen = None, frozenset()
+        if map_.lost.since is not None or map_.landmarks is not self._map:
+            # The map is contradicted, and searched for the robot; or it is another map.
+            self._before, self._seen, self._map = None, frozenset(), map_.landmarks
         elif self._before is not None:
-            if sum(i.accepted and i.landmark in self._before for i in seen) >= FITTING:
-                self._before = None
+            for i in seen:
+                if i.landmark in self._before:
+                    self._fitting = self._fitting + 1 if i.accepted else 0
+            if self._fitting >= FITTING:
+                self._before, self._fitting = None, 0
         elif len(seen) >= FEWEST:
             self._seen, self._from = frozenset(names), map_.marginal.place(map_.motion(t))
         elif self._all_others(names, seen) and self._hardly_moved(t, map_):

@@ -12,7 +12,15 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.glimpses import Glimpse, glimpse
-from homeward.localizer.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, cameras, directions
+from homeward.localizer.sightings import (
+    BEARING,
+    KEYFRAME,
+    LANDMARK,
+    SIGMA,
+    cameras,
+    directions,
+    widen,
+)
 from homeward.localizer.triangulation import AGREES, SHARE, triangulate
 from homeward.localizer.window import Window
 
@@ -127,6 +135,12 @@ class Landmarks:
     def doubt(self, t: float, name: str, row: np.ndarray) -> None:
         """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
         self._waiting.setdefault(name, Waiting(t)).rows.append(row)
+
+    def widen(self, factor: float) -> None:
+        """Let the own deviations of sightings put aside be so many times as large."""
+        for waiting in self._waiting.values():
+            for row in waiting.rows:
+                widen(row[None], factor)
 
     def start(self, window: Window, covariance: np.ndarray) -> bool:
         """Let the landmarks enter whose sight lines agree by now; return whether any did.

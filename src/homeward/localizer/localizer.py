@@ -19,6 +19,7 @@ from homeward.estimator import (
     LandmarkEstimate,
     Status,
 )
+from homeward.frames import Pose
 from homeward.localizer.arrivals import Arrivals, Glance
 from homeward.localizer.compiled import why_not
 from homeward.localizer.elsewhere import Elsewhere
@@ -156,16 +157,22 @@ class Localizer:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        found = self._hypotheses is not None and self._standing.home_is_found(self._hypotheses.best)
+        best = None if self._hypotheses is None or self._senses.reversed else self._hypotheses.best
+        found = best is not None and self._standing.home_is_found(best)
         inventory = Inventory(
             self._home.believed(self._mapper.noise),
-            self._drive.home_mount.yaw,
+            self._home.yaw(self._mapper),
             self._mapper.landmarks,
             self._mapper.marginal,
             self._seen_from_home,
             self._hypotheses if found else None,
         )
         return inventory.landmarks()
+
+    @property
+    def mount(self) -> Pose | None:
+        """The camera on the robot, if it was found to sit elsewhere than was expected."""
+        return self._mapper.mounting.found(self._mapper.window.calibration)
 
     @property
     def mapper(self) -> Mapper:
@@ -248,6 +255,7 @@ class Localizer:
             elif now is not None:
                 now = self._challenged(problem, now)
         self._hypotheses = now
+        self._standing.mount_spread = self._home.mount_spread(self._mapper.marginal)
         self._standing.take(now, self._mapper.solved and not self._coasts(self._t))
 
     def _coasts(self, t: float) -> bool:

@@ -256,11 +256,14 @@ class Mapper:
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
         self._forget()
-        self.noise.follow(self.window, since)
+        wider = self.noise.follow(self.window, since)
+        if wider != 1.0:
+            self.window.widen(wider)
+            self.landmarks.widen(wider)
         sound = self.window.settled and self.noise.settled
         if sound and self.mounting.denies(self.marginal):
             self.window.mount_sigmas = self.mounting.sigmas
-            self.marginal = self.window.solve()
+            self._solve()
 
     def _forget(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

@@ -28,9 +28,9 @@ class Prediction:
     residual: np.ndarray
     """(m,): measured minus expected [rad]."""
     jacobian: np.ndarray
-    """(m, 10): of the expected bearings, as of `bearing_residuals`."""
+    """(m, 12): of the expected bearings, as of `bearing_residuals`."""
     correlated: np.ndarray
-    """(m, 3 + 5 + 2 n): covariance of the expected bearings with everything."""
+    """(m, 3 + 7 + 2 n): covariance of the expected bearings with everything."""
     spread: np.ndarray
     """(m, m): covariance of the residuals."""
 
@@ -51,9 +51,9 @@ class Marginal:
     """The Gaussian on the newest pose, the calibration and the landmarks."""
 
     mean: np.ndarray
-    """(3 + 5 + 2 n,)"""
+    """(3 + 7 + 2 n,)"""
     covariance: np.ndarray
-    """(3 + 5 + 2 n, 3 + 5 + 2 n)"""
+    """(3 + 7 + 2 n, 3 + 7 + 2 n)"""
 
     @property
     def positions(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
+from homeward.frames import Pose
 from homeward.localizer.marginal import Marginal
 from homeward.localizer.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
@@ -18,8 +19,8 @@ DENIAL = (
     "The camera does not sit at the robot's centre and look ahead, which nobody had told; "
     "about right would be, in drive.yaml: sensor: {{x: {:.2f}, y: {:.2f}, yaw: {:.2f}}}."
 )
-CENTRE_M = 1e-3
-"""It is taken to sit where it was told, or at the centre, as nearly as this."""
+LEAST_RAD, CENTRE_M = 1e-6, 1e-3
+"""It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
 DENIED = 5.0
 """So many standard deviations off, the bearings deny it ..."""
 LEAST = np.array([0.03, 0.03, 0.03])
@@ -40,22 +41,26 @@ class Mounting:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
-        self.sigmas = np.array([settings.camera_yaw_sigma, CENTRE_M, CENTRE_M])
+        self.sigmas = np.array([max(settings.camera_yaw_sigma, LEAST_RAD), CENTRE_M, CENTRE_M])
         """(3,), around what was told or zero [rad, m, m]."""
         self.denied = False
         """Whether bearings deny what was taken for granted."""
         told, self._said = drive.sensor.model_fields_set, drive.sensor
         self._untold = np.array([part not in told for part in ("yaw", "x", "y")])
 
+    def found(self, calibration: np.ndarray) -> Pose | None:
+        """Return the camera on the robot by a calibration (7,); None where it was as expected."""
+        off = calibration[MOUNT]
+        if not self.denied or (np.abs(off) < LEAST).all():
+            return None
+        yaw, x, y = off.tolist()
+        said = self._said
+        return Pose(said.x + x, said.y + y, said.yaw + yaw)
+
     def words(self, calibration: np.ndarray) -> tuple[str, ...]:
         """Return what the user must know of it, a calibration (7,) being the present one."""
-        if not self.denied:
-            return ()
-        off, said = calibration[MOUNT], self._said
-        if (np.abs(off) < LEAST).all():
-            return ()
-        yaw, x, y = off.tolist()
-        return (DENIAL.format(said.x + x, said.y + y, said.yaw + yaw),)
+        found = self.found(calibration)
+        return () if found is None else (DENIAL.format(*found),)
 
     def denies(self, now: Marginal) -> bool:
         """Return whether the map denies for the first time what was taken for granted.

@@ -57,7 +57,7 @@ class BearingNoise:
 
     def __init__(self, given: float | None, default: float) -> None:
         self._given, self._default = given, default
-        self._by_map = given or default
+        self._by_map = default
         self._by_differences = 0.0
         self._told = given is not None
         """Whether the newest bearings came with deviations, or the drive gave one."""
@@ -73,7 +73,9 @@ class BearingNoise:
     @property
     def sigma(self) -> float:
         """Of a bearing that comes without one, as believed now [rad]."""
-        return self.doubt * max(self._by_map, self._by_differences)
+        if self._given is not None:
+            return self.doubt * self._given
+        return max(self._by_map, self._by_differences)
 
     @property
     def usual(self) -> float:
@@ -112,30 +114,33 @@ class BearingNoise:
         if len(self._differences) >= DIFFERENCES[0]:
             self._by_differences = _scale(np.array(self._differences))
 
-    def follow(self, window: Window, keyframes: int) -> None:
-        """Follow the residuals of a window after so many keyframes."""
+    def follow(self, window: Window, keyframes: int) -> float:
+        """Follow the residuals of a window after so many keyframes.
+
+        Returned is by how much deviations that were given, in what is kept, are to be widened.
+        """
         if len(window.sightings) < RESIDUALS:
-            return
+            return 1.0
         off = np.abs(window.residuals())
         if self._told:
-            self._judge(window, off)
-            return
+            return self._judge(window, off)
         self.settled = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, LEAST * self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
+        return 1.0
 
-    def _judge(self, window: Window, off: np.ndarray) -> None:
+    def _judge(self, window: Window, off: np.ndarray) -> float:
         """Doubt what was given as much as residuals of a window, by size (m,) [rad], tell."""
         own = window.sightings[:, OWN]
         clear = window.sightings[:, SIGMA] <= CLEAR * own
         if clear.sum() < RESIDUALS:
-            return
+            return 1.0
         before, excess = self.doubt, MAD_TO_SIGMA * float(np.median((off / own)[clear]))
         self.settled = excess <= DOUBTFUL
         if before > 1.0 or excess > DOUBTFUL:
             self.doubt = max(1.0, before * excess)
-            window.widen(self.doubt / before)
+        return self.doubt / before
 
 
 class _Turned:

@@ -46,7 +46,7 @@ def lag_words(calibration: np.ndarray) -> tuple[str, ...]:
     if abs(lag) < NOTABLE_LAG:
         return ()
     way = "after" if lag > 0 else "before"
-    return (f"By the bearings, twists act {abs(lag):.1f} s {way} their stamps: is it one clock?",)
+    return (f"By the bearings, twists act {abs(lag):.2f} s {way} their stamps: is it one clock?",)
 
 
 class _Done(NamedTuple):

@@ -73,6 +73,13 @@ def sighting_rows(
     return rows
 
 
+def widen(rows: np.ndarray, factor: float) -> None:
+    """Let the bearings' own deviations be so many times as large, in rows (m, COLUMNS)."""
+    added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
+    rows[:, OWN] *= factor
+    rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
+
+
 def cameras(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.ndarray:
     """Return the camera's pose at each row, in the odometry frame.
 

@@ -9,12 +9,14 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
-from homeward.estimator import Estimate
+from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, posed
 from homeward.localizer.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.preintegration import Motion
+from homeward.localizer.reasons import REPLACED
+from homeward.localizer.senses import REVERSED
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 from homeward.localizer.window import Window
@@ -42,12 +44,15 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     Returns
     -------
     Track
-        With the same rows as the causal one, which is returned as it is when home is not found.
+        With the same rows as the causal one, which is returned as it is when home is not found, or
+        bearings run against the turns. What else shows on the way alone is taken from it.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, drive.settings, settings)
     localizer.mapper.window.keep_closed()
     track = run(drive, localizer)
+    if track.reason[-1:] == [REVERSED]:
+        return track
     whole = localizer.mapper.window.whole()
     for _ in range(SOLVES):
         marginal = whole.solve()
@@ -55,14 +60,23 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     there = None if found is None else _there(localizer, whole, found)
     if there is None:
         return track
-    rows = track_of(localizer, _rows(track.t, there, whole, drive, settings))
+    rows = _rows(track.t, there, whole, drive, settings)
+    doubted = [reason == REPLACED for reason in track.reason]
+    rows = [_unsure(row) if doubt else row for row, doubt in zip(rows, doubted, strict=True)]
     return dataclasses.replace(
-        rows,
+        track_of(localizer, rows),
         innovations=track.innovations,
         update_seconds=track.update_seconds,
         run_seconds=track.run_seconds,
         history=track.history,
     )
+
+
+def _unsure(row: Estimate) -> Estimate:
+    """Return a row at which the robot may have been carried off."""
+    if row.pose is None:
+        return row
+    return dataclasses.replace(row, status=Status.UNVERIFIED, reason=REPLACED)
 
 
 def _there(localizer: Localizer, whole: Window, found: Hypotheses) -> list[Hypotheses] | None:

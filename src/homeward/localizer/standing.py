@@ -59,6 +59,8 @@ class Standing:
         """How uncertain a pose may be that was given [m]."""
         self.fixed = False
         """Whether the pose is certain enough to be given."""
+        self.mount_spread = np.zeros((2, 2))
+        """Covariance of x and y of the camera on the robot [m^2]."""
 
     def take(self, now: Hypotheses | None, firm: bool) -> None:
         """Take the hypotheses of a new keyframe.
@@ -112,7 +114,7 @@ class Standing:
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, NOT_FIXED, None, None, innovations)
         answer = self._answer if moved is None else self._answer.after(*moved)
-        answer = answer.with_scale(self._speed_scale)
+        answer = answer.with_mount(self.mount_spread).with_scale(self._speed_scale)
         status, reason = self._status(answer, self._best, coasting)
         return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
 

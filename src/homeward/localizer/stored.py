@@ -54,6 +54,16 @@ class StoredHome:
         """Forget the start prior: the map does not begin there any more."""
         self._prior = None
 
+    def yaw(self, mapper: Mapper) -> float:
+        """Return the yaw of the camera on the robot, at home: as told, or as found out [rad]."""
+        found = self._same_camera and mapper.mounting.denied
+        return float(self._mount[2] + found * mapper.window.calibration[CAMERA_YAW])
+
+    def mount_spread(self, marginal: Marginal) -> np.ndarray:
+        """Return the covariance (2, 2) of where the camera sat on the robot [m^2]."""
+        at = slice(3 + CAMERA_X, 3 + CAMERA_Y + 1)
+        return marginal.covariance[at, at] if self._same_camera else np.zeros((2, 2))
+
     def believed(self, noise: BearingNoise) -> dict[str, HomeBearing]:
         """Return the home bearings with what their deviations are believed to be."""
         names = list(self.bearings)
@@ -90,8 +100,9 @@ class StoredHome:
             stored = [self.bearings[n] for n in names]
             self._bearings = np.array([b.bearing for b in stored])
             self._told = np.array([b.sigma for b in stored])
-        widened, untold = noise.doubt if self._same_camera else 1.0, self._settings.home_sigma
         # One that nobody told is of one sighting as any other.
-        default = noise.usual if untold is None else widened * untold
-        sigmas = np.where(np.isfinite(self._told), widened * self._told, default)
+        default = self._settings.home_sigma or noise.usual
+        sigmas = np.where(np.isfinite(self._told), self._told, default)
+        if self._same_camera:  # as doubtful as its other bearings, but no worse than they are
+            sigmas = np.maximum(sigmas, np.minimum(noise.doubt * sigmas, noise.usual))
         return self._bearings, sigmas

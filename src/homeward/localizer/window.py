@@ -23,9 +23,8 @@ from homeward.localizer.sightings import (
     KEYFRAME,
     LANDMARK,
     NC,
-    OWN,
-    SIGMA,
     bearing_residuals,
+    widen,
     without_landmark,
 )
 
@@ -144,11 +143,9 @@ class Window:
         self.sightings = np.concatenate([self.sightings, rows])
 
     def widen(self, factor: float) -> None:
-        """Let the bearings' own deviations be so many times as large, of all that are kept."""
+        """Let the bearings' own deviations be so many times as large, of all that are open."""
         for rows in (self.sightings, *(rows for _, _, rows, _ in self._closed or [])):
-            added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
-            rows[:, OWN] *= factor
-            rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
+            widen(rows, factor)
 
     def drop_landmark(self, number: int) -> None:
         """Take a landmark out; those after it move up by one number."""

@@ -20,7 +20,15 @@ from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.estimator import FASTEST, HOLD_S, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.estimator import (
+    FASTEST,
+    HOLD_S,
+    Estimate,
+    Estimator,
+    FindsMount,
+    LandmarkEstimate,
+    Status,
+)
 from homeward.frames import (
     Polar,
     Pose,
@@ -75,7 +83,7 @@ class HomeSight:
         self.name, self.counts = estimator.name, estimator.counts
         self._own_notes: tuple[str, ...] = ()
         settings = drive or DriveSettings()
-        self._home_mount, self._mount = settings.home_mount.pose, settings.sensor.pose
+        self._told = settings
         self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
         self._twists: deque[tuple[float, float, float]] = deque()
         """(t, v, omega) since the last fix, and as long as a picture may be late; and the one that
@@ -206,11 +214,12 @@ class HomeSight:
         """Return home's landmarks that are seen now."""
         pairs, rows = seen.pairs[seen.agrees], seen.home_row[seen.agrees]
         known = {m.landmark: m for m in self._inner.landmarks() if m.moved is False}
+        home_mount = self._mounts()[0]
         distance, sigma = np.full((2, len(rows)), np.nan)
         for i, row in enumerate(rows.tolist()):
             landmark = known.get(home_name(row))
             if landmark is not None and math.isfinite(landmark.distance):
-                at = between(self._home_mount, Pose(landmark.x, landmark.y, 0.0))
+                at = between(home_mount, Pose(landmark.x, landmark.y, 0.0))
                 distance[i], sigma[i] = math.hypot(at.x, at.y), landmark.sigma_distance
         mapped = np.isfinite(distance)
         if mapped.any():
@@ -218,12 +227,20 @@ class HomeSight:
             sigma[~mapped] = GUESSED * distance[~mapped]
         return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma, mapped)
 
+    def _mounts(self) -> tuple[Pose, Pose]:
+        """Return the camera on the robot, at home and now: as told, or as was found out."""
+        told, now = self._told, self._told.sensor.pose
+        if isinstance(self._inner, FindsMount):
+            now = self._inner.mount or now
+        return (now if told.home_sensor is None else told.home_mount.pose), now
+
     def _of_robot(self, camera: Pose, covariance: np.ndarray) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""
-        off = inverse(self._mount)
-        robot = compose(compose(self._home_mount, camera), off)
-        c, s = math.cos(self._home_mount.heading), math.sin(self._home_mount.heading)
-        arm = compose(Pose(0.0, 0.0, self._home_mount.heading + camera.heading), off)
+        home_mount, mount = self._mounts()
+        off = inverse(mount)
+        robot = compose(compose(home_mount, camera), off)
+        c, s = math.cos(home_mount.heading), math.sin(home_mount.heading)
+        arm = compose(Pose(0.0, 0.0, home_mount.heading + camera.heading), off)
         jacobian = np.array([[c, -s, -arm.y], [s, c, arm.x], [0.0, 0.0, 1.0]])
         return robot, jacobian @ covariance @ jacobian.T
 

@@ -1,0 +1,157 @@
+"""What was found out on the way holds at its end, too, and in a map that is begun anew."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from rig import BEARING_SIGMA, Rig, ring
+
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
+from homeward.estimator import Status
+from homeward.frames import Pose
+from homeward.localizer.elsewhere import Elsewhere
+from homeward.localizer.localizer import NOISY_NOTE, Localizer
+from homeward.localizer.noise import BearingNoise
+from homeward.localizer.reasons import REPLACED
+from homeward.localizer.senses import REVERSED
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.smoothing import smooth
+from homeward.localizer.stored import StoredHome
+
+
+class Logged(Rig):
+    """A robot that keeps its samples, for a drive."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.twists, self.seen = [], []
+        feel, see = self.localizer.odometry, self.localizer.bearings
+
+        def odometry(t, v, omega):
+            self.twists.append((t, v, omega))
+            feel(t, v, omega)
+
+        def bearings(t, sightings, sigmas):
+            self.seen.extend((t, n, b) for n, b in sightings.items())
+            return see(t, sightings, sigmas)
+
+        self.localizer.odometry, self.localizer.bearings = odometry, bearings
+
+    def logged(self):
+        """What was driven so far."""
+        t, names, bearings = zip(*self.seen, strict=True)
+        sightings = Sightings(
+            np.array(t), np.array(names, object), np.array(bearings), np.full(len(t), np.nan)
+        )
+        odometry = Odometry(*np.array(self.twists).T)
+        return Drive("logged", odometry, sightings, self.home, self.settings)
+
+
+def test_smoothing_makes_no_pose_in_the_mirror():
+    rig = Logged(ring(10))
+    rig.home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
+    rig.drive(40, see=lambda seen: {n: -b for n, b in seen.items()})
+    track = smooth(rig.logged())
+    assert track.reason[-1] == REVERSED
+    assert not track.has_pose[-1]
+
+
+def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
+    rig = Logged(ring(10))
+    far = {f"far {n}": (x + 40.0, y + 30.0) for n, (x, y) in ring(8, 1).items()}
+    rig.landmarks = rig.landmarks | far
+
+    def near(seen):
+        return {n: b for n, b in seen.items() if n.startswith("far") == (rig.pose.x > 20.0)}
+
+    rig.drive(40, see=near)
+    carried = rig.t
+    rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)
+    rig.drive(20, see=near)
+    track = smooth(rig.logged())
+    after = track.t > carried + 0.5
+    status = np.array([s is Status.LOCALISED for s in track.status])
+    assert status[~after].mean() > 0.5
+    assert not status[after].any()
+    assert {r for r, a in zip(track.reason, after, strict=True) if a} == {REPLACED}
+
+
+@pytest.mark.parametrize("given", [BEARING_SIGMA / 10, None])
+def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
+    rig = Logged(ring(10))
+    look = rig.look
+
+    def from_the_camera():
+        robot, c, s = rig.pose, math.cos(rig.pose.heading), math.sin(rig.pose.heading)
+        rig.pose = Pose(robot.x + 0.2 * c, robot.y + 0.2 * s, robot.heading)
+        seen, rig.pose = look(), robot
+        return seen
+
+    rig.look, start = from_the_camera, rig.pose
+    rig.pose = Pose(0.0, 0.0, 0.0)
+    rig.home = {n: HomeBearing(b) for n, b in from_the_camera().items()}
+    rig.pose = start
+    rig.drive(60)
+    drive = rig.logged()
+    sensor = drive.settings.sensor.model_copy(update={"bearing_sigma": given})
+    told = drive.settings.model_copy(update={"sensor": sensor})
+    track = smooth(dataclasses.replace(drive, settings=told))
+    truth = {round(a.t, 6): p for a, p in rig.answers}
+    off = [
+        math.hypot(x - truth[round(t, 6)].x, y - truth[round(t, 6)].y)
+        for t, x, y in zip(track.t.tolist(), track.x, track.y, strict=True)
+        if round(t, 6) in truth and math.isfinite(x)
+    ]
+    assert np.sqrt(np.mean(np.square(off))) < 0.08
+    assert any("x: 0.2" in note or "x: 0.19" in note for note in track.notes)
+    assert (NOISY_NOTE in track.notes) is (given is not None)
+
+
+def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():
+    noise = BearingNoise(0.001, 0.02)
+    noise.doubt = 10.0
+    noise.sigmas(["a"], {})
+    home = {
+        "good": HomeBearing(0.1, 0.005),
+        "bad": HomeBearing(0.2, 0.0005),
+        "un": HomeBearing(0.3),
+    }
+    same = StoredHome(home, DriveSettings(), LocalizerSettings()).believed(noise)
+    assert {n: b.sigma for n, b in same.items()} == pytest.approx(
+        {"good": 0.01, "bad": 0.005, "un": 0.01}
+    )
+    other = StoredHome(home, DriveSettings(home_sensor=Mount()), LocalizerSettings())
+    assert other.believed(noise)["bad"].sigma == 0.0005
+
+
+def test_a_yaw_that_is_exactly_known_is_no_error():
+    rig = Rig(ring(8))
+    settings = LocalizerSettings(camera_yaw_sigma=0.0)
+    rig.localizer = Localizer(rig.home, rig.settings, settings)
+    assert rig.drive(20).status is Status.LOCALISED
+
+
+def test_what_was_stored_is_told_by_the_yaw_that_was_found():
+    rig = Rig(ring(10))
+    rig.home = {n: HomeBearing(b.bearing - 0.3, b.sigma) for n, b in rig.home.items()}
+    rig.localizer = Localizer(rig.home, rig.settings)
+    rig.drive(60, see=lambda seen: {n: b - 0.3 for n, b in seen.items()})
+    assert rig.localizer.mount.heading == pytest.approx(0.3, abs=0.02)
+    for m in rig.localizer.landmarks():
+        assert m.home_bearing_stored == pytest.approx(m.home_bearing_estimated, abs=0.05)
+
+
+def test_a_map_that_is_begun_anew_is_not_elsewhere():
+    rig, elsewhere = Rig(ring(8)), Elsewhere()
+    rig.drive(20)
+    mapper = rig.localizer.mapper
+    innovations = list(rig.answers[-1][0].innovations)
+    elsewhere.look(rig.t, list(rig.landmarks), innovations, mapper)
+    elsewhere.look(rig.t, list(rig.landmarks), innovations, mapper)
+    others = [f"other {i}" for i in range(6)]
+    elsewhere.look(rig.t, others, [], mapper)
+    assert elsewhere.doubted
+    mapper._begin_anew(rig.t)
+    elsewhere.look(rig.t, others, [], mapper)
+    assert not elsewhere.doubted
