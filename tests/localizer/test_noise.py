@@ -93,6 +93,15 @@ def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     assert better.sightings[0, OWN] == pytest.approx(0.01)
 
 
+def test_a_camera_that_becomes_worse_on_the_way_is_doubted():
+    noise, worse = BearingNoise(0.01, 0.02), Left(1.0, 3000)
+    noise.follow(worse, 1)
+    assert noise.doubt == 1.0
+    worse._off[-400:] *= 4.0
+    noise.follow(worse, 1)
+    assert noise.doubt == pytest.approx(4.0, rel=0.2)
+
+
 def test_few_sightings_and_blurred_ones_doubt_nothing():
     noise, blurred = BearingNoise(0.01, 0.02), Left(5.0)
     blurred.sightings[:, SIGMA] *= 2.0

@@ -40,6 +40,8 @@ KEPT = 0.9
 """So much of what was believed is kept from keyframe to keyframe [1]."""
 CLEAR = 1.1
 """Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
+LATEST = 300
+"""So many of the latest are looked at: a camera may become worse on the way."""
 DOUBTFUL = 1.5
 """Given deviations are doubted where the map leaves residuals so many times larger [1]."""
 
@@ -136,7 +138,8 @@ class BearingNoise:
         clear = window.sightings[:, SIGMA] <= CLEAR * own
         if clear.sum() < RESIDUALS:
             return 1.0
-        before, excess = self.doubt, MAD_TO_SIGMA * float(np.median((off / own)[clear]))
+        latest = (off / own)[clear][-LATEST:]
+        before, excess = self.doubt, MAD_TO_SIGMA * float(np.median(latest))
         self.settled = excess <= DOUBTFUL
         if before > 1.0 or excess > DOUBTFUL:
             self.doubt = max(1.0, before * excess)
