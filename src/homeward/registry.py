@@ -26,7 +26,6 @@ from homeward.filters.settings import (
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.model import POLAR, PolarModel
-from homeward.vision.recorded import RecordedSight, SeenDrive
 
 DEFAULT_BEARING_SIGMA = 0.02
 DEFAULT_SPEED_SIGMA = 0.05
@@ -36,6 +35,11 @@ DEFAULT_TURN_SIGMA = 0.05
 def make_robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     """Return the robust localiser for a drive; with an eye on home's picture where there is one."""
     localizer = Localizer(drive.home, drive.settings, settings)
+    if type(drive) is Drive:
+        return localizer
+    # Imported here alone: what only reads logs needs no images.
+    from homeward.vision.recorded import RecordedSight, SeenDrive
+
     return RecordedSight(localizer, drive) if isinstance(drive, SeenDrive) else localizer
 
 
