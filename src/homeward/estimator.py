@@ -127,9 +127,11 @@ class Estimator(Protocol):
 
     name: str
     """The word for it in commands and files."""
-    notes: tuple[str, ...]
-    """Assumptions that the user must know of, each a sentence."""
     counts: Counts
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Assumptions, and what was found out, that the user must know of; each a sentence."""
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""

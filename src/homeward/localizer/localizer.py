@@ -104,11 +104,6 @@ class Localizer:
         mounting, calibration = self._mapper.mounting, self._mapper.window.calibration
         return (*self._notes, *noisy, *mounting.words(calibration), *lag_words(calibration))
 
-    @notes.setter
-    def notes(self, notes: tuple[str, ...]) -> None:
-        now = self.notes
-        self._notes += tuple(note for note in notes if note not in now)
-
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)

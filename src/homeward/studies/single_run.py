@@ -99,13 +99,15 @@ def execute(
         As `prepare`, and when an estimator cannot smooth.
     """
     drive, estimator, complete = prepare(run, progress)
+    notes = (TRUTH_NOTE,) if complete.start == "truth" else ()
     if not run.smooth:
-        return drive, follow(drive, estimator, progress), complete
-    settings = estimator_settings(run.estimator, run.settings)
-    if not isinstance(settings, LocalizerSettings):
-        raise InputError(f"{estimator.name} cannot smooth; the estimator robust can")
-    track = smooth(drive, settings)
-    return drive, replace(track, notes=(*track.notes, SMOOTH_NOTE)), complete
+        track = follow(drive, estimator, progress)
+    else:
+        settings = estimator_settings(run.estimator, run.settings)
+        if not isinstance(settings, LocalizerSettings):
+            raise InputError(f"{estimator.name} cannot smooth; the estimator robust can")
+        track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
+    return drive, replace(track, notes=(*track.notes, *notes)), complete
 
 
 def prepare(
@@ -146,8 +148,6 @@ def prepare(
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
         drive = replace(drive, settings=told)
     estimator = make_estimator(run.estimator, drive, settings)
-    if start == "truth":
-        estimator.notes += (TRUTH_NOTE,)
     spelt = settings.model_dump(mode="json")
     if isinstance(estimator, OnlineFilter):
         # The engine that was found, not "auto": the run repeats to the last bit.

@@ -81,7 +81,6 @@ class HomeSight:
     def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
         self._inner = estimator
         self.name, self.counts = estimator.name, estimator.counts
-        self._own_notes: tuple[str, ...] = ()
         settings = drive or DriveSettings()
         self._told = settings
         self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
@@ -97,13 +96,8 @@ class HomeSight:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Those of the other estimator, and its own."""
-        return (*self._inner.notes, *self._own_notes)
-
-    @notes.setter
-    def notes(self, notes: tuple[str, ...]) -> None:
-        now = self.notes
-        self._own_notes += tuple(note for note in notes if note not in now)
+        """Those of the other estimator."""
+        return self._inner.notes
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""

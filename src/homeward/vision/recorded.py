@@ -57,9 +57,14 @@ class RecordedSight(HomeSight):
 
     def __init__(self, estimator: Estimator, drive: SeenDrive) -> None:
         super().__init__(estimator, drive.settings)
-        self.notes = (*self.notes, _note(drive))
+        self._note = _note(drive)
         self._coming = deque(drive.pictures)
         self._doubt: Doubt | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the other estimator, and that home's picture was used."""
+        return (*super().notes, self._note)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on, and before it the pictures of earlier stamps."""
