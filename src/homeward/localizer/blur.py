@@ -47,7 +47,7 @@ def blurred(
     if not known.size:
         return sigmas
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
-    distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
+    distances = marginal.distances
     if not distances.size and across > (MOST_OF_WAY * motion.path) ** 2:
         return None
     by_shift = np.full(known.size, np.median(distances) ** -2.0 if distances.size else 0.0)

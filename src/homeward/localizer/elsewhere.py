@@ -13,6 +13,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.estimator import Innovation
+from homeward.frames import Pose, compose
 from homeward.localizer.landmarks import Landmarks
 from homeward.localizer.mapper import Mapper
 
@@ -67,7 +68,7 @@ class Elsewhere:
             if self._fitting >= FITTING:
                 self._before, self._fitting = None, 0
         elif len(seen) >= FEWEST:
-            self._seen, self._from = frozenset(names), map_.marginal.place(map_.motion(t))
+            self._seen, self._from = frozenset(names), _place(t, map_)
         elif self._all_others(names, seen) and self._hardly_moved(t, map_):
             self._before = frozenset(map_.landmarks.mapped)
 
@@ -78,7 +79,13 @@ class Elsewhere:
 
     def _hardly_moved(self, t: float, map_: Mapper) -> bool:
         """Return whether the robot is at `t` [s] near where enough of the map was in sight."""
-        off = map_.marginal.place(map_.motion(t)) - self._from
+        off = _place(t, map_) - self._from
         distances = np.hypot(*(map_.marginal.positions - self._from[:2]).T)
         near = np.hypot(*off[:2]) < HARDLY_SHARE * np.median(distances)
         return bool(near and abs(wrap(off[2])) < HARDLY_RAD)
+
+
+def _place(t: float, map_: Mapper) -> np.ndarray:
+    """Return the robot's pose at `t` [s], (3,), in the odometry frame."""
+    newest, since = Pose(*map_.marginal.mean[:3].tolist()), map_.motion(t)
+    return np.array(compose(newest, Pose(*since.delta.tolist())))

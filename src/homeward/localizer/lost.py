@@ -182,7 +182,7 @@ def hopeless(motion: Motion, marginal: Marginal) -> bool:
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
     if shift < NOTHING_M**2:
         return False
-    distances = np.hypot(*(marginal.positions - marginal.mean[:2]).T)
+    distances = marginal.distances
     return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)
 
 

@@ -239,7 +239,7 @@ class Mapper:
             return False
         turned = abs(corrected.mean[2] - self.marginal.mean[2])
         moved = corrected.positions - self._solved_positions
-        far = np.hypot(*(corrected.positions - corrected.mean[:2]).T) + NEAR_M
+        far = corrected.distances + NEAR_M
         if turned > LINEAR_RAD or (np.hypot(*moved.T) > LINEAR_SHARE * far).any():
             return False
         self.marginal = corrected

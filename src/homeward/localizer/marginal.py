@@ -60,6 +60,11 @@ class Marginal:
         """(n, 2), of the landmarks in the odometry frame [m]."""
         return self.mean[HEAD:].reshape(-1, 2)
 
+    @property
+    def distances(self) -> np.ndarray:
+        """(n,), of the landmarks from the newest pose [m]."""
+        return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
+
     def after(self, motion: Motion, calibration: np.ndarray) -> Marginal:
         """Return it with the newest pose moved on by a motion, linearised at a calibration (7,)."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
@@ -83,12 +88,6 @@ class Marginal:
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
         covariance[:3, :3] += rotation @ motion.covariance @ rotation.T
         return Marginal(mean, covariance)
-
-    def place(self, motion: Motion) -> np.ndarray:
-        """Return the pose after a motion from the newest one, shape (3,)."""
-        (x, y, heading), (dx, dy, turn) = self.mean[:3].tolist(), motion.delta.tolist()
-        c, s = math.cos(heading), math.sin(heading)
-        return np.array([x + c * dx - s * dy, y + s * dx + c * dy, heading + turn])
 
     def predict(self, rows: np.ndarray) -> Prediction:
         """Return what sightings from the newest pose tell against it.
