@@ -10,14 +10,14 @@ from homeward.angles import wrap
 from homeward.control import Twist
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, bearing
+from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.simulation.trajectories import advance
 
 BEARING_SIGMA = 0.01
 SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01
 DT, EVERY = 0.1, 2
-START = Pose(0.8, -0.4, 0.6)
+START, CENTRE = Pose(0.8, -0.4, 0.6), Pose(0.0, 0.0, 0.0)
 
 
 def ring(count, seed=0, near=2.0, far=4.0):
@@ -29,6 +29,17 @@ def ring(count, seed=0, near=2.0, far=4.0):
         f"L{i}": (float(d * math.cos(a)), float(d * math.sin(a)))
         for i, (a, d) in enumerate(zip(angles, distances, strict=True))
     }
+
+
+def another_room(rig):
+    """Give a rig landmarks elsewhere; return the `see` by which only those of its room are seen."""
+    far = {f"far {n}": (x + 40.0, y + 30.0) for n, (x, y) in ring(8, 1).items()}
+    rig.landmarks = rig.landmarks | far
+
+    def near(seen):
+        return {n: b for n, b in seen.items() if n.startswith("far") == (rig.pose.x > 20.0)}
+
+    return near
 
 
 def eight(t):
@@ -48,6 +59,7 @@ class Rig:
     landmarks: dict[str, tuple[float, float]]
     seed: int = 0
     pose: Pose = START
+    mount: Pose = CENTRE
     faults: dict[str, float] = field(default_factory=dict)
     t: float = 100.0
     speed_sigma: float = SPEED_SIGMA
@@ -93,8 +105,9 @@ class Rig:
 
     def look(self) -> dict[str, float]:
         """Return what the camera sees now."""
+        camera = compose(self.pose, self.mount)
         return {
-            name: float(wrap(bearing(self.pose, *mark) + self.rng.normal() * BEARING_SIGMA))
+            name: float(wrap(bearing(camera, *mark) + self.rng.normal() * BEARING_SIGMA))
             for name, mark in self.landmarks.items()
         }
 

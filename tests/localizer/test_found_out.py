@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from rig import BEARING_SIGMA, Rig, ring
+from rig import BEARING_SIGMA, Rig, another_room, ring
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
 from homeward.estimator import Status
@@ -59,12 +59,7 @@ def test_smoothing_makes_no_pose_in_the_mirror():
 
 def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
     rig = Logged(ring(10))
-    far = {f"far {n}": (x + 40.0, y + 30.0) for n, (x, y) in ring(8, 1).items()}
-    rig.landmarks = rig.landmarks | far
-
-    def near(seen):
-        return {n: b for n, b in seen.items() if n.startswith("far") == (rig.pose.x > 20.0)}
-
+    near = another_room(rig)
     rig.drive(40, see=near)
     carried = rig.t
     rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)
@@ -79,18 +74,9 @@ def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
 
 @pytest.mark.parametrize("given", [BEARING_SIGMA / 10, None])
 def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
-    rig = Logged(ring(10))
-    look = rig.look
-
-    def from_the_camera():
-        robot, c, s = rig.pose, math.cos(rig.pose.heading), math.sin(rig.pose.heading)
-        rig.pose = Pose(robot.x + 0.2 * c, robot.y + 0.2 * s, robot.heading)
-        seen, rig.pose = look(), robot
-        return seen
-
-    rig.look, start = from_the_camera, rig.pose
-    rig.pose = Pose(0.0, 0.0, 0.0)
-    rig.home = {n: HomeBearing(b) for n, b in from_the_camera().items()}
+    rig = Logged(ring(10), mount=Pose(0.2, 0.0, 0.0))
+    start, rig.pose = rig.pose, Pose(0.0, 0.0, 0.0)
+    rig.home = {n: HomeBearing(b) for n, b in rig.look().items()}
     rig.pose = start
     rig.drive(60)
     drive = rig.logged()

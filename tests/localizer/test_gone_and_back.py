@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rig import Rig, eight, ring, still
+from rig import Rig, another_room, eight, ring, still
 
 from homeward.control import Twist
 from homeward.estimator import Status
@@ -90,12 +90,7 @@ def test_kidnapped_and_localised_again():
 @pytest.mark.parametrize("blind_s", [0.1, 20])
 def test_carried_to_where_nothing_of_the_map_is_in_sight_and_back(blind_s):
     rig = Rig(ring(10))
-    far = {f"far {n}": (x + 40.0, y + 30.0) for n, (x, y) in ring(8, 1).items()}
-    rig.landmarks = rig.landmarks | far
-
-    def near(seen):
-        return {n: b for n, b in seen.items() if n.startswith("far") == (rig.pose.x > 20.0)}
-
+    near = another_room(rig)
     rig.drive(60, see=near)
     rig.drive(blind_s, still, see=lambda _: {})
     rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)

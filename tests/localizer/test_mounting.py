@@ -8,7 +8,7 @@ from rig import BEARING_SIGMA, Rig, ring
 
 from homeward.drives.drive import DriveSettings, Sensor
 from homeward.estimator import Status
-from homeward.frames import Pose, compose
+from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.mounting import ANYWHERE, DENIED, Mounting
@@ -16,23 +16,9 @@ from homeward.localizer.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
 
-class Mounted(Rig):
-    """A robot whose camera sits elsewhere than at its centre."""
-
-    mount = Pose(0.0, 0.0, 0.0)
-
-    def look(self):
-        """As the camera sees it."""
-        robot, self.pose = self.pose, compose(self.pose, self.mount)
-        seen = super().look()
-        self.pose = robot
-        return seen
-
-
 def mounted(mount, seed, told):
     """A robot with a camera there, and what its drive says of that."""
-    rig = Mounted(ring(10, seed), seed=seed)
-    rig.mount = mount
+    rig = Rig(ring(10, seed), seed=seed, mount=mount)
     home, rig.pose = rig.pose, Pose(0.0, 0.0, 0.0)
     bearings = rig.look()
     rig.pose = home
