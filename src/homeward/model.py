@@ -100,7 +100,7 @@ class PolarModel:
             v * ca.cos(alpha - theta),
             v * ca.sin(alpha - theta) * guarded_inverse(R, self.guard),
             omega,
-            active * (-v * ca.sin(beta) * inverse_distance - omega),
+            -(active * v) * (ca.sin(beta) * inverse_distance) - active * omega,
             ca.SX.zeros(len(self.estimated)),
         )
 
@@ -116,10 +116,11 @@ class Step(NamedTuple):
     """Gu = dF/dU, shape (n, m)."""
 
 
-_TABLEAUX: dict[str, tuple[tuple[float, float], ...]] = {
-    # (how far along the previous slope a stage stands, its weight in the mean slope)
-    "euler": ((0.0, 1.0),),
-    "rk4": ((0.0, 1 / 6), (0.5, 1 / 3), (0.5, 1 / 3), (1.0, 1 / 6)),
+_STAGES: dict[str, tuple[float, tuple[tuple[float, float], ...]]] = {
+    # What each piece counts, and of each stage: how much of dt its slope is carried on, how often
+    # that piece is counted.
+    "euler": (1.0, ((1.0, 1.0),)),
+    "rk4": (1 / 3, ((0.5, 1.0), (0.5, 2.0), (1.0, 1.0), (0.5, 1.0))),
 }
 
 
@@ -149,21 +150,28 @@ def discretise(
     u = ca.SX.sym("u", control.shape[0])
     f = rates(x, u)
     free = [s for s in ca.symvar(f) if not _among(s, x, u)]
-    stage = ca.Function("stage", [x, u, *free], [f, ca.jacobian(f, x), ca.jacobian(f, u)])
+    stage = ca.Function("stage", [x, u, *free], [f, _by_rows(f, x), _by_rows(f, u)])
 
     n, m = x.shape[0], u.shape[0]
-    slope, slope_x, slope_u = ca.SX(n, 1), ca.SX(n, n), ca.SX(n, m)
-    mean, mean_x, mean_u = ca.SX(n, 1), ca.SX(n, n), ca.SX(n, m)
-    for reach, weight in _TABLEAUX[method]:
+    piece, piece_x, piece_u = ca.SX(n, 1), ca.SX(n, n), ca.SX(n, m)
+    whole, whole_x, whole_u = ca.SX(n, 1), ca.SX(n, n), ca.SX(n, m)
+    share, stages = _STAGES[method]
+    for reach, times in stages:
         h = reach * dt
-        slope, by_x, by_u = stage(state + h * slope, control, *free)
-        slope_x, slope_u = by_x @ (ca.SX.eye(n) + h * slope_x), by_x @ (h * slope_u) + by_u
-        mean, mean_x, mean_u = (
-            mean + weight * slope,
-            mean_x + weight * slope_x,
-            mean_u + weight * slope_u,
+        slope, by_x, by_u = stage(state + piece, control, *free)
+        piece, piece_u = h * slope, h * (by_x @ piece_u + by_u)
+        piece_x = h * (by_x @ piece_x + by_x)
+        whole, whole_x, whole_u = (
+            whole + times * piece,
+            whole_x + times * piece_x,
+            whole_u + times * piece_u,
         )
-    return Step(state + dt * mean, ca.SX.eye(n) + dt * mean_x, dt * mean_u)
+    return Step(state + share * whole, ca.SX.eye(n) + share * whole_x, share * whole_u)
+
+
+def _by_rows(f: ca.SX, x: ca.SX) -> ca.SX:
+    """Return df/dx row by row, in reverse: what the entries of a row share is computed once."""
+    return ca.sparsify(ca.vertcat(*(ca.gradient(f[i], x).T for i in range(f.shape[0]))))
 
 
 def _among(symbol: ca.SX, *vectors: ca.SX) -> bool:
