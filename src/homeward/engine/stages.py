@@ -78,11 +78,24 @@ class Generic:
         return GenericPredict(self.kind) if self.predicts else GenericUpdate(self.kind)
 
 
+@dataclass(frozen=True)
+class Separable:
+    """The same program as a filter and functions of one landmark, for who loops over landmarks."""
+
+    kind: ExtendedKalmanFilter
+    world: ca.Function | None = None
+    """What moves the robot and looks at one landmark; None: all that is recorded."""
+    score: ca.Function | None = None
+    """How far off the pose is; None: nothing is scored."""
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """Stages by the name of their part; all parts but `OBSERVE`, in order, make one advance."""
 
     parts: Mapping[str, tuple[Stage, ...]]
+    separable: Separable | None = None
+    """None where a landmark's row of the step depends on more than the robot and itself."""
 
     @property
     def advance(self) -> Iterator[Stage]:
@@ -126,4 +139,4 @@ def filter_parts(
 @lru_cache(maxsize=64)
 def filter_program(kind: ExtendedKalmanFilter) -> Program:
     """Return a filter alone: predict, then update."""
-    return Program(filter_parts(kind))
+    return Program(filter_parts(kind), Separable(kind))

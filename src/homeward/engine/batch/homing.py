@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from homeward.angles import wrap
 from homeward.control import Twist, homing
-from homeward.engine.batch.execution import execute
+from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Draw, Given, Job, Result, series_value, start_value
-from homeward.engine.stages import OBSERVE, Program, Symbolic, filter_parts
+from homeward.engine.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.filters.settings import Engine
 from homeward.frames import Polar
 from homeward.model import POLAR, discretise, true_bearings, unicycle_rates
 
@@ -108,7 +107,9 @@ def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
     """Return one sample of a filter in the loop that it closes."""
     n, q = kind.model.n, kind.model.q
     world = {"world": (Symbolic(world_function(n, q, law)),)}
-    return Program(world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)})
+    parts = world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)}
+    one = Separable(kind, world_function(POLAR, 1, law), score_function(POLAR))
+    return Program(parts, one)
 
 
 @dataclass
@@ -133,9 +134,13 @@ class HomingResult:
     history: dict[str, np.ndarray]
     """(runs, steps + 1, *shape) of the variables asked for, NaN after a run's last sample."""
     engine: str
-    """What executed it: native or interpreter."""
+    """What executed it: native, interpreter or cuda."""
     notes: tuple[str, ...]
     """What the user must know of that, each a sentence."""
+    seconds: float
+    """Of a GPU's time [s]."""
+    again: int
+    """Runs that a GPU computed again in doubles."""
 
     @property
     def final_distance(self) -> np.ndarray:
@@ -154,8 +159,9 @@ def run_homing(
     law: Law = homing,
     series: Mapping[str, ArrayLike] | None = None,
     history: Sequence[str] = (),
-    engine: Engine = "auto",
+    engine: BatchEngine = "auto",
     threads: int | None = None,
+    precision: Precision = "double",
 ) -> HomingResult:
     """Run a filter in the loop that it closes, many times.
 
@@ -191,7 +197,7 @@ def run_homing(
         runs, or (runs, steps, ...).
     history : sequence of str
         Variables to return at every sample: pose, state, covariance, error, nees, control, ...
-    engine, threads
+    engine, threads, precision
         See `homeward.engine.batch.execution.execute`.
 
     Raises
@@ -224,7 +230,7 @@ def run_homing(
         history=tuple(history),
         stop="arrived",
     )
-    return _scored(execute(job, engine, threads))
+    return _scored(execute(job, engine, threads, precision))
 
 
 def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
@@ -251,4 +257,6 @@ def _scored(result: Result) -> HomingResult:
         history=result.history,
         engine=result.engine,
         notes=result.notes,
+        seconds=result.seconds,
+        again=result.again,
     )

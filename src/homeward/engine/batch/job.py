@@ -87,9 +87,13 @@ class Result:
     history: dict[str, np.ndarray]
     """(runs, steps + 1, *shape), NaN after a run's last sample."""
     engine: str = ""
-    """What executed it: native or interpreter."""
+    """What executed it: native, interpreter or cuda."""
     notes: tuple[str, ...] = ()
     """What the user must know of that, each a sentence."""
+    seconds: float = 0.0
+    """Of a GPU's time [s]."""
+    again: int = 0
+    """Runs that a GPU computed again in doubles."""
 
 
 def empty_result(job: Job) -> Result:

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from homeward.engine.batch.execution import execute
+from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Job, Result, series_value, start_value
 from homeward.engine.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.filters.settings import Engine
 
 
 def run_recorded(
@@ -23,8 +22,9 @@ def run_recorded(
     steps: int,
     final: Sequence[str] = ("state", "covariance"),
     history: Sequence[str] = ("state",),
-    engine: Engine = "auto",
+    engine: BatchEngine = "auto",
     threads: int | None = None,
+    precision: Precision = "double",
 ) -> Result:
     """Run a filter over what was recorded: at each step, predict and then update.
 
@@ -44,7 +44,7 @@ def run_recorded(
         Their numbers.
     final, history : sequence of str
         Variables to return at the end, and at every sample; the first sample is the start.
-    engine, threads
+    engine, threads, precision
         See `homeward.engine.batch.execution.execute`.
 
     Raises
@@ -73,7 +73,7 @@ def run_recorded(
         history=tuple(history),
         stop=None,
     )
-    return execute(job, engine, threads)
+    return execute(job, engine, threads, precision)
 
 
 def _seen(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:

@@ -22,10 +22,12 @@ class Cache:
     ----------
     folder : Path
         Made when something is first kept.
+    suffix : str
+        Of its files' names.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, suffix: str = ".so") -> None:
+        self.folder, self._suffix = folder, suffix
 
     def problem(self) -> str | None:
         """Return in words why the folder cannot be trusted or used; None if it can.
@@ -51,7 +53,7 @@ class Cache:
 
     def find(self, key: str) -> Path | None:
         """Return the file kept under a key, or None; files that are not what they were go."""
-        for file in sorted(self.folder.glob(f"{key}-*.so")):
+        for file in sorted(self.folder.glob(f"{key}-*{self._suffix}")):
             if file.stem == f"{key}-{_checksum(file)}":
                 return file
             with suppress(OSError):
@@ -68,7 +70,7 @@ class Cache:
         library : Path
             On the same file system, as one in `workshop` is.
         """
-        place = self.folder / f"{key}-{_checksum(library)}.so"
+        place = self.folder / f"{key}-{_checksum(library)}{self._suffix}"
         os.replace(library, place)
         return place
 

@@ -20,7 +20,7 @@ class Node(NamedTuple):
     args: tuple[int | float, ...]
 
 
-_FORMS: dict[int, str] = {
+FORMS: dict[int, str] = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
@@ -29,7 +29,7 @@ _FORMS: dict[int, str] = {
     ca.OP_NEG: "-{0}",
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}",
+    ca.OP_INV: "v_inverse({0})",
     ca.OP_SQRT: "v_sqrt({0})",
     ca.OP_FABS: "v_abs({0})",
     ca.OP_CEIL: "v_ceil({0})",
@@ -47,7 +47,7 @@ _FORMS: dict[int, str] = {
     ca.OP_OR: "v_max(v_ne({0}, v_set(0.0)), v_ne({1}, v_set(0.0)))",
     ca.OP_IF_ELSE_ZERO: "v_if({0}, {1})",
 }
-_CIRCULAR = (ca.OP_SIN, ca.OP_COS)
+CIRCULAR = (ca.OP_SIN, ca.OP_COS)
 _COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL)
 
 
@@ -87,10 +87,10 @@ class Code:
                 work[out[0]] = self._number(op, (function.instruction_constant(k),))
             elif op == ca.OP_INPUT:
                 work[out[0]] = self._number(op, tuple(given))
-            elif op in _FORMS or op in _CIRCULAR:
+            elif op in FORMS or op in CIRCULAR:
                 args = tuple(work[i] for i in given)
                 # One argument is all that a unary operation has, however it is listed.
-                args = args if "{1}" in _FORMS.get(op, "") else args[:1]
+                args = args if "{1}" in FORMS.get(op, "") else args[:1]
                 work[out[0]] = self._operation(op, args)
             else:
                 raise NotImplementedError(f"operation {op} of CasADi in {function.name()}")
@@ -115,7 +115,7 @@ class Code:
             if op in (ca.OP_CONST, ca.OP_INPUT):
                 level.append(0)
             else:
-                level.append(max(level[int(a)] for a in args) + (op in _CIRCULAR))
+                level.append(max(level[int(a)] for a in args) + (op in CIRCULAR))
         return level
 
 
@@ -148,7 +148,7 @@ def _body(code: Code, inputs: list[int]) -> list[str]:
     plain: dict[int, list[str]] = {}
     circular: dict[int, dict[int, dict[int, int]]] = {}
     for number, (op, args) in enumerate(code.nodes):
-        if op in _CIRCULAR:
+        if op in CIRCULAR:
             angle = int(args[0])
             circular.setdefault(levels[number], {}).setdefault(angle, {})[op] = number
         else:
@@ -166,7 +166,7 @@ def _line(number: int, op: int, args: tuple[int | float, ...], inputs: list[int]
     elif op == ca.OP_INPUT:
         form = f"p[{inputs[int(args[0])] + int(args[1])}]"
     else:
-        form = _FORMS[op].format(*(f"t{a}" for a in args))
+        form = FORMS[op].format(*(f"t{a}" for a in args))
     return f"  const V t{number} = {form};"
 
 

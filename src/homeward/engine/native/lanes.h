@@ -156,6 +156,8 @@ typedef W V;
 
 #endif
 
+#define v_inverse(x) (1.0 / (x))
+
 /* Sines and cosines of several angles: vector by vector, or doubles packed into vectors. Angles far
  * from zero go through the C library, lane by lane, so that no lane depends on another. Arrays of
  * doubles are as long as whole vectors. */
