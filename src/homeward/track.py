@@ -11,6 +11,7 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.naming import natural
 
 GRID_S = 0.1
 """Between bearing stamps an estimate is kept this often [s]."""
@@ -262,7 +263,7 @@ class _Rows:
 
     def history(self) -> LandmarkHistory:
         """Return what was known of the landmarks along the way."""
-        names = sorted({m.landmark for _, landmarks in self.known for m in landmarks})
+        names = sorted({m.landmark for _, landmarks in self.known for m in landmarks}, key=natural)
         column = {name: i for i, name in enumerate(names)}
         values = np.full((3, len(self.known), len(names)), np.nan)
         for row, (_, landmarks) in enumerate(self.known):

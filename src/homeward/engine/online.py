@@ -16,6 +16,7 @@ from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
 from homeward.model import POLAR, PolarModel, landmark_distance
+from homeward.naming import natural
 
 SEEN_RECENTLY_S = 2.0
 """Without an accepted sighting for longer than this, the filter coasts."""
@@ -151,7 +152,7 @@ class OnlineFilter:
                         sigma_distance=math.sqrt(max(variances[i], 0.0)),
                     )
             known.append(entry)
-        return known
+        return sorted(known, key=lambda m: natural(m.landmark))
 
     def _in_order(self, t: float, what: str) -> bool:
         """Tell whether a stamp can be used, and count it if not."""

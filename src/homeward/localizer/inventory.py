@@ -15,6 +15,7 @@ from homeward.localizer.glimpses import Glimpse
 from homeward.localizer.landmarks import Landmarks
 from homeward.localizer.marginal import Marginal
 from homeward.localizer.moved import Hypotheses
+from homeward.naming import natural
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,11 @@ class Inventory:
     """None while home is not found."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, in order of name."""
+        """Return everything known of each landmark, in natural order of name."""
         moved, places = self._moved_probabilities(), self._from_home()
         return [
             self._landmark(name, moved.get(name, math.nan), places.get(name, 3 * (math.nan,)))
-            for name in sorted({*self.home, *self.known.mapped}, key=str)
+            for name in sorted({*self.home, *self.known.mapped}, key=natural)
         ]
 
     def _landmark(

@@ -53,6 +53,7 @@ _STYLE: dict[str, Any] = {
     "lines.linewidth": 1.2,
     "svg.fonttype": "none",
     "figure.facecolor": "white",
+    "axes.facecolor": "none",
     "figure.constrained_layout.use": True,
 }
 
@@ -90,7 +91,7 @@ def drawn(folder: Path, name: str, caption: str, figure: Figure) -> tuple[str, M
 
 
 def svg(figure: Figure, label: str) -> str:
-    """Return a figure as an SVG element to stand in a page, with nothing to fetch.
+    """Return a figure as an SVG element on no ground, to stand in a page, with nothing to fetch.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def svg(figure: Figure, label: str) -> str:
     """
     out = io.StringIO()
     with style(label):
-        figure.savefig(out, format="svg", metadata={"Date": None})
+        figure.savefig(out, format="svg", facecolor="none", metadata={"Date": None})
     text = out.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, count=1, flags=re.DOTALL)
@@ -115,9 +116,11 @@ def svg(figure: Figure, label: str) -> str:
 
 
 def svg_file(drawing: str) -> str:
-    """Return an element from `svg` as a file of its own."""
+    """Return an element from `svg` as a file of its own, on white."""
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.replace("<svg", head, 1) + "\n"
+    ground = '<rect width="100%" height="100%" fill="white"/>'
+    tag, body = drawing.replace("<svg", head, 1).split(">", 1)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tag}>{ground}{body}\n'
 
 
 def bare(axes: Axes) -> None:

@@ -51,7 +51,7 @@ def map_plot(track: Track, truth: Truth | None) -> figure:
         Drawn as a thin line where there is any.
     """
     limits = map_limits(track, truth)
-    plot = _empty(limits)
+    plot = _empty()
     _draw_ellipses(plot, track)
     _draw_truth(plot, truth)
     _draw_path(plot, track)
@@ -63,6 +63,12 @@ def map_plot(track: Track, truth: Truth | None) -> figure:
         span.renderers = [corners]
     add_hover(plot, TIP, landmarks)
     return plot
+
+
+def map_aspect(track: Track, truth: Truth | None) -> float:
+    """Return how wide the map should be for its height, within what a page has room for."""
+    west, east, south, north = map_limits(track, truth)
+    return float(np.clip((east - west) / (north - south), 0.8, 2.2))
 
 
 def undrawn(track: Track, truth: Truth | None) -> list[str]:
@@ -117,14 +123,12 @@ def _drawn(landmarks: list[LandmarkEstimate], limits: Limits) -> list[LandmarkEs
     return [m for m in _placed(landmarks) if west <= m.x <= east and south <= m.y <= north]
 
 
-def _empty(limits: Limits) -> figure:
+def _empty() -> figure:
     """Return the empty map, a metre as long upwards as sideways."""
-    west, east, south, north = limits
     drag, wheel = PanTool(), WheelZoomTool()
     wheel.modifiers = {"ctrl": True}
     plot = figure(
-        aspect_ratio=float(np.clip((east - west) / (north - south), 0.8, 2.2)),
-        sizing_mode="stretch_width",
+        sizing_mode="stretch_both",
         match_aspect=True,
         x_range=DataRange1d(range_padding=0.0),
         y_range=DataRange1d(range_padding=0.0),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Drive, Sightings
+from homeward.naming import natural
 from homeward.report.palette import STATUS_COLOURS
 from homeward.report.probability import COLOURS, UNJUDGED, colour
 from homeward.report.words import name
@@ -34,32 +35,40 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``t`` and what there is at each of these times, None where there is nothing: ``pose``
-        (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``, ``status`` and
-        ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of (number into
-        ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`), ``known`` a row
-        of ``history``, whose rows hold (x, y, level of `COLOURS`) of each of ``names``.
+        ``opening``, the moment to begin with: the nearest to the middle that has a pose, and
+        bearings if any has; ``t`` and what there is at each of these times, None where there is
+        nothing: ``pose`` (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``,
+        ``status`` and ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of
+        (number into ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`),
+        ``known`` a row of ``history``, whose rows hold (x, y, level of `COLOURS`) of each of
+        ``names``.
     """
     per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
     most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
     rows = _chosen(track, drive.sightings, most)
-    names = sorted({*track.history.landmark, *map(str, np.unique(drive.sightings.landmark))})
+    names = sorted({*track.history.landmark, *drive.sightings.landmark.tolist()}, key=natural)
     number = {name: i for i, name in enumerate(names)}
     history, known = _history(track, names, rows)
     reasons = list(dict.fromkeys(track.reason[row] for row in rows))
     statuses = list(STATUS_COLOURS)
     mount = drive.settings.sensor
+    t = track.t[rows] - track.t[:1]
+    poses = _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4)
+    seen = bearings_at(drive, track, rows)
     return {
-        "t": _rounded(track.t[rows] - track.t[:1], 3),
-        "pose": _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4),
+        "t": _rounded(t, 3),
+        "opening": min(
+            range(rows.size),
+            key=lambda i: (poses[i] is None, not seen[i], abs(t[i] - t[-1] / 2)),
+        ),
+        "pose": poses,
         "cov": _rows(track.covariance[rows][:, [0, 0, 1], [0, 1, 1]], 8),
         "sigma_heading": _rounded(track.sigmas[rows, 2], 5),
         "truth": _truth(drive, track.t[rows]),
         "status": [statuses.index(track.status[row]) for row in rows],
         "reason": [reasons.index(track.reason[row]) for row in rows],
         "seen": [
-            [(number[i], round(direction, 4), fate) for i, direction, fate in seen]
-            for seen in bearings_at(drive, track, rows)
+            [(number[i], round(direction, 4), fate) for i, direction, fate in here] for here in seen
         ],
         "known": known,
         "history": history,

@@ -12,13 +12,14 @@ import yaml
 from bokeh.models import UIElement
 
 from homeward.drives.drive import Drive
-from homeward.estimator import LandmarkEstimate, Status
+from homeward.estimator import Status
+from homeward.naming import natural
 from homeward.report import words
-from homeward.report.map_plot import map_plot, undrawn
+from homeward.report.map_plot import map_aspect, map_plot, undrawn
 from homeward.report.moments import moments
 from homeward.report.palette import STATUS_COLOURS
 from homeward.report.plots import embedded, script
-from homeward.report.summary import sentence, summarise
+from homeward.report.summary import caution, sentence
 from homeward.report.template import render
 from homeward.report.time_plots import consistency_plots, error_plots, sigma_plots, time_range
 from homeward.report.timeline import MOST_ROWS, timeline
@@ -52,38 +53,25 @@ def write_page(
         drive=drive,
         track=track,
         metrics=metrics,
-        sentence=sentence(track, metrics),
-        summary=summarise(drive, track, metrics),
-        headline=_headline(track, metrics),
+        # A number stays with its unit.
+        sentence=re.sub(r"(?<=\d) (?=\w)", "\u00a0", sentence(track, metrics)),
+        caution=caution(metrics.accuracy),
         plots=plots,
         embedded=embedded(plots),
         script=script(),
+        aspect=map_aspect(track, drive.truth),
         moments=moments(drive, track) if track.t.size else None,
         undrawn=[words.name(i) for i in undrawn(track, drive.truth)],
         error_rows=_error_rows(metrics.accuracy),
-        landmarks=sorted(track.landmarks, key=_rank),
+        landmarks=sorted(track.landmarks, key=lambda m: (not m.moved, natural(m.landmark))),
         consistency=_consistency(metrics),
         unlisted=max(0, np.unique(drive.sightings.landmark).size - MOST_ROWS),
         left_out=[*drive.remarks.items(), *metrics.rejected.items()],
-        stages=_stages(track),
+        stages=_stages(track, metrics),
         timing=_timing(metrics),
         settings=yaml.safe_dump(dict(run), sort_keys=False, allow_unicode=True),
     )
     file.write_text(html, encoding="utf-8")
-
-
-def _headline(track: Track, metrics: Metrics) -> list[tuple[str, str]]:
-    """Return the numbers that stand in large type, each with its name."""
-    rows = [("duration", words.quantity(metrics.duration_s, "s"))]
-    if metrics.pose_share is not None:
-        rows.append(("with a pose", words.percent(metrics.pose_share)))
-    if metrics.accuracy is not None:
-        rows.append(("position RMSE", words.quantity(metrics.accuracy.position.rmse, "m")))
-        rows.append(("heading RMSE", words.degrees(metrics.accuracy.heading.rmse)))
-    judged = [m.moved for m in track.landmarks if m.moved is not None]
-    if judged:
-        rows.append(("landmarks moved", f"{sum(judged):,} of {len(judged):,}"))
-    return rows
 
 
 def _plots(drive: Drive, track: Track) -> dict[str, UIElement]:
@@ -115,12 +103,6 @@ def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]
     ]
 
 
-def _rank(m: LandmarkEstimate) -> tuple[bool, list[str | int]]:
-    """Order landmarks: moved ones first, then by name, numbers in it by their size."""
-    parts = re.split(r"(\d+)", m.landmark)
-    return not m.moved, [int(part) if part.isdecimal() else part for part in parts]
-
-
 def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
     """Return what consistent uncertainty would give beside what was found."""
     rows: list[tuple[str, str, str]] = []
@@ -140,11 +122,12 @@ def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _stages(track: Track) -> list[tuple[float, str, str]]:
-    """Return time [s], status and reason of the first row of each status."""
+def _stages(track: Track, metrics: Metrics) -> list[tuple[float, str, float, str]]:
+    """Return each status: its first time [s], name, share of the time, and its first reason."""
     first = [(track.status.index(s), s) for s in Status if s in track.status]
+    shares = metrics.status_shares
     return [
-        (float(track.t[row] - track.t[0]), s.value, track.reason[row])
+        (float(track.t[row] - track.t[0]), s.value, shares.get(s, 0.0), track.reason[row])
         for row, s in sorted(first, key=lambda f: f[0])
     ]
 

@@ -195,7 +195,7 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
     with style():
         figure = new_figure(0.4 + WIDTH_IN * height / width)
         axes = figure.add_subplot()
-        axes.imshow(image, cmap="gray", vmin=0, vmax=255, aspect="auto")
+        axes.imshow(image, cmap="gray", vmin=0, vmax=255, aspect="auto", gid="photograph")
         axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")
         for moved, colour, words in ((False, GREEN, "landmarks"), (True, VERMILLION, "moved")):
             rows = world.sight.landmarks[world.moved == moved]

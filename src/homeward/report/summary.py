@@ -109,13 +109,18 @@ def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
         f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "
         f"{quantity(p.max, 'm')} at worst; heading {degrees(accuracy.heading.rmse)} RMSE."
     )
-    outside = 1.0 - accuracy.position_inside_sigma_shares[2]
-    if outside > OUTSIDE_3_SIGMA:
-        text += (
-            f" It was surer than it should be: for {percent(outside)} of the time the true "
-            "position lay outside its 3-sigma ellipse."
-        )
-    return text
+    return f"{text} {caution(accuracy)}".strip()
+
+
+def caution(accuracy: Accuracy | None) -> str:
+    """Say where the claimed uncertainty was too small; nothing where it was not."""
+    outside = 0.0 if accuracy is None else 1.0 - accuracy.position_inside_sigma_shares[2]
+    if outside <= OUTSIDE_3_SIGMA:
+        return ""
+    return (
+        f"It was surer than it should be: for {percent(outside)} of the time the true "
+        "position lay outside its 3-sigma ellipse."
+    )
 
 
 def _moved(track: Track) -> str:

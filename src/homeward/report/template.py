@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 
 def render(template: str, **values: Any) -> str:
@@ -16,4 +18,12 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["h2"] = heading
     return environment.get_template(template).render(**values)
+
+
+def heading(words: str) -> Markup:
+    """Return the heading of a section, with a link to it."""
+    anchor = re.sub(r"\W+", "-", words).strip("-").lower()
+    link = Markup('<a href="#{}" aria-label="Link to this section">#</a>').format(anchor)
+    return Markup('<h2 id="{}">{} {}</h2>').format(anchor, words, link)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
 from homeward.drives.drive import Sightings
+from homeward.naming import natural
 from homeward.report import words
 from homeward.report.palette import INK, MOVED
 from homeward.report.plots import THEMED, add_hover, new_plot
@@ -54,10 +56,9 @@ def timeline(track: Track, sightings: Sightings, span: Range1d) -> figure:
 
 def _shown(track: Track, sightings: Sightings) -> list[str]:
     """Return the ids of the rows, from the top."""
-    moved_ones = {m.landmark for m in track.landmarks if m.moved}
-    ids, numbers = np.unique(sightings.landmark, return_counts=True)
-    moved = np.array([i in moved_ones for i in ids], bool)
-    return [str(i) for i in ids[np.lexsort((-numbers, ~moved))][:MOST_ROWS]]
+    moved = {m.landmark for m in track.landmarks if m.moved}
+    seen = Counter(sightings.landmark.tolist())
+    return sorted(seen, key=lambda i: (i not in moved, -seen[i], natural(i)))[:MOST_ROWS]
 
 
 def _draw_presence(plot: figure, shown: list[str], track: Track, sightings: Sightings) -> None:

@@ -23,6 +23,7 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.localizer.triangulation import triangulate
 from homeward.model import POLAR
+from homeward.naming import natural
 from homeward.observability.ranks import rank
 from homeward.observability.scene import Scene
 from homeward.observability.words import in_words
@@ -196,7 +197,7 @@ class _Seen:
     ) -> None:
         """Place the landmarks, and compare them with what home stored."""
         names, places, stored, unplaced = [], [], [], []
-        for name in sorted(set(ids)):
+        for name in sorted(set(ids.tolist()), key=natural):
             mine = ids == name
             sigmas = np.full(int(mine.sum()), self.sigma)
             found = triangulate(cameras[mine], bearings[mine], sigmas, parallax)

@@ -58,7 +58,9 @@
     const [c, s] = [Math.cos(heading), Math.sin(heading)];
     return { x: points.map(([u, v]) => x + c * u - s * v), y: points.map(([u, v]) => y + s * u + c * v) };
   };
-  const outline = (pose) => (pose ? placed(pose, KITE.map((p) => p.map((v) => 0.013 * extent * v))) : { x: [], y: [] });
+  // As large on every screen: the unit is eight pixels.
+  const unit = () => (8 * (map.y_range.end - map.y_range.start)) / map.inner_height;
+  const outline = (pose) => (pose ? placed(pose, KITE.map((p) => p.map((v) => unit() * v))) : { x: [], y: [] });
   const axes = ([xx, xy, yy]) => {
     const mean = (xx + yy) / 2, half = Math.hypot((xx - yy) / 2, xy);
     return [Math.sqrt(mean + half), Math.sqrt(Math.max(mean - half, 0)), 0.5 * Math.atan2(2 * xy, xx - yy)];
@@ -155,5 +157,7 @@
   // report.html#t=84.2 opens at that moment.
   const asked = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? NaN);
   show(Number.isNaN(asked) ? Number(slider.value) : nearest(asked));
+  // What was drawn has moved the section that the address names.
+  document.getElementById(decodeURIComponent(location.hash.slice(1)))?.scrollIntoView();
   document.documentElement.dataset.drawn = "";
 })();
