@@ -93,7 +93,7 @@ def test_page_says_what_happened(html):
     for said in (said_first, "made up <b>", "The scale rests on <odometry>.", "</pre><script>"):
         assert said in text
     head = text[: text.index("Where it drove")]
-    for number in ("20 s", "90 %", "RMSE", "1 of the 4 landmarks"):
+    for number in ("20 s", "90 %", "RMSE", "1 of the four landmarks"):
         assert head.count(number) == 1, "everything is said once"
     assert "equal odometry stamps 7" in text
     assert "outside the gate 3" in text

@@ -8,13 +8,15 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 from markupsafe import Markup
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -23,6 +25,9 @@ from homeward.report.palette import INK, MUTED, RULE
 
 WIDTH_IN = 7.2
 """Width of every figure [inch]; the page scales it."""
+
+GAP_IN = 0.06
+"""Between the labels of ticks at least [inch]."""
 
 _STYLE: dict[str, Any] = {
     "font.size": 9.0,
@@ -121,6 +126,32 @@ def svg_file(drawing: str) -> str:
     ground = '<rect width="100%" height="100%" fill="white"/>'
     tag, body = drawing.replace("<svg", head, 1).split(">", 1)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tag}>{ground}{body}\n'
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist], most: int = 4) -> None:
+    """Put a legend below a figure, in as many columns (at most `most`) as it has room for."""
+    for columns in range(most, 0, -1):
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+        if legend.get_window_extent().width <= figure.bbox.width:
+            return
+        if columns > 1:
+            legend.remove()
+
+
+def uncrowd(figure: Figure) -> None:
+    """Leave out ticks along x whose labels would touch: every other, or more of them."""
+    figure.draw_without_rendering()
+    for axis in (axes.xaxis for axes in figure.axes):
+        low, high = sorted(axis.get_view_interval())
+        shown = [tick for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+        boxes = [tick.label1.get_window_extent() for tick in shown if tick.label1.get_visible()]
+        gap = figure.dpi * GAP_IN
+        step = 1
+        while any(a.x1 + gap > b.x0 for a, b in pairwise(boxes[::step])):
+            step += 1
+        if step > 1:
+            kept = shown[::step]
+            axis.set_ticks([t.get_loc() for t in kept], [t.label1.get_text() for t in kept])
 
 
 def bare(axes: Axes) -> None:

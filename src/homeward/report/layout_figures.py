@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
-from homeward.report.canvas import new_figure, style
+from homeward.report.canvas import legend_below, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
 from homeward.report.paper_figures import COLOURS, QUANTITIES
 from homeward.studies.paper.cases import FILTERS
@@ -60,7 +61,8 @@ def draw_distributions(study: LayoutStudy) -> Figure:
             Line2D([], [], color=MUTED, lw=1.2, label="90 %"),
             Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="as printed"),
         ]
-        figure.legend(handles=entries, loc="outside lower center", ncols=4)
+        legend_below(figure, entries)
+        uncrowd(figure)
     return figure
 
 
@@ -93,8 +95,8 @@ def draw_order(study: LayoutStudy) -> Figure:
                     share = 100 * order_share(study.varied[name, case], CLAIMED, k)
                     at = place + 0.2 * (k - 1)
                     axes.plot(share, at, "o", ms=5, mew=0, color=colour)
-            axes.set_title(TITLES[case], loc="left", fontsize=9)
-            axes.set(xlabel="layouts with PI-EKF < A-EKF < EKF [%]")
+            axes.set_title(textwrap.fill(TITLES[case], 30), loc="left", fontsize=9)
+            axes.set(xlabel="layouts with\nPI-EKF < A-EKF < EKF [%]")
             axes.set_xlim(-1, 1.05 * axes.get_xlim()[1])
             axes.grid(False, axis="y")
         panels[0].set_yticks(range(len(VARIANTS)), tuple(VARIANTS))
@@ -104,7 +106,8 @@ def draw_order(study: LayoutStudy) -> Figure:
             for colour, quantity in zip(_QUANTITY_COLOURS, QUANTITIES, strict=True)
         ]
         entries.append(Line2D([], [], color=INK, lw=0.9, ls="--", label="by chance"))
-        figure.legend(handles=entries, loc="outside lower center", ncols=4)
+        legend_below(figure, entries)
+        uncrowd(figure)
     return figure
 
 

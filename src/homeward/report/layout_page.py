@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
+from homeward.report.below_bound import below_bound, note_below
 from homeward.report.canvas import drawn
 from homeward.report.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.output import whole_folder
@@ -170,11 +171,26 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
             ("What it depends on: medians of R [cm], theta, alpha [rad]", variant_table(study), 2),
             ("The best Pi and M: medians of R [cm], theta, alpha [rad]", search_table(study), 4),
         ],
+        below=note_below(_below(study)),
         layouts=study.settings,
         robust=study.robust["2"].rmse.shape[1],
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
         versions=versions(),
     )
+
+
+def _below(study: LayoutStudy) -> dict[str, str]:
+    """Return what is to be said of each that lies below its bound."""
+    found = {}
+    for case in STUDIED:
+        bounds = study.robust[case].of(BOUND)
+        for name in ROWS[:-1]:
+            source = study.robust[case] if name in study.robust[case].names else study.main[case]
+            errors = source.of(name)[: len(bounds)]
+            for k, quantity in enumerate(("R", "theta", "alpha")):
+                words = below_bound(errors[:, k], bounds[:, k])
+                found[f"{name} in Case {case}, {quantity}"] = words
+    return found
 
 
 def _every_run(study: LayoutStudy) -> str:

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path as MarkerPath
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from homeward.report.canvas import WIDTH_IN, bare, new_figure, style
+from homeward.report.canvas import WIDTH_IN, legend_below, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, SKY, VERMILLION
 from homeward.report.words import name
 from homeward.studies.planning.analysis import PlanView
@@ -41,8 +42,10 @@ def draw_begin(view: PlanView) -> Figure:
         _image(axes, view, told, cmap=colours, vmin=-0.5, vmax=3.5)
         _draw_place(axes, view)
         _draw_advice(axes, view)
+        _draw_scale(axes, view)
         entries: list[Any] = [Patch(color=colour, label=label) for colour, label in CLASSES]
-        figure.legend(handles=[*entries, *_marks(view)], loc="outside lower center", ncols=3)
+        legend_below(figure, [*entries, *_marks(view)], 3)
+        uncrowd(figure)
     return figure
 
 
@@ -64,7 +67,9 @@ def draw_accuracy(view: PlanView) -> Figure:
             if np.nanmin(grid) < limit < np.nanmax(grid):
                 axes.contour(view.floor.x, view.floor.y, grid, [limit], colors=INK, linewidths=0.9)
             _draw_place(axes, view, names=False)
+            _draw_scale(axes, view)
             figure.colorbar(image, ax=axes, label=label, location="bottom", shrink=0.9, pad=0.02)
+        uncrowd(figure)
     return figure
 
 
@@ -83,12 +88,14 @@ def draw_hidden(view: PlanView) -> Figure:
             colours = ListedColormap([NOWHERE, SKY, VERMILLION])
             _image(axes, view, view.begins + 1 * lost, cmap=colours, vmin=-0.5, vmax=2.5)
             _draw_place(axes, view, names=False)
+            axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
             axes.plot(*view.marks[i], "*", ms=11, color=VERMILLION, mec="white", zorder=9)
             share = float(lost.mean())
             axes.set_title(
                 f"without {name(view.names[i])}: {100 * share:.1f} % lost", parse_math=False
             )
             axes.title.set_fontsize(8.5)
+        _draw_scale(panels[0], view, below=True)
     return figure
 
 
@@ -107,8 +114,9 @@ def _height(view: PlanView) -> float:
 
 def _image(axes: Axes, view: PlanView, values: np.ndarray, **options: Any) -> Any:
     west, south, east, north = view.floor.outline.bounds
-    bare(axes)
-    axes.set_xticks([])
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
     return axes.imshow(
         view.floor.image(values),
         origin="lower",
@@ -135,6 +143,27 @@ def _draw_place(axes: Axes, view: PlanView, names: bool = True) -> None:
     west, south, east, north = view.floor.outline.bounds
     margin = 0.02 * max(east - west, north - south)
     axes.set(xlim=(west - margin, east + margin), ylim=(south - margin, north + margin))
+
+
+def _draw_scale(axes: Axes, view: PlanView, below: bool = False) -> None:
+    """Draw a bar of a round length beside the map, above it at its right end or below it."""
+    west, _, east, _ = view.floor.outline.bounds
+    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map.
+    power = 10.0 ** np.floor(np.log10((east - west) / 4))
+    length = max(k * power for k in (1, 2, 5) if k * power <= (east - west) / 4)
+    bar = AnchoredSizeBar(
+        axes.transData,
+        length,
+        f"{length:g} m",
+        loc="upper right" if below else "lower right",
+        bbox_to_anchor=(1.0, 0.0 if below else 1.0),
+        bbox_transform=axes.transAxes,
+        frameon=False,
+        size_vertical=0.004 * (east - west),
+        color=INK,
+        label_top=not below,
+    )
+    axes.add_artist(bar)
 
 
 def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:

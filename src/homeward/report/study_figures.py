@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -12,7 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
-from homeward.report.canvas import new_figure, style
+from homeward.report.below_bound import MARK, below_bound
+from homeward.report.canvas import legend_below, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
 from homeward.report.study_maps import draw_maps, grids
 from homeward.studies.study.results import Results
@@ -25,6 +27,9 @@ MOST_CONTENDERS = 24
 """Of the overview; more have a map, and the table."""
 MOST_PANELS = 8
 """Scenarios over time."""
+LINE = 34
+"""Letters of a label in one line."""
+BELOW = "RMSE below its bound"
 CONSISTENT = 3.0
 """Mean NEES of (x, y, heading) of a consistent estimator."""
 
@@ -49,6 +54,18 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
         )
 
 
+def below(results: Results) -> dict[str, str]:
+    """Return what is to be said of each "estimator in scenario" below its bound, else nothing."""
+    run, plan = results.run, results.plan
+    return {
+        f"{contender.label} in {case.label}": below_bound(
+            run["position_rmse"][i, j], run["position_bound"][i, j]
+        )
+        for i, case in enumerate(plan.cases)
+        for j, contender in enumerate(plan.contenders)
+    }
+
+
 def draw_overview(results: Results) -> Figure:
     """Draw a row for each scenario and estimator: errors, share at home, NEES."""
     rows = lines(results)[:MOST_ROWS]
@@ -56,7 +73,14 @@ def draw_overview(results: Results) -> Figure:
     colours = {c.label: COLOURS[j % len(COLOURS)] for j, c in enumerate(results.plan.contenders)}
     places = _places(rows)
     with style():
-        figure = new_figure(1.1 + 0.21 * (places[-1] + 1))
+        found = below(results)
+        beneath = [bool(found[f"{line.estimator} in {line.scenario}"]) for line in rows]
+        names = [
+            _wrapped(f"{line.estimator} {MARK if b else ''}")
+            for line, b in zip(rows, beneath, strict=True)
+        ]
+        height = 0.06 + 0.155 * max(name.count("\n") + 1 for name in names)
+        figure = new_figure(1.1 + height * (places[-1] + 1))
         panels = figure.subplots(
             1, 3 if closed else 2, sharey=True, width_ratios=[5, 2, 3] if closed else [5, 3]
         )
@@ -78,7 +102,7 @@ def draw_overview(results: Results) -> Figure:
         panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
         if closed:
             panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
-        panels[0].set_yticks(places, [line.estimator for line in rows])
+        panels[0].set_yticks(places, names)
         panels[0].set_ylim(places[-1] + 0.7, places[0] - 1.3)
         for axes in panels:
             axes.grid(False, axis="y")
@@ -89,8 +113,17 @@ def draw_overview(results: Results) -> Figure:
             Line2D([], [], color=MUTED, lw=1.2, label="90 %"),
             Line2D([], [], color=INK, marker="|", ms=9, mew=1.4, ls="none", label="bound"),
         ]
-        figure.legend(handles=entries, loc="outside lower center", ncols=4)
+        if any(beneath):
+            mark = f"${MARK}$"
+            entries.append(Line2D([], [], color=INK, marker=mark, ls="none", label=BELOW))
+        legend_below(figure, entries, len(entries))
+        uncrowd(figure)
     return figure
+
+
+def _wrapped(label: str) -> str:
+    """Return a label in lines that leave a panel its room."""
+    return textwrap.fill(label, LINE) or label
 
 
 def _ticks(axes: Axes) -> LogLocator:
@@ -125,7 +158,8 @@ def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:
     before = None
     for line, place in zip(rows, places, strict=True):
         if line.scenario != before:
-            axes.text(0.0, place - 0.75, line.scenario, transform=across, color=MUTED, va="center")
+            where = {"transform": across, "va": "center"}
+            axes.text(0.02, place - 0.75, line.scenario, weight="bold", **where)
             before = line.scenario
 
 
@@ -171,16 +205,16 @@ def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[L
         for i, case in enumerate(cases):
             axes = panels.flat[i]
             draw(axes, i)
-            axes.set_title(case.label, loc="left", fontsize=9, color=MUTED)
+            axes.set_title(_wrapped(case.label), loc="left", fontsize=9)
             axes.label_outer()
         for axes in panels.flat[len(cases) :]:
             axes.set_visible(False)
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         handles = [
-            Line2D([], [], color=COLOURS[j], label=contender.label)
+            Line2D([], [], color=COLOURS[j], label=_wrapped(contender.label))
             for j, contender in enumerate(results.plan.contenders)
         ]
-        columns = 4 if len(handles) + len(entries) > 3 else 3
-        figure.legend(handles=[*handles, *entries], loc="outside lower center", ncols=columns)
+        legend_below(figure, [*handles, *entries])
+        uncrowd(figure)
     return figure

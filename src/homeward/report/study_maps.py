@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
-from homeward.report.canvas import new_figure, style
+from homeward.report.canvas import new_figure, style, uncrowd
 from homeward.report.palette import BLUE, INK, VERMILLION
 from homeward.studies.study.plan import Contender
 from homeward.studies.study.results import Results
@@ -92,7 +93,9 @@ def draw_maps(results: Results, grid: Grid) -> Figure:
             reference = _reference(results, grid, quantity)
             for axes, page in zip(row, pages, strict=True):
                 cells = _cells(results, grid, quantity, (across, up), page)
-                _draw_map(axes, cells, quantity, reference)
+                _draw_map(
+                    axes, cells, quantity, reference, min(8.0, 100 / (len(across) * len(pages)))
+                )
                 axes.set_title(" ", fontsize=9)  # keeps room for the words
                 axes.set_xticks(range(len(across)), [_word(v) for v in across])
                 axes.set_yticks(range(len(up)), [_word(v) for v in up])
@@ -102,11 +105,12 @@ def draw_maps(results: Results, grid: Grid) -> Figure:
             title = row[0].text(0.0, 1.05, words + told, transform=row[0].transAxes)
             title.set_in_layout(False)  # or the first column grows to its width
         figure.supylabel(WORDS.get(grid.axes[1], grid.axes[1]), fontsize=9)
-        for axes, page in zip(panels[-1], pages, strict=True):
-            words = WORDS.get(grid.axes[0], grid.axes[0])
-            if page is not None:
-                words += f"\n\n{WORDS.get(grid.axes[2], grid.axes[2])}: {_word(page)}"
-            axes.set_xlabel(words)
+        figure.supxlabel(WORDS.get(grid.axes[0], grid.axes[0]), fontsize=9)
+        if grid.axes[2:]:
+            for axes, page in zip(panels[-1], pages, strict=True):
+                words = f"{WORDS.get(grid.axes[2], grid.axes[2])}: {_word(page)}"
+                axes.set_xlabel(textwrap.fill(words, 72 // len(pages)))
+        uncrowd(figure)
     return figure
 
 
@@ -149,8 +153,8 @@ def _reference(results: Results, grid: Grid, quantity: str) -> float:
     return float("nan")
 
 
-def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float) -> None:
-    """Colour cells by how much better or worse they are, and write their numbers."""
+def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float, size: float) -> None:
+    """Colour cells by how much better or worse they are, and write their numbers, so large [pt]."""
     if quantity == "nees":
         worse = np.abs(np.log10(np.maximum(cells, 1e-3) / 3.0)) - np.log10(2.0)
     else:
@@ -162,13 +166,15 @@ def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float) ->
     axes.imshow(shown, cmap=GOOD_TO_BAD, norm=norm, aspect="auto", origin="lower")
     for (y, x), value in np.ndenumerate(cells):
         colour = "white" if abs(shown[y, x]) > 0.66 else INK
-        axes.text(x, y, _number(value), ha="center", va="center", fontsize=8, color=colour)
+        axes.text(x, y, _number(value), ha="center", va="center", fontsize=size, color=colour)
 
 
 def _number(value: float) -> str:
     """Return a number that fits into a cell."""
     if np.isnan(value):
         return ""
+    if value < 9.5e-4:
+        return f"{value:.0e}".replace("e-0", "e-")
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}" if value < 999.5 else "> 999"
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import yaml
 from markupsafe import Markup
 
+from homeward.report.below_bound import note_below
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
-from homeward.report.study_figures import MOST_PANELS, MOST_ROWS, figures
+from homeward.report.study_figures import MOST_PANELS, MOST_ROWS, below, figures
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, listing
@@ -66,6 +67,7 @@ def _page(results: Results, pictures: list[tuple[str, Markup]]) -> str:
         rows=rows[1:],
         figures=pictures,
         cut=listing(cut) if cut else "",
+        below=note_below(below(results)),
         failures=failures(results),
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
         versions=versions(),

@@ -131,8 +131,9 @@ def table(results: Results) -> list[list[str]]:
     A column in which nothing is known is left out.
     """
     closed = results.plan.study.loop == "closed"
-    head = ["scenario", "estimator", "RMSE [m]", "5 to 95 % of runs", "/ bound", "heading [deg]"]
-    head += ["NEES", *(["home"] if closed else []), "moved right", "no pose", "failed", "s a run"]
+    head = ["scenario", "estimator", "RMSE [m]", "5 to 95 % of runs", "RMSE / bound"]
+    head += ["heading [deg]", "NEES", *(["reached home"] if closed else []), "moved right"]
+    head += ["no pose", "failed", "time of a run [s]"]
     rows, before = [head], ""
     for line in lines(results):
         shown = line.scenario if line.scenario != before else ""

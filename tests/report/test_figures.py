@@ -1,0 +1,175 @@
+"""Figures to look at: labels that collide with nothing and are whole, and what is noted."""
+
+import numpy as np
+import pytest
+import yaml
+from figure_faults import faults
+
+from homeward.report.below_bound import MARK, below_bound, note_below
+from homeward.report.canvas import legend_below, new_figure, style, svg, svg_file, uncrowd
+from homeward.report.plan_figures import draw_accuracy, draw_begin, draw_hidden
+from homeward.report.study_figures import draw_nees, draw_overview, draw_rmse
+from homeward.report.study_maps import draw_maps, grids
+from homeward.studies.planning.analysis import analyse
+from homeward.studies.planning.settings import Plan
+from homeward.studies.study.plan import make_plan
+from homeward.studies.study.quantities import RUN, SERIES
+from homeward.studies.study.results import Results
+from homeward.studies.study.settings import load_study
+from homeward.studies.study.summary import table
+
+LONG = "the one whose label says everything that there is to say of it, and then some more"
+
+
+def made_up_study(folder, decades=1.0, label="A-EKF", **changes):
+    """Return results that nobody computed, spread over so many decades."""
+    study = {
+        "name": "made up",
+        "runs": 12,
+        "loop": "closed",
+        "scenario": "paper-homing",
+        "grid": {"moved.count": [0, 1, 2]},
+        "estimators": [
+            "robust",
+            "ekf",
+            {"estimator": "a-ekf", "label": label, "grid": {"parameter_sigma": [0.1, 0.3]}},
+        ],
+    }
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump({**study, **changes}))
+    plan = make_plan(load_study(str(path)))
+    rng = np.random.default_rng(2)
+    size = (len(plan.cases), len(plan.contenders), plan.study.runs)
+
+    def spread(*shape):
+        return 0.1 * 10.0 ** rng.uniform(0.0, decades, shape)
+
+    run = {name: spread(*size) for name in RUN}
+    run["reached_home"] = rng.integers(0, 2, size).astype(float)
+    series = {name: spread(*size, len(plan.times)) for name in SERIES}
+    return Results(plan, run, series, np.full(size, "", dtype="<U20"))
+
+
+@pytest.mark.parametrize(
+    ("decades", "label"), [(0.05, "A-EKF"), (1.0, "A-EKF"), (7.0, "A-EKF"), (7.0, LONG)]
+)
+def test_no_label_of_a_study_collides_or_is_cut(tmp_path, decades, label):
+    results = made_up_study(tmp_path, decades, label)
+    for draw in (draw_overview, draw_rmse, draw_nees):
+        assert faults(draw(results)) == [], draw.__name__
+
+
+def test_no_label_of_a_map_over_settings_collides_or_is_cut(tmp_path):
+    grid = {
+        "parameter_sigma": [0.0003, 0.001, 0.003, 0.01, 0.03],
+        "parameter_walk": [0.0, 0.00125, 0.05],
+        "parameters": [["L1"], ["L1", "L2"], ["L1", "L2", "L3"], ["L1", "L2", "L3", "L4"]],
+    }
+    entries = ["ekf", {"estimator": "a-ekf", "grid": grid}]
+    results = made_up_study(tmp_path, 3.0, estimators=entries, grid={})
+    (found,) = grids(results)
+    assert faults(draw_maps(results, found)) == []
+
+
+def test_crowded_ticks_are_left_out_and_others_stay():
+    with style():
+        figure = new_figure(2.0)
+        crowded, roomy = figure.subplots(1, 2)
+        for axes, places in ((crowded, range(0, 200_000, 10_000)), (roomy, range(4))):
+            axes.set_xlim(min(places), max(places))
+            axes.set_xticks(list(places), [f"{place:,}" for place in places])
+        assert faults(figure)
+        uncrowd(figure)
+        assert faults(figure) == []
+        kept = [(t.get_loc(), t.label1.get_text()) for t in crowded.xaxis.get_major_ticks()]
+        assert len(roomy.get_xticks()) == 4
+    assert 2 <= len(kept) < 20
+    assert all(f"{at:,.0f}" == text for at, text in kept), "each label stays at its place"
+
+
+def test_a_legend_takes_as_many_columns_as_there_is_room_for():
+    with style():
+        for words, columns in (("short", 4), ("a label of a middling length, it is", 2), (LONG, 1)):
+            figure = new_figure(3.0)
+            axes = figure.add_subplot()
+            legend_below(figure, [axes.plot([0, 1], label=f"{words} {k}")[0] for k in range(5)])
+            assert figure.legends[0]._ncols == columns
+            assert len(figure.legends) == 1
+            assert faults(figure) == []
+
+
+def test_words_of_a_table_are_whole(tmp_path):
+    head = table(made_up_study(tmp_path))[0]
+    assert "time of a run [s]" in head
+    assert "RMSE / bound" in head
+
+
+def test_who_lies_below_its_bound_is_noted(tmp_path):
+    rng = np.random.default_rng(1)
+    bounds = rng.uniform(0.9, 1.1, 40)
+    assert below_bound(1.2 * bounds, bounds) == ""
+    assert below_bound(0.8 * bounds, bounds) == "80.0 % of it, which is not chance"
+    assert below_bound(0.8 * bounds[:5], bounds[:5]) == "80.0 % of it, perhaps by chance"
+    assert below_bound(np.full(4, np.nan), bounds[:4]) == ""
+    assert note_below({"a": "", "b": ""}) == ""
+    assert "b (80.0 % of it, perhaps by chance)" in note_below(
+        {"a": "", "b": "80.0 % of it, perhaps by chance"}
+    )
+    results = made_up_study(tmp_path)
+    results.run["position_rmse"][:] = 2.0 * results.run["position_bound"]
+    assert MARK not in said(draw_overview(results))
+    results.run["position_rmse"][1, 0] /= 4.0
+    assert said(draw_overview(results)).count(MARK) == 2, "the estimator, and the legend"
+
+
+def said(figure):
+    """Return all that a figure says."""
+    axes = figure.axes[0]
+    words = [t.get_text() for t in axes.get_yticklabels()]
+    marks = [str(line.get_marker()) for line in figure.legends[0].get_lines()]
+    return " ".join([*words, *marks])
+
+
+@pytest.fixture(scope="module")
+def plan_view():
+    rng = np.random.default_rng(4)
+    marks = {f"L{k}": tuple(p) for k, p in enumerate(rng.uniform(0.2, 5.8, (7, 2)))}
+    values = {
+        "name": "hall",
+        "outline": [(0, 0), (36, 0), (36, 6), (0, 6)],
+        "landmarks": marks,
+        "home": {"x": 1.0, "y": 1.2, "heading": 0.4},
+        "grid": 1.0,
+        "further": 1,
+    }
+    return analyse(Plan.model_validate(values))
+
+
+@pytest.mark.parametrize("draw", [draw_begin, draw_accuracy])
+def test_a_map_of_a_plan_has_axes_and_a_scale(plan_view, draw):
+    figure = draw(plan_view)
+    assert faults(figure) == []
+    panel = figure.axes[0]
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("x [m]", "y [m]")
+    (bar,) = [a for a in panel.artists if type(a).__name__ == "AnchoredSizeBar"]
+    length = bar.size_bar.get_children()[0].get_width()
+    assert bar.txt_label.get_text() == f"{length:g} m"
+    assert length == 5
+    assert [t.get_text() for t in panel.get_xticklabels() if t.get_text()]
+
+
+def test_small_maps_of_a_plan_have_one_scale(plan_view):
+    figure = draw_hidden(plan_view)
+    assert faults(figure) == []
+    bars = [a for p in figure.axes for a in p.artists if type(a).__name__ == "AnchoredSizeBar"]
+    assert len(bars) == 1
+
+
+def test_a_drawing_in_a_page_has_no_ground_and_as_a_file_a_white_one():
+    with style():
+        figure = new_figure(1.0)
+        figure.add_subplot().plot([0, 1])
+    drawing = svg(figure, "a line")
+    assert "fill: #ffffff" not in drawing
+    assert '<rect width="100%" height="100%" fill="white"/>' in svg_file(drawing)
+    assert "<rect width" not in drawing
