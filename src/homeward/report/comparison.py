@@ -105,10 +105,10 @@ def picture(seen: Comparison, images: Images, views: Views) -> Figure:
             place = (-0.5, width - 0.5, top + height - 0.5, top - 0.5)
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=place)
             axes.text(0, top - 0.02 * height, words, va="bottom", color=INK)
-        stray = ~(seen.agrees & seen.accepted) & ~seen.moved
-        _draw_matches(axes, seen, views, below, stray, MUTED, "stray")
-        _draw_matches(axes, seen, views, below, seen.agrees & seen.accepted, BLUE, "agree")
-        _draw_matches(axes, seen, views, below, seen.moved, VERMILLION, "moved")
+        agree = f"of {len(seen.pairs)} agree" + ("" if seen.accepted else ", which is not enough")
+        _draw_matches(axes, seen, views, below, ~seen.agrees & ~seen.moved, MUTED, "stray")
+        _draw_matches(axes, seen, views, below, seen.agrees, BLUE if seen.accepted else INK, agree)
+        _draw_matches(axes, seen, views, below, seen.moved, VERMILLION, "on things moved")
         if seen.knows_direction:
             _mark_home(axes, seen, views[1], below)
         axes.set_xlim(-0.5, width - 0.5)
@@ -161,7 +161,7 @@ def _mark_home(axes: Axes, seen: Comparison, now: View, top: float) -> None:
 
 def _write_matches(file: Path, seen: Comparison) -> None:
     """Write the matches: bearings [rad], the sigma of those now, and what became of them."""
-    verdicts = np.where(seen.agrees & seen.accepted, "agrees", np.where(seen.moved, "moved", "no"))
+    verdicts = np.where(seen.agrees, "agrees", np.where(seen.moved, "moved", "no"))
     rows = zip(
         seen.home_row.tolist(),
         seen.pairs.home[:, 0].tolist(),

@@ -208,8 +208,9 @@ def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[L
             axes.set_title(_wrapped(case.label), loc="left", fontsize=9)
             axes.label_outer()
         for axes in panels.flat[len(cases) :]:
-            axes.set_visible(False)
-        for axes in panels[-1]:
+            axes.remove()
+        for axes in panels.flat[max(len(cases) - columns, 0) : len(cases)]:  # the lowest ones
+            axes.tick_params(labelbottom=True)
             axes.set_xlabel("time [s]")
         handles = [
             Line2D([], [], color=COLOURS[j], label=_wrapped(contender.label))

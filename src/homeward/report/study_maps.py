@@ -87,15 +87,14 @@ def draw_maps(results: Results, grid: Grid) -> Figure:
     across, up = (_values(members, key) for key in grid.axes[:2])
     pages = _values(members, grid.axes[2]) if len(grid.axes) == 3 else [None]
     with style():
+        size = min(8.0, 100 / (len(across) * len(pages)))
         figure = new_figure(0.5 + (0.65 + 0.27 * len(up)) * len(shown))
         panels = figure.subplots(len(shown), len(pages), squeeze=False, sharex=True, sharey=True)
         for row, (quantity, words) in zip(panels, shown.items(), strict=True):
             reference = _reference(results, grid, quantity)
             for axes, page in zip(row, pages, strict=True):
                 cells = _cells(results, grid, quantity, (across, up), page)
-                _draw_map(
-                    axes, cells, quantity, reference, min(8.0, 100 / (len(across) * len(pages)))
-                )
+                _draw_map(axes, cells, quantity, reference, size)
                 axes.set_title(" ", fontsize=9)  # keeps room for the words
                 axes.set_xticks(range(len(across)), [_word(v) for v in across])
                 axes.set_yticks(range(len(up)), [_word(v) for v in up])
