@@ -22,6 +22,7 @@ for (const level of ["error", "warn"]) {
 window.frame = () => new Promise((resolve) => setTimeout(resolve, 120));
 (async () => {
   const page = document.documentElement;
+  await new Promise((resolve) => addEventListener("load", resolve));
   while (page.dataset.drawn === undefined && found.wrong.length === 0) await frame();
   try { await (async () => { %s })(); } catch (e) { found.wrong.push(String(e)); }
   const out = document.createElement("pre");
@@ -32,9 +33,17 @@ window.frame = () => new Promise((resolve) => setTimeout(resolve, 120));
 </script>"""
 
 
-def open_page(file, script, scratch, width=1000):
-    """Return what `script` put into `found`, and under ``wrong`` every error and warning."""
+def open_page(file, script, scratch, width=1000, height=900, dark=False, address=""):
+    """Return what `script` put into `found`, and under ``wrong`` every error and warning.
+
+    The page is `width` by `height` px; `address` is what follows its name, as in "#t=3".
+    """
     html = file.read_text(encoding="utf-8")
+    if 'id="plots"' not in html:  # no script that says when all is drawn
+        html = html.replace("<html", '<html data-drawn=""', 1)
+        html = html.replace(
+            "default-src 'none';", "default-src 'none'; script-src 'unsafe-inline';"
+        )
     probed = scratch / f"probed-{width}.html"
     probed.write_text(html.replace("<style>", (_WATCH % script) + "<style>", 1), encoding="utf-8")
     done = subprocess.run(
@@ -44,10 +53,11 @@ def open_page(file, script, scratch, width=1000):
             "--no-sandbox",
             "--disable-gpu",
             f"--user-data-dir={scratch / 'profile'}",
-            f"--window-size={width},900",
+            f"--window-size={width},{height}",
+            f"--blink-settings=preferredColorScheme={0 if dark else 1}",
             "--virtual-time-budget=20000",
             "--dump-dom",
-            probed.as_uri(),
+            probed.as_uri() + address,
         ],
         capture_output=True,
         timeout=120,

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import yaml
 from figure_faults import faults
+from made_up_study import made_up_study
 
 from homeward.report.below_bound import MARK, below_bound, note_below
 from homeward.report.canvas import legend_below, new_figure, style, svg, svg_file, uncrowd
@@ -12,42 +12,9 @@ from homeward.report.study_figures import draw_nees, draw_overview, draw_rmse
 from homeward.report.study_maps import draw_maps, grids
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import Plan
-from homeward.studies.study.plan import make_plan
-from homeward.studies.study.quantities import RUN, SERIES
-from homeward.studies.study.results import Results
-from homeward.studies.study.settings import load_study
 from homeward.studies.study.summary import table
 
 LONG = "the one whose label says everything that there is to say of it, and then some more"
-
-
-def made_up_study(folder, decades=1.0, label="A-EKF", **changes):
-    """Return results that nobody computed, spread over so many decades."""
-    study = {
-        "name": "made up",
-        "runs": 12,
-        "loop": "closed",
-        "scenario": "paper-homing",
-        "grid": {"moved.count": [0, 1, 2]},
-        "estimators": [
-            "robust",
-            "ekf",
-            {"estimator": "a-ekf", "label": label, "grid": {"parameter_sigma": [0.1, 0.3]}},
-        ],
-    }
-    path = folder / "study.yaml"
-    path.write_text(yaml.safe_dump({**study, **changes}))
-    plan = make_plan(load_study(str(path)))
-    rng = np.random.default_rng(2)
-    size = (len(plan.cases), len(plan.contenders), plan.study.runs)
-
-    def spread(*shape):
-        return 0.1 * 10.0 ** rng.uniform(0.0, decades, shape)
-
-    run = {name: spread(*size) for name in RUN}
-    run["reached_home"] = rng.integers(0, 2, size).astype(float)
-    series = {name: spread(*size, len(plan.times)) for name in SERIES}
-    return Results(plan, run, series, np.full(size, "", dtype="<U20"))
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,15 @@
 import pytest
 from browser import needs_chromium, open_page
 from made_up_run import SETTINGS, made_up
+from made_up_study import made_up_study
 
+from homeward.observability.study import observe
+from homeward.report.observe_page import write_model_view
+from homeward.report.plan_page import write_plan
 from homeward.report.run_folder import write_run
+from homeward.report.study_page import write_study
+from homeward.studies.planning.analysis import analyse
+from homeward.studies.planning.settings import load_plan
 
 HOSTILE = ("</script><script>document.title='owned'</script>", "$$x^2$$", "<b>bold</b>", "棚🚚")
 
@@ -155,3 +162,93 @@ def test_it_fits_a_phone(page, tmp_path):
     found = open_page(page, LOOK, tmp_path, width=390)
     assert found["wrong"] == []
     assert found["wide"][0] <= found["wide"][1]
+
+
+SCREEN = """
+const box = (id) => document.getElementById(id).getBoundingClientRect();
+found.map = box("plot-map").toJSON();
+found.player = document.querySelector(".player").getBoundingClientRect().toJSON();
+found.said = box("said").toJSON();
+found.screen = [innerWidth, innerHeight];
+const slider = document.getElementById("moment");
+found.opening = [Number(slider.value), Number(slider.max)];
+found.robot = [...Bokeh.documents[0].all_models].find((m) => m.name === "robot").data.x[0];
+found.wide = [document.documentElement.scrollWidth, innerWidth];
+"""
+
+
+@needs_chromium
+@pytest.mark.parametrize("screen", [(1366, 768), (1280, 720), (1366, 640)])
+def test_map_and_slider_fit_one_screen_and_show_the_robot_mid_drive(page, tmp_path, screen):
+    found = open_page(page, SCREEN, tmp_path, *screen)
+    assert found["wrong"] == []
+    assert found["map"]["top"] >= 0
+    assert found["map"]["height"] > 0.55 * found["screen"][1], "as large as there is room for"
+    assert found["player"]["top"] >= found["map"]["bottom"]
+    assert found["said"]["bottom"] <= found["screen"][1]
+    moment, last = found["opening"]
+    assert abs(moment - last / 2) <= 1
+    assert found["robot"] is not None
+    assert found["wide"][0] <= found["wide"][1]
+
+
+LOOKS = """
+const style = (e) => getComputedStyle(e);
+found.ground = style(document.body).backgroundColor;
+found.ink = style(document.body).color;
+found.drawings = [...document.querySelectorAll("figure > svg")].map((e) => style(e).filter);
+found.anchors = [...document.querySelectorAll("h2")].map((h) => {
+  const a = h.querySelector("a"), box = a.getBoundingClientRect();
+  return [h.id, a.getAttribute("href"), box.width > 4 && style(a).visibility === "visible"];
+});
+found.scrolling = [...document.querySelectorAll(".scroll, pre, figure:has(> svg)")].map(
+  (e) => style(e).backgroundAttachment);
+found.wide = [document.documentElement.scrollWidth, innerWidth];
+"""
+
+
+def brightness(colour):
+    """Return that of "rgb(r, g, b)", 0 to 255."""
+    return sum(map(int, colour[4:-1].split(","))) / 3
+
+
+@pytest.fixture(scope="module")
+def pages(page, tmp_path_factory):
+    out = tmp_path_factory.mktemp("pages")
+    write_plan(out / "plan", analyse(load_plan("warehouse").model_copy(update={"grid": 1.0})))
+    write_model_view(out / "observe", observe(2), {"landmarks": 2})
+    write_study(out / "study", made_up_study(out))
+    return [page, *(out / name / f"{name}.html" for name in ("plan", "observe", "study"))]
+
+
+@needs_chromium
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_page_follows_dark_and_light(pages, tmp_path, dark):
+    for file in pages:
+        found = open_page(file, LOOKS, tmp_path, dark=dark)
+        assert found["wrong"] == [], file.name
+        ground, ink = brightness(found["ground"]), brightness(found["ink"])
+        assert (ground < 60 and ink > 180) if dark else (ground > 240 and ink < 60), file.name
+        assert {"invert" in filtered for filtered in found["drawings"]} <= {dark}, file.name
+
+
+@needs_chromium
+def test_every_section_has_an_anchor_and_what_scrolls_a_sign(pages, tmp_path):
+    for file in pages:
+        found = open_page(file, LOOKS, tmp_path, width=390)
+        assert len(found["anchors"]) >= 3, file.name
+        assert all(href == f"#{name}" and seen for name, href, seen in found["anchors"]), file.name
+        assert len({name for name, _, _ in found["anchors"]}) == len(found["anchors"]), file.name
+        assert found["scrolling"], file.name
+        for attachment in found["scrolling"]:
+            assert {"local", "scroll"} <= set(attachment.split(", ")), file.name
+        assert found["wide"][0] <= found["wide"][1], file.name
+
+
+@needs_chromium
+def test_an_address_leads_to_its_section(page, tmp_path):
+    name = "landmarks-and-what-moved"
+    where = f'found.top = document.getElementById("{name}").getBoundingClientRect().top'
+    found = open_page(page, where, tmp_path, address=f"#{name}")
+    assert found["wrong"] == []
+    assert abs(found["top"]) < 60

@@ -1,12 +1,14 @@
 """What is said in words."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 from made_up_run import START, made_up
 
 from homeward.report import words
+from homeward.report.sightings import describe_moved
 from homeward.report.summary import sentence, summarise
 from homeward.scoring import score
 
@@ -81,3 +83,29 @@ def test_lists_end():
     assert words.listing(["a"]) == "a"
     assert words.listing(["a", "b", "c"]) == "a, b and c"
     assert words.listing([*"abcdefghij"], 3) == "a, b, c and 7 more"
+
+
+def test_what_is_not_known_to_have_moved_is_told():
+    drive, track = made_up()
+    unmoved = [dataclasses.replace(m, moved=False) for m in track.landmarks]
+    track = dataclasses.replace(track, landmarks=unmoved)
+    said = summarise(drive, track, score(track, drive.truth))
+    assert "of 4 judged; what carries none of these may have moved unnoticed." in said
+    assert "more that home saw" not in said
+    unknown = {"moved": None, "moved_probability": math.nan}
+    rarely = dataclasses.replace(unmoved[2], **unknown)
+    never = dataclasses.replace(unmoved[3], sightings=0, **unknown)
+    elsewhere = dataclasses.replace(rarely, home_bearing_stored=math.nan)
+    some = dataclasses.replace(track, landmarks=[*unmoved[:2], rarely, never, elsewhere])
+    said = summarise(drive, some, score(some, drive.truth))
+    assert "Of 2 more that home saw it is not known (1 of them were not found on the way)." in said
+    told = sentence(some, score(some, drive.truth))
+    assert told.endswith("and none of the two landmarks judged had moved.")
+
+
+def test_what_was_moved_in_a_room_is_told_with_what_of_it_can_be_known():
+    assert describe_moved({}) == "Nothing was moved since home."
+    said = describe_moved({"box 3": True, "box 5": False, "box 6": True})
+    assert said.startswith("Moved since home: box 3, box 5 and box 6; home's picture shows box 3")
+    assert "box 5" not in said.split(";")[1]
+    assert "none of them" in describe_moved({"box 5": False})

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from report.figure_faults import faults
 from studies.chores import in_this_process
 from typer.testing import CliRunner
 
@@ -164,6 +165,8 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     values = {"assumed": {"longest": 1, "circle_time": 1}, "varied": 2, "searched": 2, "robust": 2}
     study = study_layouts(layout_settings(values, 4), open_store(tmp_path / "out"), Where())
     assert headline(study) in answer.stdout
+    for _, draw in FIGURES.values():
+        assert faults(draw(study)) == [], draw.__name__
 
 
 @pytest.mark.parametrize(

@@ -47,9 +47,11 @@ def render(
     saw is the drive folder drive/ in it.
     """
     from homeward.report.output import check_output, whole_folder
+    from homeward.report.sightings import describe_moved
     from homeward.simulation.files import SCENARIO
     from homeward.simulation.render.dataset import write_rendered
     from homeward.simulation.render.eye import Eye
+    from homeward.simulation.render.loop import moved_boxes
     from homeward.simulation.render.rooms import load_room
 
     given = key_values(changes or []) | ({"estimator": estimator} if estimator else {})
@@ -58,12 +60,13 @@ def render(
     with progress(f"rendering {scenario.name}") as tell, whole_folder(out, SCENARIO) as scratch:
         made = write_rendered(Eye(scenario), scratch, points, _maker(scenario), tell)
     camera = made.eye.scenario.camera
-    moved = sum(box.stood is not None for box in made.eye.scenario.boxes.values())
+    moved = moved_boxes(made.eye)
     typer.echo(
         f"{scenario.name}: {made.drive.span[1]:.1f} s, {made.images} images of "
-        f"{camera.width}x{camera.height}, {moved} boxes moved since home; ended "
+        f"{camera.width}x{camera.height}, {len(moved)} boxes moved since home; ended "
         f"({made.ending.value}) {made.final_distance:.3f} m from home; written to {out}"
     )
+    typer.echo(describe_moved(moved))
 
 
 def _maker(scenario: RenderScenario) -> Callable[[Drive], Estimator] | None:

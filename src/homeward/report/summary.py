@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from homeward.drives.drive import Drive
-from homeward.estimator import Status
+from homeward.estimator import LandmarkEstimate, Status
 from homeward.report.words import count, degrees, listing, name, percent, quantity
 from homeward.scoring import Accuracy, Metrics
 from homeward.track import Track
@@ -37,7 +39,8 @@ def sentence(track: Track, metrics: Metrics) -> str:
     if not judged:
         return text + "."
     moved = [name(m.landmark) for m in judged if m.moved]
-    of = f"of the {count(len(judged), 'landmark')} that home saw"
+    of = f"of the {count(len(judged), 'landmark')} "
+    of += "judged" if _unjudged(track) else "that home saw"
     if not moved:
         return f"{text}, and none {of} had moved."
     return f"{text}, and {len(moved):,} {of} had moved: {listing(moved, 5)}."
@@ -143,7 +146,21 @@ def _moved(track: Track) -> str:
         when = [f"{name(m.landmark)} (at {_clock(track, m.moved_at)})" for m in during]
         text += f"{count(len(during), 'landmark').capitalize()} moved during the drive: "
         text += f"{listing(when)}."
-    return text.strip() or f"No landmark was found to have moved, of {len(judged):,} judged."
+    text = text.strip() or (
+        f"No landmark was found to have moved, of {len(judged):,} judged; what carries none of"
+        " these may have moved unnoticed."
+    )
+    others = _unjudged(track)
+    if others:
+        unseen = sum(m.sightings == 0 for m in others)
+        text += f" Of {len(others):,} more that home saw it is not known"
+        text += f" ({unseen:,} of them were not found on the way)." if unseen else "."
+    return text
+
+
+def _unjudged(track: Track) -> list[LandmarkEstimate]:
+    """Return the landmarks that home saw, but of which it is not known whether they moved."""
+    return [m for m in track.landmarks if m.moved is None and math.isfinite(m.home_bearing_stored)]
 
 
 def _clock(track: Track, t: float) -> str:

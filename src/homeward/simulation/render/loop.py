@@ -130,6 +130,13 @@ def panorama_of(eye: Eye) -> Panorama:
     return kind(roll=camera.roll, pitch=camera.pitch, tilt_sigma=tilt)
 
 
+def moved_boxes(eye: Eye) -> dict[str, bool]:
+    """Return the boxes moved since home was stored; True where home's picture shows one."""
+    shown = {eye.then.things[i] for i in np.unique(eye.home_truth().thing).tolist()}
+    boxes = eye.scenario.boxes.items()
+    return {name: name in shown for name, box in boxes if box.stood is not None}
+
+
 def things_seen(eye: Eye, home: View) -> list[str]:
     """Return the name of the thing on which each feature of the home view lies."""
     truth = eye.home_truth()
