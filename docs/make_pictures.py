@@ -33,7 +33,7 @@ from homeward.vision.opencv import opencv
 IMAGES = Path(__file__).parent / "images"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 RERUN = Path(sys.executable).with_name("rerun")
-PAGE_SIZE, PAGE_MOMENT_S = (860, 1400), 87.0
+PAGE_SIZE, PAGE_MOMENT_S = (1280, 720), 87.0
 VIEWER_SIZE, VIEWER_MOMENT_S = (1000, 640), 139.0
 PORT, SETTLE_S = 9896, 10.0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -158,7 +159,7 @@ def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:
     before = None
     for line, place in zip(rows, places, strict=True):
         if line.scenario != before:
-            where = {"transform": across, "va": "center"}
+            where: dict[str, Any] = {"transform": across, "va": "center"}
             axes.text(0.02, place - 0.75, line.scenario, weight="bold", **where)
             before = line.scenario
 
