@@ -30,6 +30,10 @@ def test_a_data_set_is_written_whole_and_repeats(tmp_path):
     answer = render("kitchen", "--out", tmp_path / "a", "--seed", "3")
     assert answer.exit_code == 0, answer.output
     assert "4 images of 128x32, 3 boxes moved" in answer.output
+    moved = {r["thing"] for r in rows(tmp_path / "a" / "things.csv") if r["moved"] == "1"}
+    told = " ".join(answer.output.split()).split("Moved since home: ")[1]
+    assert all(box in told.split(";")[0] for box in moved)
+    assert "home's picture shows" in told
     a, b = tmp_path / "a", tmp_path / "b"
     assert render(a / "scenario.yaml", "--out", b, changes=()).exit_code == 0
     files = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())

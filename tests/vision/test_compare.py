@@ -13,6 +13,7 @@ from vision_scene import look as draw
 from vision_scene import make_room
 
 from homeward.angles import wrap
+from homeward.report.comparison import describe, picture
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.features import MOST_FEATURES
 
@@ -222,3 +223,21 @@ def test_a_box_that_moved_is_told(room, home):
     still = compare(home, look(draw(room, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
     assert seen.moved.sum() >= still.moved.sum()
     assert still.moved.sum() <= 4
+
+
+@pytest.mark.parametrize("believed", [True, False])
+def test_the_picture_and_the_sentence_count_the_same(room, home, believed):
+    now = look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
+    seen = compare(home, now, CAMERA)
+    if not believed:
+        words = f"not enough in common: {seen.verdict.reason}, which may be chance"
+        seen = replace(seen, verdict=replace(seen.verdict, accepted=False, reason=words))
+    blank = np.zeros(home.shape, np.uint8)
+    (axes,) = picture(seen, (blank, blank), (home, now)).axes
+    told = " ".join(text.get_text() for text in axes.get_legend().get_texts())
+    agree = f"{seen.agrees.sum()} of {len(seen.pairs)}"
+    assert f"{agree} agree" in told
+    assert f"{agree} matches agree" in describe(seen)
+    assert ("not enough" in told) == ("not enough" in describe(seen)) != believed
+    drawn = sum(int(t.split()[0]) for t in (x.get_text() for x in axes.get_legend().get_texts()))
+    assert drawn == len(seen.pairs), "each match is of one kind"
