@@ -9,6 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from homeward.frames import Pose, compose
+
+CENTRE = Pose(0.0, 0.0, 0.0)
+
 
 def posterior_bound(
     poses: np.ndarray,
@@ -23,6 +27,8 @@ def posterior_bound(
     turn_sigma: float,
     moved: np.ndarray | None = None,
     start_covariance: np.ndarray | None = None,
+    mount: Pose = CENTRE,
+    carried: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the least covariance of the pose at each time, given everything up to then.
 
@@ -46,16 +52,23 @@ def posterior_bound(
         Landmarks whose home bearings are wrong, known to be so, and left out; none by default.
     start_covariance : ndarray, shape (3, 3), optional
         Of a prior on the first pose, (x, y, heading); without one there is none.
+    mount : Pose, optional
+        The camera on the robot, at home too [m, m, rad]; at its centre by default.
+    carried : ndarray, shape (n - 1,), bool, optional
+        Steps on which the robot was carried, so that nothing is known of the motion; none by
+        default.
 
     Returns
     -------
     ndarray, shape (n, 3, 3)
         Covariances of (x, y, heading); infinite while the pose is not fixed.
     """
-    information = _before_the_drive(landmarks, home_sigma, moved, start_covariance)
+    information = _before_the_drive(landmarks, home_sigma, moved, start_covariance, mount)
     bounds = np.full((len(poses), 3, 3), np.inf)
     for k, pose in enumerate(poses):
-        if k:
+        if k and carried is not None and carried[k - 1]:
+            information = _without_pose(information)
+        elif k:
             information = _predict(
                 information,
                 poses[k - 1],
@@ -64,7 +77,7 @@ def posterior_bound(
                 float(intervals[k - 1]),
                 (speed_sigma, turn_sigma),
             )
-        jacobian = _bearing_jacobian(pose, landmarks)[visible[k]]
+        jacobian = _bearing_jacobian(pose, landmarks, mount)[visible[k]]
         information = information + jacobian.T @ jacobian / bearing_sigma**2
         bounds[k] = _of_pose(information)
     return bounds
@@ -75,10 +88,11 @@ def _before_the_drive(
     home_sigma: float,
     moved: np.ndarray | None,
     start_covariance: np.ndarray | None,
+    mount: Pose,
 ) -> np.ndarray:
     """Return the information of home bearings and start prior, shape (3 + 2 q, 3 + 2 q)."""
     right = np.ones(len(landmarks), bool) if moved is None else ~moved
-    jacobian = _bearing_jacobian(np.zeros(3), landmarks)[right]
+    jacobian = _bearing_jacobian(np.zeros(3), landmarks, mount)[right]
     jacobian[:, :3] = 0.0  # home itself is known
     information = jacobian.T @ jacobian / home_sigma**2
     if start_covariance is not None:
@@ -105,16 +119,29 @@ def _predict(
     noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
     noise *= np.array(sigmas) * np.sqrt(dt)
     pulled = carried @ noise
-    return np.asarray(carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T))
+    after = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
+    return np.asarray(0.5 * (after + after.T))  # what is not symmetric would grow at each step
 
 
-def _bearing_jacobian(pose: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+def _without_pose(information: np.ndarray) -> np.ndarray:
+    """Return what is left of information when nothing is known of the pose any more."""
+    own, cross = information[:3, :3], information[:3, 3:]
+    left = np.zeros_like(information)
+    left[3:, 3:] = (
+        information[3:, 3:] - cross.T @ np.linalg.pinv(own, 1e-12, hermitian=True) @ cross
+    )
+    return left
+
+
+def _bearing_jacobian(pose: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:
     """Return derivatives of all bearings from a pose by pose and landmarks, shape (q, 3 + 2 q)."""
     q = len(landmarks)
-    d = landmarks - pose[:2]
+    camera = np.array(compose(Pose(*pose), mount)[:2])
+    d, arm = landmarks - camera, camera - pose[:2]
     across = np.stack([-d[:, 1], d[:, 0]], axis=1) / (d**2).sum(axis=1)[:, None]
     jacobian = np.zeros((q, 3 + 2 * q))
-    jacobian[:, :2], jacobian[:, 2] = -across, -1.0
+    jacobian[:, :2] = -across
+    jacobian[:, 2] = across[:, 0] * arm[1] - across[:, 1] * arm[0] - 1.0
     rows = np.arange(q)
     jacobian[rows, 3 + 2 * rows], jacobian[rows, 4 + 2 * rows] = across.T
     return jacobian

@@ -1,0 +1,135 @@
+"""Is the localiser as good, and as honest, as it was? Exit code 1 where it is not.
+
+`python -m benchmarks.consistency [--quick] [--scenario NAME ...] [--seeds 50] [--jobs 2]` runs it
+through simulated drives of which everything is known, and holds their figures between the bands of
+baseline.json. `--sabotage` shows on the same drives that estimators which are wrong are caught.
+`--save FILE` keeps the figures of each run, and `--against FILE` prints how many times as large
+they are as those that were kept. `--update-baseline` makes the baseline anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from benchmarks.consistency import bands
+from benchmarks.consistency.measures import FIGURES, Figures, together
+from benchmarks.consistency.runs import AS_IT_IS, Results, every
+from benchmarks.consistency.sabotage import SABOTAGES, shows_in
+from benchmarks.consistency.scenarios import SCENARIOS
+from homeward.engine.batch.execution import available_threads
+
+QUICK_SEEDS = 2
+
+
+def table(results: Mapping[str, Sequence[Figures]], baseline: bands.Baseline) -> int:
+    """Print all figures, and return how many are outside of their bands."""
+    print(f"{'':18}" + "".join(f"{name:>11}" for name in FIGURES))
+    failed = {}
+    for scenario, runs in results.items():
+        wrong = bands.failures(baseline.get(scenario, {}), runs)
+        failed |= {(scenario, name): words for name, words in wrong.items()}
+        row = ""
+        for name in FIGURES:
+            centre = together(name, [run[name] for run in runs])[0]
+            row += f"{'-' if math.isnan(centre) else f'{centre:.3f}':>10}"
+            row += "!" if name in wrong else " "
+        print(f"{scenario:18}{row}  {SCENARIOS[scenario].about}")
+    for (scenario, name), words in failed.items():
+        print(f"GATE: {scenario}: {name}: {words}")
+    return len(failed)
+
+
+def weaknesses(baseline: bands.Baseline) -> None:
+    """Print where the band of what should follow chi-square is what was measured."""
+    for name, right in bands.THEORY.items():
+        known = {
+            scenario: entries[name].centre
+            for scenario, entries in baseline.items()
+            if not entries[name].by_theory
+        }
+        words = ", ".join(f"{scenario} {value:.2f}" for scenario, value in known.items())
+        print(f"known weaknesses: {name} is not {right:g}, and its band is what it was: {words}")
+
+
+def caught(results: Results, baseline: bands.Baseline) -> int:
+    """Print in which scenarios each sabotage is caught; return how many are caught nowhere."""
+    missed = 0
+    for sabotage, scenarios in results.items():
+        if sabotage == AS_IT_IS:
+            continue
+        where = [s for s in scenarios if shows_in(sabotage, s)]
+        fails = {s: bands.failures(baseline[s], scenarios[s]) for s in where}
+        by = sorted({name for failed in fails.values() for name in failed})
+        missing = [s for s, failed in fails.items() if not failed]
+        words = f"caught in {len(where) - len(missing)} of {len(where)} scenarios"
+        print(f"sabotage: {sabotage}: {words}, by {', '.join(by)}", end="")
+        print(f"; not in {', '.join(missing)}" if missing else "")
+        missed += len(missing) == len(where)
+    return missed
+
+
+def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
+    """Print how many times as large figures are as those of the same drives that were kept."""
+    before = json.loads(file.read_text())
+    print(f"\ntimes as large as in {file}, on the drives of both")
+    print(f"{'':18}" + "".join(f"{name:>11}" for name in FIGURES))
+    for scenario, runs in results.items():
+        pairs = list(zip(runs, before.get(scenario, []), strict=False))
+        row = ""
+        for name in FIGURES:
+            both = [(a[name], b[name]) for a, b in pairs if None not in (a[name], b[name])]
+            now, then = (together(name, column)[0] for column in zip(*both)) if both else (0.0, 0.0)
+            same = "-" if not both else "1" if now == then else f"{now / then:.3f}" if then else "+"
+            row += f"{same:>11}"
+        print(f"{scenario:18}{row}")
+
+
+def tell(done: int, of: int) -> None:
+    """Tell on a terminal how many runs are done."""
+    if sys.stderr.isatty():
+        print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+def main() -> int:
+    """Run, print, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenario", nargs="*", choices=SCENARIOS, default=list(SCENARIOS))
+    parser.add_argument("--seeds", type=int, default=50, help="drives of each scenario")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} drives of each")
+    parser.add_argument("--sabotage", action="store_true", help="and show what is caught")
+    parser.add_argument("--jobs", type=int, default=available_threads(), help="processes")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="for figures of each run, JSON")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="that was saved before")
+    parser.add_argument("--update-baseline", action="store_true", help="of these scenarios")
+    options = parser.parse_args()
+    seeds = QUICK_SEEDS if options.quick else options.seeds
+    sabotages = list(SABOTAGES) if options.sabotage else []
+    results = every(options.scenario, seeds, sabotages, options.jobs, tell)
+    good = results[AS_IT_IS]
+    baseline = dict(bands.read())
+    if options.update_baseline:
+        baseline |= bands.measure(good)
+        bands.write(baseline)
+    print(f"{seeds} drives of each scenario; each figure is\n")
+    print("\n".join(f"  {name:10} {words}" for name, words in FIGURES.items()) + "\n")
+    failed = table(good, baseline)
+    weaknesses({s: baseline[s] for s in good if s in baseline})
+    if sabotages:
+        failed += caught(results, baseline)
+    if options.save:
+        options.save.write_text(json.dumps(good, indent=1))
+    if options.against:
+        against(good, options.against)
+    print("gate: FAILED" if failed else "gate: passed")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+"""The figures of one run, and of several runs of one scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from benchmarks.consistency.trial import Trial
+from homeward.estimator import Status
+from homeward.scoring import errors, score
+from homeward.track import Track
+
+SURE = (Status.LOCALISED, Status.COASTING)
+"""An answer to rely on."""
+WRONG = 4.0
+"""A sure answer is wrong when it is farther off than so many of its sigmas."""
+MOST_NEES = 30.0
+"""A larger NEES counts as so much: how often an answer is wrong is a figure of its own, and
+one wrong run would hide all others. Chance alone exceeds it once in a million rows."""
+
+FIGURES = {
+    "pose": "share of the time with a pose",
+    "sure": "share of the time localised or coasting",
+    "error": "position error over the posterior Cramer-Rao bound, root mean square over the rows",
+    "nees": "normalised estimation error squared of x, y and heading; 3 when consistent",
+    "nis": "normalised innovation squared of the sightings taken; 1 when consistent",
+    "wrong": "share of the sure time beyond 4 sigma",
+    "precision": "share of the landmarks called moved that were; 1 where none moved or is called so",
+    "recall": "share of the landmarks that moved that are called so",
+    "rmse": "position error [m], for the record",
+}
+"""What each figure is."""
+
+Figures = dict[str, float | None]
+"""Of one run, by name; None where there is none."""
+
+
+def figures(track: Track, trial: Trial) -> Figures:
+    """Measure one run.
+
+    The rows are those of the bearing stamps. The bound takes part where it is finite.
+    """
+    metrics, off = score(track, trial.drive.truth), errors(track, trial.drive.truth)
+    index = np.searchsorted(trial.stamps, off.t)
+    at_stamp = trial.stamps[np.minimum(index, trial.stamps.size - 1)] == off.t
+    e = np.column_stack([off.x, off.y])[at_stamp]
+    bound = trial.bound[index[at_stamp], :2, :2]
+    known = np.isfinite(bound[:, 0, 0])
+    ratio = np.einsum("ki,kij,kj->k", e[known], np.linalg.inv(bound[known]), e[known]) / 2
+    status = np.array([s in SURE for s in track.status])[np.searchsorted(track.t, off.t)]
+    far = off.nees_position > WRONG**2
+    named = {m.landmark for m in track.landmarks if m.moved}
+    right, none = len(named & trial.moved), None if trial.moved else 1.0
+    return {
+        "pose": metrics.pose_share,
+        "sure": sum(metrics.status_shares.get(s, 0.0) for s in SURE),
+        "error": math.sqrt(ratio.mean()) if ratio.size else None,
+        "nees": float(np.minimum(off.nees[at_stamp], MOST_NEES).mean()) if len(e) else None,
+        "nis": metrics.innovation_nis_mean,
+        "wrong": float(far[status].mean()) if status.any() else None,
+        "precision": right / len(named) if named else none,
+        "recall": right / len(trial.moved) if trial.moved else None,
+        "rmse": float(np.sqrt((e**2).sum(axis=1).mean())) if len(e) else None,
+    }
+
+
+def together(name: str, values: Sequence[float | None]) -> tuple[float, float, int]:
+    """Return centre, spread from run to run, and number of the runs that have a figure.
+
+    Errors are averaged by their logarithms, lest one run that went astray be all that counts; the
+    spread of an error is that of its logarithm.
+    """
+    there = np.array([v for v in values if v is not None], float)
+    if not there.size:
+        return math.nan, math.nan, 0
+    logarithmic = name in ("error", "rmse")
+    there = np.log(np.maximum(there, 1e-12)) if logarithmic else there
+    spread = float(there.std(ddof=1)) if there.size > 1 else math.nan
+    centre = float(there.mean())
+    return math.exp(centre) if logarithmic else centre, spread, int(there.size)

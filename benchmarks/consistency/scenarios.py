@@ -1,0 +1,202 @@
+"""The scenarios: each makes, of a seed, a drive of its own and its bound.
+
+Every layout, way and noise follows from the seed, and from nothing that an estimator says. All are
+made at one size; larger and smaller worlds are the same drives scaled, so that whatever differs
+there is a length that the estimator should not know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.consistency.trial import Leg, Trial, lagging, scaled, slipping, trial, untold
+from homeward.drives.drive import Mount
+from homeward.frames import Pose
+from homeward.simulation.scenario import (
+    Listed,
+    Moved,
+    Noise,
+    OdometryErrors,
+    OnSurfaces,
+    Rates,
+    Ring,
+    Room,
+    RoomPose,
+    Scenario,
+    StartPose,
+    Visibility,
+    Waypoints,
+)
+from homeward.simulation.simulate import Simulation, simulate
+
+DRIVE_S, LEG_S = 80.0, 50.0
+"""How long a drive, and each leg of one in two, takes [s]."""
+CARRIED_S = 2.0
+"""So long nothing is logged while the robot is carried [s]."""
+MOUNT = Mount(x=0.3, y=-0.1, yaw=0.2)
+"""Of a camera that does not sit at the robot's centre [m, m, rad]."""
+NARROW = {90: 32, 60: 48}
+"""Landmarks in all round, by a camera's field of view [deg]: home sees about eight of them."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """A scenario of the gate."""
+
+    about: str
+    """In a few words."""
+    make: Callable[[int], Trial]
+    """Of a seed of the simulator."""
+    first: int = 0
+    """Its seeds begin here: scenarios with equal ones are compared drive by drive."""
+    exact: bool = False
+    """Whether the estimator is told all that is true, so that chi-square says what is right."""
+    moves: bool = False
+    """Whether landmarks move, so that there is something to be named."""
+
+
+def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> Scenario:
+    """Return a random way among landmarks all round home, told and white noise, no start prior."""
+    rng = np.random.default_rng([seed, 0])
+    far, way = rng.uniform(0.5, 2.0, 40), rng.uniform(-math.pi, math.pi, 40)
+    points = [(float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way)]
+    given: dict[str, Any] = {
+        "name": "consistency",
+        "seed": seed,
+        "landmarks": Ring(count=12, distance=(2.5, 5.0)),
+        "visibility": Visibility(probability=0.8),
+        "noise": Noise(bearing_sigma=0.01, home_sigma=0.01),
+        "rates": Rates(odometry=20.0, bearings=5.0, truth=10.0),
+        "odometry": OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
+        "start": StartPose(x=points[0][0], y=points[0][1], heading=way[0] / 2, prior=False),
+        "trajectory": Waypoints(speed=0.3, duration=seconds, points=points[1:]),
+    }
+    return Scenario(**(given | changes))
+
+
+def _room(seed: int, **changes: Any) -> Trial:
+    return trial(Leg(simulate(_course(seed, **changes))))
+
+
+def _camera(seed: int, degrees: int) -> Trial:
+    landmarks = Ring(count=NARROW[degrees], distance=(2.5, 5.0))
+    view = Visibility(probability=0.8, field_of_view=math.radians(degrees))
+    return _room(seed, landmarks=landmarks, visibility=view)
+
+
+def _noisy(seed: int) -> Trial:
+    noise = Noise(bearing_sigma=0.05, home_sigma=0.05)
+    return _room(seed, noise=noise, odometry=OdometryErrors(speed_sigma=0.03, turn_sigma=0.05))
+
+
+def _then(before: Simulation, places: np.ndarray, start: Pose) -> Simulation:
+    """Return a further leg: other places of the landmarks, other noise, begun at `start`."""
+    case = before.scenario
+    at = {n: (float(x), float(y)) for n, (x, y) in zip(before.world.ids, places, strict=True)}
+    other = _course(case.seed + 1_000_000, LEG_S, landmarks=Listed(at=at))
+    begun = StartPose(x=start.x, y=start.y, heading=start.heading, prior=False)
+    return simulate(other.model_copy(update={"start": begun}))
+
+
+def _moved_on_the_way(seed: int) -> Trial:
+    """Two landmarks are put elsewhere in mid-drive, seen from home to another side."""
+    first = simulate(_course(seed, LEG_S))
+    rng, places = np.random.default_rng([seed, 2]), first.world.in_home_frame
+    for i in rng.choice(len(places), 2, replace=False):
+        turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5)
+        c, s = math.cos(turn), math.sin(turn)
+        places[i] = places[i] @ np.array([[c, s], [-s, c]])
+    begins = float(first.drive.odometry.t[-1]) + 0.2
+    return trial(Leg(first), Leg(_then(first, places, first.final_pose), begins))
+
+
+def _kidnapped(seed: int) -> Trial:
+    """The robot is lifted in mid-drive and set down elsewhere in the room."""
+    first = simulate(_course(seed, LEG_S))
+    rng, begins = np.random.default_rng([seed, 3]), float(first.drive.odometry.t[-1]) + CARRIED_S
+    x, y = first.final_pose[:2]
+    there = Pose(-0.7 * x + 0.5, -0.7 * y, float(rng.uniform(-math.pi, math.pi)))
+    second = _then(first, first.world.in_home_frame, there)
+    return trial(Leg(first), Leg(second, begins, carried=True))
+
+
+def _corridor(seed: int) -> Trial:
+    """Up a corridor, whose walls carry the landmarks, and back."""
+    return _room(
+        seed,
+        home=RoomPose(x=10.0, y=1.2),
+        room=Room(bounds=(0.0, 0.0, 24.0, 2.4)),
+        landmarks=OnSurfaces(count=24, spacing=1.0),
+        visibility=Visibility(probability=0.8, range=(0.0, 7.0)),
+        start=StartPose(x=8.0, y=1.0, heading=0.2, prior=False),
+        trajectory=Waypoints(
+            speed=0.4,
+            duration=DRIVE_S,
+            points=((11, 1.6), (14, 0.8), (17, 1.4), (20, 1.0), (20.6, 1.5), (17, 1), (8, 1.2)),
+        ),
+    )
+
+
+def _teach_and_return(seed: int) -> Trial:
+    """From home out into a hall until none of its landmarks is seen, and back home."""
+    return _room(
+        seed,
+        home=RoomPose(x=4.0, y=4.0),
+        room=Room(bounds=(0.0, 0.0, 24.0, 10.0), shelves=((9.0, 3.0, 10.0, 7.0),)),
+        landmarks=OnSurfaces(count=40, spacing=1.0),
+        visibility=Visibility(probability=0.8, range=(0.0, 6.0)),
+        start=StartPose(x=4.0, y=4.0, heading=0.0, prior=False),
+        trajectory=Waypoints(
+            speed=0.5,
+            duration=120.0,
+            points=((6, 2.5), (12, 2), (19, 3), (21, 6), (18, 8), (12, 8), (6, 7.5), (3, 5)),
+            end_at_home=True,
+        ),
+    )
+
+
+SCENARIOS = {
+    "room": Named("10 m across, all round, all told", _room, exact=True),
+    "table": Named("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1), exact=True),
+    "site": Named("the same drives, 100 m across", lambda s: scaled(_room(s), 10.0), exact=True),
+    "camera-90": Named("camera of 90 deg", lambda s: _camera(s, 90), 100, exact=True),
+    "camera-60": Named("camera of 60 deg", lambda s: _camera(s, 60), 200, exact=True),
+    "mount-told": Named(
+        "camera 0.3 m ahead, turned, told", lambda s: _room(s, sensor=MOUNT), exact=True
+    ),
+    "mount-untold": Named(
+        "the same drives, camera's place not told",
+        lambda s: untold(_room(s, sensor=MOUNT), mount=True),
+    ),
+    "noisy": Named(
+        "bearings of 3 deg, odometry three to five times worse", _noisy, 300, exact=True
+    ),
+    "odometry-untold": Named(
+        "nothing told of the odometry", lambda s: untold(_room(s), odometry=True)
+    ),
+    "slipping": Named(
+        "wheels lose 40 % for 1.5 s every 10 s",
+        lambda s: slipping(untold(_room(s), odometry=True), s, 0.4, 10.0, 1.5),
+    ),
+    "lagging": Named(
+        "odometry stamped 0.2 s late", lambda s: lagging(untold(_room(s), odometry=True), 0.2)
+    ),
+    "outliers": Named(
+        "10 % of the ids wrong",
+        lambda s: _room(s, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.1)),
+        400,
+    ),
+    "moved": Named(
+        "4 of 12 moved since home", lambda s: _room(s, moved=Moved(count=4)), 500, moves=True
+    ),
+    "moved-on-the-way": Named("2 of 12 move in mid-drive", _moved_on_the_way, 600, moves=True),
+    "kidnapped": Named("lifted and set down elsewhere", _kidnapped, 700),
+    "corridor": Named("a corridor of 24 m, sight of 7 m", _corridor, 800),
+    "teach-and-return": Named("out of sight of home and back", _teach_and_return, 900),
+}
+"""By name."""

@@ -1,0 +1,169 @@
+"""One simulated drive and how well anybody could know the pose on it.
+
+The project's simulator drives. A drive may have legs, between which the world changes or the robot
+is carried; they are joined here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.bounds import posterior_bound
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.frames import Pose, bearing, compose
+from homeward.simulation.simulate import Simulation
+
+RIGHT = 5.0
+"""A sighting that is off by more is not of the landmark whose id it carries [sigmas]."""
+SAME_PLACE_M = 1e-6
+"""A landmark that stands so near to where it stood has not moved [m]."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a drive in which the world stays as it is."""
+
+    simulation: Simulation
+    begins: float = 0.0
+    """[s]"""
+    carried: bool = False
+    """Whether the robot was carried to where it begins."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A drive, and what an estimator could know on it at best."""
+
+    drive: Drive
+    """With truth."""
+    moved: frozenset[str]
+    """Landmarks that do not stand where home saw them, at the end."""
+    stamps: np.ndarray
+    """(n,) of the bearings [s]."""
+    bound: np.ndarray
+    """(n, 3, 3): posterior Cramer-Rao bound of (x, y, heading), given everything up to then by one
+    who is told the camera's place, the noise, what moved, and which sightings are wrong."""
+
+
+def trial(*legs: Leg) -> Trial:
+    """Join the legs of one drive, and find its bound."""
+    first = legs[0].simulation
+    drive = _joined(legs)
+    case, ids = first.scenario, list(first.world.ids)
+    places = np.array([leg.simulation.world.in_home_frame for leg in legs])
+    # A landmark that moves on the way is another one from then on, which home never saw.
+    fresh = np.ones(places.shape[:2], bool)
+    fresh[1:] = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) > SAME_PLACE_M
+    number = np.maximum.accumulate(np.where(fresh, fresh.cumsum().reshape(fresh.shape) - 1, 0))
+    marks = places[fresh]
+    told = np.zeros(len(marks), bool)
+    told[: len(ids)] = [i in drive.home and i not in first.world.moved for i in ids]
+
+    seen, stamps = drive.sightings, np.unique(drive.sightings.t)
+    assert drive.truth is not None
+    poses = np.stack(drive.truth.at(stamps), axis=1)
+    leg_of = np.searchsorted([leg.begins for leg in legs], stamps, side="right") - 1
+    row = np.searchsorted(stamps, seen.t)
+    column = number[leg_of[row], [ids.index(n) for n in seen.landmark]]
+    camera = compose(Pose(*poses[row].T), case.sensor.pose)
+    off = wrap(seen.bearing - bearing(camera, *marks[column].T))
+    right = np.abs(off) < RIGHT * case.noise.bearing_sigma
+    visible = np.zeros((stamps.size, len(marks)), bool)
+    visible[row[right], column[right]] = True
+
+    dt, step = np.diff(stamps), np.diff(poses, axis=0)
+    turn = wrap(step[:, 2])
+    arc = np.hypot(step[:, 0], step[:, 1]) / np.sinc(turn / 2 / np.pi)
+    carried = np.array([leg.carried for leg in legs])[leg_of[1:]] & (np.diff(leg_of) > 0)
+    bound = posterior_bound(
+        poses,
+        np.stack([arc / dt, turn / dt], axis=1),
+        dt,
+        marks,
+        visible,
+        bearing_sigma=case.noise.bearing_sigma,
+        home_sigma=case.noise.home_sigma,
+        speed_sigma=case.odometry.speed_sigma,
+        turn_sigma=case.odometry.turn_sigma,
+        moved=~told,
+        mount=case.sensor.pose,
+        carried=carried,
+    )
+    shifted = {n for n, new in zip(ids, fresh[1:].any(axis=0), strict=True) if new}
+    return Trial(drive, frozenset(shifted | set(first.world.moved)), stamps, bound)
+
+
+def _joined(legs: tuple[Leg, ...]) -> Drive:
+    """Return one drive of all legs, at home and in its settings the first one."""
+    drives = [leg.simulation.drive for leg in legs]
+    tables = {}
+    for name, kind in {"odometry": Odometry, "sightings": Sightings, "truth": Truth}.items():
+        parts = [getattr(drive, name) for drive in drives]
+        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(kind)}
+        columns["t"] = [t + leg.begins for t, leg in zip(columns["t"], legs, strict=True)]
+        tables[name] = kind(**{key: np.concatenate(column) for key, column in columns.items()})
+    return replace(drives[0], **tables)
+
+
+def scaled(whole: Trial, factor: float) -> Trial:
+    """Return the same drive in a world so many times as large, and as fast and as noisy."""
+    drive = whole.drive
+    assert drive.truth is not None
+    known = drive.settings.odometry
+    sigma = None if known.speed_sigma is None else factor * known.speed_sigma
+    size = np.array([factor, factor, 1.0])
+    return replace(
+        whole,
+        drive=replace(
+            drive,
+            odometry=replace(drive.odometry, v=factor * drive.odometry.v),
+            truth=replace(drive.truth, x=factor * drive.truth.x, y=factor * drive.truth.y),
+            settings=drive.settings.model_copy(
+                update={"odometry": known.model_copy(update={"speed_sigma": sigma})}
+            ),
+        ),
+        bound=whole.bound * size[:, None] * size,
+    )
+
+
+def untold(whole: Trial, *, mount: bool = False, odometry: bool = False) -> Trial:
+    """Return the same drive with the camera's place, or the odometry's noise, left out of it."""
+    settings = whole.drive.settings
+    left_out: dict[str, object] = {}
+    if mount:
+        left_out["sensor"] = settings.sensor.model_copy(update={"x": 0.0, "y": 0.0, "yaw": 0.0})
+    if odometry:
+        left_out["odometry"] = type(settings.odometry)()
+    return replace(whole, drive=replace(whole.drive, settings=settings.model_copy(update=left_out)))
+
+
+def slipping(whole: Trial, seed: int, share: float, every_s: float, for_s: float) -> Trial:
+    """Return the same drive with wheels that now and then turn more than the robot goes.
+
+    Parameters
+    ----------
+    whole : Trial
+        With firm wheels.
+    seed : int
+        Of when they slip.
+    share : float
+        Of their way that is lost then.
+    every_s, for_s : float
+        How often in the mean, and for how long [s].
+    """
+    o = whole.drive.odometry
+    rng = np.random.default_rng([seed, 1])
+    starts = np.cumsum(rng.exponential(every_s, int(3 * o.t[-1] / every_s) + 3))
+    before = np.searchsorted(starts, o.t, side="right") - 1
+    slips = (before >= 0) & (o.t - starts[before] < for_s)
+    faster = replace(o, v=np.where(slips, o.v / (1.0 - share), o.v))
+    return replace(whole, drive=replace(whole.drive, odometry=faster))
+
+
+def lagging(whole: Trial, seconds: float) -> Trial:
+    """Return the same drive with odometry that is stamped so much too late [s]."""
+    o = whole.drive.odometry
+    return replace(whole, drive=replace(whole.drive, odometry=replace(o, t=o.t + seconds)))
