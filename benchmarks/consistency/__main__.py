@@ -83,7 +83,8 @@ def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
         row = ""
         for name in FIGURES:
             both = [(a[name], b[name]) for a, b in pairs if None not in (a[name], b[name])]
-            now, then = (together(name, column)[0] for column in zip(*both)) if both else (0.0, 0.0)
+            now = together(name, [a for a, _ in both])[0]
+            then = together(name, [b for _, b in both])[0]
             same = "-" if not both else "1" if now == then else f"{now / then:.3f}" if then else "+"
             row += f"{same:>11}"
         print(f"{scenario:18}{row}")

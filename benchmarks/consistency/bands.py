@@ -5,7 +5,7 @@ that chance alone fails one run of the gate in a hundred:
 
 - NEES and NIS have two sides. Where the estimator is told all that is true, they follow chi-square
   about 3 and about 1, and a mean over a drive is worth as many independent samples as its spread
-  from drive to drive says. Where the baseline itself is outside of that, or where the estimator is
+  from drive to drive says. Where the baseline itself clearly does not, or where the estimator is
   not told all, the band lies about the measured value: a known weakness that must not grow.
 - Shares of time, and what was named, have a floor, the share of wrong answers and the error have a
   ceiling, all from the measured values.
@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ LEAST_SPREAD = {"pose": 0.02, "sure": 0.02, "wrong": 0.01, "precision": 0.05, "r
 """A share that was the same in all runs of the baseline may yet be this much off in one."""
 MARGIN = {"error": 0.05, "nees": 0.1, "nis": 0.05}
 """Relative room beyond chance, for what is no error: another order of sums, a gate's edge."""
+DOUBTFUL = 2.0
+"""So many standard deviations of chance a baseline may be off from what chi-square says."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,8 @@ def _measured(scenario: str, name: str, runs: Sequence[Figures]) -> Measured | N
         return None
     entry = Measured(float(f"{centre:.4g}"), float(f"{spread:.3g}"), number)
     if name in THEORY and SCENARIOS[scenario].exact:
-        theory = Measured(entry.centre, entry.spread, number, by_theory=True)
-        low, high = theory.band(name, number)
-        if low <= centre <= high:
-            return theory
+        off, chance = abs(centre - THEORY[name]), DOUBTFUL * spread / math.sqrt(number)
+        return replace(entry, by_theory=off <= max(chance, MARGIN[name] * THEORY[name]))
     return entry
 
 

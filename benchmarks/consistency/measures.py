@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,7 +27,7 @@ FIGURES = {
     "nees": "normalised estimation error squared of x, y and heading; 3 when consistent",
     "nis": "normalised innovation squared of the sightings taken; 1 when consistent",
     "wrong": "share of the sure time beyond 4 sigma",
-    "precision": "share of the landmarks called moved that were; 1 where none moved or is called so",
+    "precision": "share of the landmarks called moved that were; 1 where there are none of either",
     "recall": "share of the landmarks that moved that are called so",
     "rmse": "position error [m], for the record",
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
-from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.drive import Drive, Odometry, OdometryNoise, Sensor, Sightings, Truth
 from homeward.frames import Pose, bearing, compose
 from homeward.simulation.simulate import Simulation
 
@@ -134,9 +134,12 @@ def untold(whole: Trial, *, mount: bool = False, odometry: bool = False) -> Tria
     settings = whole.drive.settings
     left_out: dict[str, object] = {}
     if mount:
-        left_out["sensor"] = settings.sensor.model_copy(update={"x": 0.0, "y": 0.0, "yaw": 0.0})
+        known = settings.sensor
+        left_out["sensor"] = Sensor(
+            bearing_sigma=known.bearing_sigma, field_of_view=known.field_of_view
+        )
     if odometry:
-        left_out["odometry"] = type(settings.odometry)()
+        left_out["odometry"] = OdometryNoise()
     return replace(whole, drive=replace(whole.drive, settings=settings.model_copy(update=left_out)))
 
 

@@ -1,0 +1,150 @@
+"""The gate in its quick form, that it catches estimators which are wrong, and its statistics."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.consistency import bands
+from benchmarks.consistency.__main__ import QUICK_SEEDS
+from benchmarks.consistency.measures import figures, together
+from benchmarks.consistency.runs import AS_IT_IS, one
+from benchmarks.consistency.sabotage import SABOTAGES, shows_in
+from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.consistency.trial import lagging, slipping, untold
+from homeward.estimator import Counts, Estimate, Status
+from homeward.frames import Pose
+from homeward.track import track_of
+
+HALF_SIGMAS = "covariances x 0.25"
+SHOWN_BY_TWO_DRIVES = ("room", "table", "site", "mount-told", "moved", "kidnapped", "lagging")
+"""Scenarios whose drives differ so little that two of them show sigmas that are half as large."""
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_figures_lie_in_their_bands_and_sabotage_is_caught(scenario):
+    entries = bands.read()[scenario]
+    runs = [one(scenario, seed, tuple(SABOTAGES)) for seed in range(QUICK_SEEDS)]
+    failed = {
+        name: bands.failures(entries, [run[name] for run in runs])
+        for name in (AS_IT_IS, *SABOTAGES)
+    }
+    assert failed.pop(AS_IT_IS) == {}
+    missed = {name for name, by in failed.items() if shows_in(name, scenario) and not by}
+    assert missed <= (set() if scenario in SHOWN_BY_TWO_DRIVES else {HALF_SIGMAS})
+
+
+class Oracle:
+    """Draws its answers from the bound about the truth, and names what moved."""
+
+    name = "oracle"
+    notes = ()
+
+    def __init__(self, trial, inflated=1.0):
+        self.counts = Counts()
+        rng, sound = np.random.default_rng(1), np.isfinite(trial.bound[:, 0, 0])
+        true = trial.drive.truth.at(trial.stamps)
+        self.answers = [
+            Estimate(t, Status.LOCALISED, "", Pose(*rng.multivariate_normal(p, b)), inflated * b)
+            for t, *p, b in zip(trial.stamps[sound], *(c[sound] for c in true), trial.bound[sound])
+        ]
+
+    def landmarks(self):
+        return []
+
+
+@pytest.mark.parametrize("scenario", ["site", "camera-60", "mount-told", "kidnapped"])
+def test_an_estimator_at_the_bound_has_error_1_and_nees_3(scenario):
+    trial = SCENARIOS[scenario].make(3)
+    oracle = Oracle(trial)
+    found = figures(track_of(oracle, oracle.answers), trial)
+    assert found["error"] == pytest.approx(1.0, abs=0.15)
+    assert found["nees"] == pytest.approx(3.0, abs=0.5)
+    assert found["wrong"] < 0.01
+    assert found["pose"] == found["sure"] == 1.0
+    assert found["nis"] is None
+    oracle = Oracle(trial, inflated=4.0)
+    assert figures(track_of(oracle, oracle.answers), trial)["nees"] == pytest.approx(0.75, abs=0.2)
+
+
+def test_the_bound_forgets_a_pose_that_was_carried_but_no_landmark():
+    trial = SCENARIOS["kidnapped"].make(0)
+    gap = int(np.argmax(np.diff(trial.stamps)))
+    sigma = np.sqrt(trial.bound[:, 0, 0] + trial.bound[:, 1, 1])
+    assert np.diff(trial.stamps)[gap] > 1.0
+    # Landmarks that are known fix it at once: nowhere near as slowly as at the beginning.
+    assert 1.1 * sigma[gap] < sigma[gap + 1] < 0.3 * sigma[3]
+
+
+def test_a_landmark_that_moves_on_the_way_tells_the_bound_of_its_new_place_nothing_of_home():
+    moving, still = SCENARIOS["moved-on-the-way"].make(0), SCENARIOS["room"].make(600)
+    assert len(moving.moved) == 2
+    before = np.searchsorted(moving.stamps, 49.0)
+    assert moving.bound[1:before] == pytest.approx(still.bound[1:before], rel=1e-6)
+    assert not still.moved
+
+
+def test_larger_worlds_are_the_same_drives():
+    room, site = SCENARIOS["room"].make(5), SCENARIOS["site"].make(5)
+    assert site.drive.odometry.v == pytest.approx(10.0 * room.drive.odometry.v)
+    assert site.drive.settings.odometry.speed_sigma == 10.0 * 0.01
+    assert np.array_equal(site.drive.sightings.bearing, room.drive.sightings.bearing)
+    assert site.bound[-1, :2, :2] == pytest.approx(100.0 * room.bound[-1, :2, :2])
+    assert site.bound[-1, 2, 2] == room.bound[-1, 2, 2]
+
+
+def test_what_goes_wrong_goes_wrong():
+    room = SCENARIOS["mount-told"].make(5)
+    o = room.drive.odometry
+    slips = slipping(room, 5, 0.4, 10.0, 1.5).drive.odometry.v / np.where(o.v == 0.0, 1.0, o.v)
+    assert set(np.round(slips[o.v != 0.0], 6)) == {1.0, round(1 / 0.6, 6)}
+    assert 0.05 < np.mean(slips > 1.0) < 0.3
+    assert lagging(room, 0.2).drive.odometry.t == pytest.approx(o.t + 0.2)
+    settings = untold(room, mount=True, odometry=True).drive.settings
+    assert {"x", "y", "yaw"}.isdisjoint(settings.sensor.model_fields_set)
+    assert settings.sensor.bearing_sigma == 0.01
+    assert settings.odometry.speed_sigma is None
+
+
+@pytest.mark.parametrize("runs", [2, 20])
+def test_chance_alone_hardly_ever_fails_and_twice_the_nees_does(runs):
+    rng = np.random.default_rng(0)
+    drives = 3.0 * rng.gamma(9.0, 1 / 9.0, (1000, runs))  # the mean of nine chi-squares each
+    low, high = bands.Measured(3.1, 1.0, 20, by_theory=True).band("nees", runs)
+    means = drives.mean(axis=1)
+    assert np.all((low < means) & (means < high))
+    assert low > 0.6
+    assert np.mean(2.0 * means > high) > (0.98 if runs == 20 else 0.2)
+
+
+def test_a_weakness_has_its_band_where_it_was_and_theory_where_it_holds():
+    rng = np.random.default_rng(0)
+    fine, weak = (
+        [{"nees": float(v)} for v in scale * rng.gamma(9.0, 1 / 9.0, 20)] for scale in (3.0, 6.0)
+    )
+    entry = bands.measure({"room": [dict.fromkeys(bands.FIGURES) | run for run in fine]})
+    assert entry["room"]["nees"].by_theory
+    entry = bands.measure({"room": [dict.fromkeys(bands.FIGURES) | run for run in weak]})["room"]
+    assert not entry["nees"].by_theory
+    low, high = entry["nees"].band("nees", 20)
+    assert 3.0 < low < 5.5 < high < 11.0
+    # What is told to the estimator decides, not what comes out.
+    untold_too = bands.measure({"lagging": [dict.fromkeys(bands.FIGURES) | run for run in fine]})
+    assert not untold_too["lagging"]["nees"].by_theory
+
+
+def test_a_figure_that_is_missing_fails_and_one_run_astray_is_not_all():
+    entries = {"error": bands.Measured(1.0, 0.1, 20), "recall": bands.Measured(1.0, 0.0, 20)}
+    fine = {"error": 1.05, "recall": 1.0}
+    assert bands.failures(entries, [fine, fine]) == {}
+    assert list(bands.failures(entries, [fine | {"recall": None}] * 2)) == ["recall"]
+    assert list(bands.failures(entries, [fine | {"error": 2.0}] * 2)) == ["error"]
+    assert together("error", [1.0] * 9 + [1e3])[0] == pytest.approx(1e3**0.1)
+
+
+def test_a_baseline_comes_back_as_it_was(tmp_path):
+    bands.write(bands.read(), tmp_path / "baseline.json")
+    assert bands.read(tmp_path / "baseline.json") == bands.read()
+    assert (tmp_path / "baseline.json").read_text() == bands.BASELINE.read_text()
+    assert set(bands.read()) == set(SCENARIOS)
+    assert dataclasses.asdict(bands.read()["room"]["nees"])["by_theory"]

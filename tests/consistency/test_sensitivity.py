@@ -1,0 +1,117 @@
+"""Numbers are found where they are written, and changed everywhere."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, Field
+
+from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.sensitivity.__main__ import add, read, report
+from benchmarks.sensitivity.tunables import Tunable, changed, constants, fields, scaled
+from benchmarks.sensitivity.variant import Job, Outcome
+
+PLACE = """
+from other import NAMED
+A, _B = 2.0, 3
+DERIVED = 2 * A
+ARRAY = np.array([0.1, 0.2])
+PAIR: tuple = 1, 2.5
+COLUMN = 4
+WORDS, FLAG, ZERO = "words", True, 0.0
+lower = 5.0
+table[:, COLUMN]
+"""
+
+
+def test_numbers_are_found_and_columns_are_not(tmp_path, monkeypatch):
+    folder = tmp_path / "made_up_package"
+    (folder / "inner").mkdir(parents=True)
+    (folder / "__init__.py").write_text("")
+    (folder / "inner" / "place.py").write_text(PLACE)
+    monkeypatch.syspath_prepend(tmp_path)
+    found, left_out = constants("made_up_package")
+    assert [t.name for t in found] == ["A", "_B", "ARRAY", "PAIR"]
+    assert {t.module for t in found} == {"made_up_package.inner.place"}
+    names = {line.split(" = ")[0].split(":")[1] for line in left_out}
+    assert names == {"DERIVED", "COLUMN", "FLAG", "ZERO"}
+
+
+def test_whole_numbers_stay_whole():
+    assert scaled(3, 0.5) == 2
+    assert scaled(1, 0.5) == 1
+    assert scaled((2, 0.5), 2.0) == (4, 1.0)
+    assert np.array_equal(scaled(np.array([0.1, 0.2]), 2.0), [0.2, 0.4])
+
+
+class Inner(BaseModel):
+    share: float = Field(0.9, lt=1)
+
+
+class Outer(BaseModel):
+    inner: Inner = Inner()
+    count: int = 3
+    nothing: float | None = None
+
+
+def test_settings_are_changed_inside_out_and_probabilities_by_their_odds():
+    found, left_out = fields(Outer())
+    assert [t.name for t in found] == ["inner.share", "count"]
+    assert len(left_out) == 1
+    assert changed(Outer(), "count", 2.0).count == 6
+    assert changed(Outer(), "inner.share", 0.5).inner.share == 0.45
+    assert changed(Outer(), "inner.share", 2.0).inner.share == pytest.approx(18 / 19)
+
+
+def test_a_changed_constant_reaches_who_imports_it_and_what_is_made_of_it():
+    """In a process that has not imported the localiser, as each variant is run."""
+    words = """
+import numpy
+from benchmarks.sensitivity.tunables import Tunable, change, constants
+(gate,) = [t for t in constants()[0] if str(t) == PLACE]
+change(gate, 2.0)
+import importlib
+module = importlib.import_module(gate.module)
+print(getattr(module, gate.name), gate.value)
+"""
+    first = next(t for t in constants()[0] if float(eval(t.value, {"np": np})) != 1.0)
+    call = [sys.executable, "-c", words.replace("PLACE", repr(str(first)))]
+    done = subprocess.run(call, capture_output=True, text=True, check=True)
+    now, before = done.stdout.split()
+    assert float(now) == pytest.approx(2.0 * float(before))
+
+
+def test_a_variant_differs_and_the_same_one_does_not(tmp_path):
+    trials = tmp_path / "trials"
+    trials.write_bytes(pickle.dumps({"room": SCENARIOS["room"].make(0)}))
+    gate = Tunable("", "gate", "4.0")
+    once, again, other = (
+        Job(trials, ("room",), tunable, factor).done_elsewhere()[0]
+        for tunable, factor in ((None, 1.0), (gate, 1.0), (gate, 0.5))
+    )
+    assert once.digest == again.digest
+    assert other.digest != once.digest
+    assert once.figures == again.figures
+    assert other.figures["nis"] < once.figures["nis"]
+
+
+def test_what_was_found_is_kept_and_told(tmp_path, capsys):
+    file = tmp_path / "found.csv"
+    figures = {"pose": 1.0, "error": 1.0}
+    names = ("inert", "little", "much", "breaks")
+    add(file, "", 1.0, [Outcome("room 0", "a", figures, 1.0)])
+    add(file, "settings:inert", 0.5, [Outcome("room 0", "a", figures, 1.0)])
+    add(file, "settings:little", 0.5, [Outcome("room 0", "b", figures | {"error": 1.02}, 1.0)])
+    add(file, "settings:much", 2.0, [Outcome("room 0", "c", figures | {"error": 1.5}, 1.0)])
+    add(file, "settings:breaks", 2.0, [Outcome("room 0", "ValueError: no", {}, 1.0)])
+    assert ("settings:much", 2.0) in read(file)
+    report(read(file), [Tunable("", name, "1") for name in names], ["x = 1"])
+    told = capsys.readouterr().out
+    assert "1 change nothing anywhere, to the last bit:\n  settings:inert" in told
+    assert "by more than 10 %:\n  settings:little: x 0.5: room 0: error 1 -> 1.02" in told
+    assert "settings:much: x 2: room 0: error 1 -> 1.5" in told
+    assert "settings:breaks x 2: room 0: ValueError: no" in told
+    file.write_text(file.read_text().replace(file.read_text().split("\n")[1][:12], "other source"))
+    assert not read(file)
