@@ -33,6 +33,7 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)

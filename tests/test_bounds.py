@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.bounds import Arc
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
-from homeward.frames import Pose, compose
+from homeward.frames import Pose, between, compose
 
 SIGMAS = {"bearing_sigma": 0.05, "home_sigma": 0.01, "speed_sigma": 0.02, "turn_sigma": 0.05}
 
@@ -107,3 +107,43 @@ def test_an_efficient_estimator_reaches_the_bound():
         ratios.append(error @ np.linalg.solve(bound, error) / 3)
     # 3.3 standard deviations of the mean of 120 chi-squares with 3 degrees of freedom
     assert np.mean(ratios) == pytest.approx(1.0, abs=3.3 * math.sqrt(2 / 3 / 120))
+
+
+@pytest.mark.parametrize("mount", [Pose(0.0, 0.0, 0.0), Pose(0.3, -0.2, 0.5)])
+def test_a_camera_elsewhere_and_a_robot_that_was_carried(mount):
+    _, _, _, marks, _ = scene(q=6)
+    poses = np.array([[0.7, -0.5, 0.3], [0.0, 0.0, 0.3], [-0.4, 0.6, -0.7]])
+    v, dt, straight = 0.8, 0.5, 1e-4
+    poses[1, :2] = poses[0, :2] + v * dt * np.array([math.cos(0.3), math.sin(0.3)])
+
+    def measured(x):
+        seen, (first, second, third) = [], (Pose(*p) for p in x[:9].reshape(3, 3))
+        for pose in (Pose(0.0, 0.0, 0.0), first, second, third):
+            camera, d = compose(pose, mount), x[9:].reshape(-1, 2)
+            seen.append(wrap(np.arctan2(*(d - camera[:2]).T[::-1]) - camera.heading))
+        ahead, aside, turn = between(first, second)
+        return np.concatenate([*seen, [ahead, aside - 0.5 * v * dt * turn, turn]])
+
+    driven = np.array([SIGMAS["speed_sigma"], straight, SIGMAS["turn_sigma"]]) * math.sqrt(dt)
+    bearing_sigmas = np.repeat([SIGMAS["home_sigma"], SIGMAS["bearing_sigma"]], [6, 18])
+    truth = np.concatenate([poses.ravel(), marks.ravel()])
+    steps = 1e-6 * np.eye(truth.size)
+    jacobian = np.stack([wrap(measured(truth + e) - measured(truth - e)) for e in steps], axis=-1)
+    jacobian /= 2e-6 * np.concatenate([bearing_sigmas, driven])[:, None]
+    dense = np.linalg.inv(jacobian.T @ jacobian)
+
+    twists, intervals, seen = (
+        np.array([[v, 0.0], [0.0, 0.0]]),
+        np.full(2, dt),
+        np.ones((3, 6), bool),
+    )
+    told = {"mount": mount, "carried": np.array([False, True]), **SIGMAS}
+    bound = posterior_bound(poses, twists, intervals, marks, seen, **told)
+    assert bound[-1] == pytest.approx(dense[6:9, 6:9], rel=1e-3)
+
+
+def test_a_long_drive_has_a_bound_to_its_end():
+    poses, twists, dt, marks, visible = scene(n=1000, q=12)
+    bound = posterior_bound(poses, twists, dt, marks, visible, **SIGMAS)
+    assert np.isfinite(bound[100:]).all()
+    assert bound[500:, 0, 0].max() < 2.0 * bound[100:200, 0, 0].max()

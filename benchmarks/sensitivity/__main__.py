@@ -35,6 +35,8 @@ FACTORS = (0.5, 2.0)
 MUCH = 0.1
 """A figure that changes by more than this share, or a share of the time by so much, does much."""
 SHARES = ("pose", "sure", "wrong", "precision", "recall")
+DRIVES = ("benchmarks.consistency.scenarios", "benchmarks.consistency.trial")
+"""What makes the simulated drives."""
 COLUMNS = ("code", "tunable", "factor", "drive", "digest", "seconds", *FIGURES)
 Rows = Mapping[tuple[str, float], Mapping[str, Mapping[str, str]]]
 """Rows of the file by tunable and factor, then by drive; "" and 1 is all as it is."""
@@ -59,10 +61,11 @@ def drives(seeds: int, robots: Sequence[int]) -> dict[str, Trial]:
 
 def code() -> str:
     """Return a digest of the source of localiser and drives: rows of other ones do not count."""
+    makes_drives = [Path(sys.modules[m].__file__ or "") for m in DRIVES]
+    localiser = Path(sys.modules[PACKAGE].__path__[0]).rglob("*.py")
     digest = hashlib.sha256()
-    for package in (PACKAGE, "benchmarks.consistency"):
-        for file in sorted(Path(sys.modules[package].__path__[0]).rglob("*.py")):
-            digest.update(file.read_bytes())
+    for file in sorted([*localiser, *makes_drives]):
+        digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
 
 
