@@ -54,6 +54,11 @@ class Measured:
     by_theory: bool = False
     """Whether its band follows from chi-square alone."""
 
+    def is_off(self, right: float, room: float = 0.0) -> bool:
+        """Return whether it clearly is not `right`, by more than a relative room."""
+        chance = DOUBTFUL * self.spread / math.sqrt(self.runs)
+        return abs(self.centre - right) > max(chance, room * right)
+
     def band(self, name: str, runs: int) -> tuple[float, float]:
         """Return between what the mean of so many runs must lie; infinite where it need not."""
         spread = max(self.spread, LEAST_SPREAD.get(name, 0.0))
@@ -116,8 +121,7 @@ def _measured(scenario: str, name: str, runs: Sequence[Figures]) -> Measured | N
         return None
     entry = Measured(float(f"{centre:.4g}"), float(f"{spread:.3g}"), number)
     if name in THEORY and SCENARIOS[scenario].exact:
-        off, chance = abs(centre - THEORY[name]), DOUBTFUL * spread / math.sqrt(number)
-        return replace(entry, by_theory=off <= max(chance, MARGIN[name] * THEORY[name]))
+        return replace(entry, by_theory=not entry.is_off(THEORY[name], MARGIN[name]))
     return entry
 
 

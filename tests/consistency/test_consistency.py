@@ -1,12 +1,14 @@
 """The gate in its quick form, that it catches estimators which are wrong, and its statistics."""
 
 import dataclasses
+import json
+import sys
 
 import numpy as np
 import pytest
 
 from benchmarks.consistency import bands
-from benchmarks.consistency.__main__ import QUICK_SEEDS
+from benchmarks.consistency.__main__ import QUICK_SEEDS, main
 from benchmarks.consistency.measures import figures, together
 from benchmarks.consistency.runs import AS_IT_IS, one
 from benchmarks.consistency.sabotage import SABOTAGES, shows_in
@@ -150,3 +152,35 @@ def test_a_baseline_comes_back_as_it_was(tmp_path):
     assert (tmp_path / "baseline.json").read_text() == bands.BASELINE.read_text()
     assert set(bands.read()) == set(SCENARIOS)
     assert dataclasses.asdict(bands.read()["room"]["nees"])["by_theory"]
+
+
+def called(monkeypatch, capsys, *words):
+    """Exit code and what is printed, for two drives of one scenario."""
+    words = ("gate", "--scenario", "room", "--seeds", "2", "--jobs", "1", *map(str, words))
+    monkeypatch.setattr(sys, "argv", list(words))
+    return main(), capsys.readouterr().out
+
+
+def test_the_command_passes_fails_and_compares(tmp_path, monkeypatch, capsys):
+    made_up = {name: {"nees": 3.0, "nis": 1.0}.get(name, 1.0) for name in bands.FIGURES}
+    good = made_up | {"wrong": 0.0}
+    answers = dict.fromkeys((AS_IT_IS, *SABOTAGES), good)
+    monkeypatch.setattr(
+        "benchmarks.consistency.__main__.every",
+        lambda scenarios, seeds, sabotages, jobs, tell: {
+            name: {s: [answers[name]] * seeds for s in scenarios} for name in (AS_IT_IS, *sabotages)
+        },
+    )
+    code, told = called(monkeypatch, capsys, "--save", tmp_path / "before.json")
+    assert code == 0
+    assert told.endswith("gate: passed\n")
+    assert json.loads((tmp_path / "before.json").read_text())["room"] == [good, good]
+    code, told = called(monkeypatch, capsys, "--sabotage")
+    assert code == 1  # what makes no difference is not caught
+    assert "covariances x 100: caught in 0 of 1 scenarios" in told
+    answers[AS_IT_IS] = good | {"nees": 300.0, "error": 1.5}
+    code, told = called(monkeypatch, capsys, "--against", tmp_path / "before.json")
+    assert code == 1
+    assert "GATE: room: nees: 300, must be at most" in told
+    compared = told.split("times as large")[1].split("\nroom")[1].split()
+    assert compared[:4] == ["1", "1", "1.500", "100.000"]
