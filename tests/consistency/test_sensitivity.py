@@ -65,22 +65,32 @@ def test_settings_are_changed_inside_out_and_probabilities_by_their_odds():
     assert changed(Outer(), "inner.share", 2.0).inner.share == pytest.approx(18 / 19)
 
 
-def test_a_changed_constant_reaches_who_imports_it_and_what_is_made_of_it():
-    """In a process that has not imported the localiser, as each variant is run."""
-    words = """
-import numpy
-from benchmarks.sensitivity.tunables import Tunable, change, constants
-(gate,) = [t for t in constants()[0] if str(t) == PLACE]
-change(gate, 2.0)
-import importlib
-module = importlib.import_module(gate.module)
-print(getattr(module, gate.name), gate.value)
+WORDS = """
+import sys
+from benchmarks.sensitivity.tunables import Tunable, change
+sys.path.insert(0, sys.argv[1])
+change(Tunable("made_up.chosen", "MOST", "0.2"), 2.0)
+from made_up import user
+print(user.MOST, user.made(), user.chosen.LEAST, user.chosen.OTHER)
 """
-    first = next(t for t in constants()[0] if float(eval(t.value, {"np": np})) != 1.0)
-    call = [sys.executable, "-c", words.replace("PLACE", repr(str(first)))]
-    done = subprocess.run(call, capture_output=True, text=True, check=True)
-    now, before = done.stdout.split()
-    assert float(now) == pytest.approx(2.0 * float(before))
+
+
+def test_a_changed_constant_reaches_who_imports_it_and_what_is_made_of_it(tmp_path):
+    """In a process that has not imported the localiser, as each variant is run."""
+    folder = tmp_path / "made_up"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "chosen.py").write_text("LEAST, MOST = 0.1, 0.2\nOTHER = 10 * MOST\n")
+    user = "from made_up import chosen\nfrom made_up.chosen import MOST\n"
+    (folder / "user.py").write_text(user + "def made(most=MOST):\n    return most\n")
+    for _ in range(2):  # with the compiled source of an unchanged one at hand, too
+        call = [sys.executable, "-c", WORDS, str(tmp_path)]
+        done = subprocess.run(call, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == ["0.4", "0.4", "0.1", "4.0"]
+        unchanged = "import made_up.user; print(made_up.user.MOST)"
+        call = [sys.executable, "-c", unchanged]
+        done = subprocess.run(call, capture_output=True, text=True, check=True, cwd=tmp_path)
+        assert done.stdout.split() == ["0.2"]
 
 
 def test_a_variant_differs_and_the_same_one_does_not(tmp_path):
