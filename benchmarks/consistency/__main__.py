@@ -113,6 +113,8 @@ def main() -> int:
     seeds = QUICK_SEEDS if options.quick else options.seeds
     if seeds < 1 or options.jobs < 1:
         parser.error("--seeds and --jobs must be at least 1")
+    if options.update_baseline and seeds < bands.FEWEST:
+        parser.error(f"a baseline needs at least {bands.FEWEST} drives of each scenario")
     sabotages = list(SABOTAGES) if options.sabotage else []
     results = every(options.scenario, seeds, sabotages, options.jobs, tell)
     good = results[AS_IT_IS]

@@ -39,6 +39,8 @@ LEAST_SPREAD = {"pose": 0.02, "sure": 0.02, "wrong": 0.01, "precision": 0.05, "r
 """A share that was the same in all runs of the baseline may yet be this much off in one."""
 MARGIN = {"error": 0.05, "nees": 0.1, "nis": 0.05}
 """Relative room beyond chance, for what is no error: another order of sums, a gate's edge."""
+FEWEST = 10
+"""Drives of a scenario that tell how much these differ."""
 DOUBTFUL = 2.0
 """So many standard deviations of chance a baseline may be off from what chi-square says."""
 
@@ -70,8 +72,9 @@ class Measured:
             return -math.inf, self.centre + off
         if name == "error":
             return -math.inf, self.centre * math.exp(off) * (1.0 + room)
-        low, high = _chi_square(THEORY[name] if self.by_theory else self.centre, spread, runs)
-        if not self.by_theory:  # its centre is but the mean of the baseline's runs
+        if self.by_theory:
+            low, high = _chi_square(THEORY[name], spread, runs)
+        else:  # its centre is but the mean of the baseline's runs
             low, high = _chi_square(self.centre, spread * math.sqrt(1.0 + runs / self.runs), runs)
         return low * (1.0 - room), high * (1.0 + room)
 
