@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi as ca
@@ -17,7 +18,7 @@ from homeward.engine.batch.execution import execute
 from homeward.engine.batch.job import Job, start_value
 from homeward.engine.choice import choose
 from homeward.engine.kernels import filter_kernels
-from homeward.engine.native import compiler, library
+from homeward.engine.native import compiler, library, program
 from homeward.engine.native.cache import Cache, default_folder
 from homeward.engine.native.compiler import NativeError, find_compiler
 from homeward.engine.native.kernel import NativeProgram
@@ -313,3 +314,20 @@ def test_the_cache_folder_follows_the_platform(monkeypatch, tmp_path):
     assert default_folder() == tmp_path / ".cache" / "homeward"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "x"))
     assert default_folder() == tmp_path / "x" / "homeward"
+
+
+def test_functions_that_many_threads_ask_for_at_once_are_loaded_once(cache, monkeypatch):
+    loaded = []
+
+    def load(source):
+        loaded.append(source)
+        time.sleep(0.05)  # the others come meanwhile
+        return library.load(source)
+
+    monkeypatch.setattr(program, "load", load)
+    functions = program.Program("homeward.vision", ["shared.h", "fit.c"], {}, ())
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: functions(), range(8)))
+    assert len(loaded) == 1
+    assert found[0] is not None
+    assert all(each is found[0] for each in found)

@@ -1,5 +1,8 @@
 """The map of a plan against the bound along a drive, brute force, and what must always hold."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -215,3 +218,35 @@ def test_plans_come_with_homeward():
     assert load_plan("warehouse").landmarks
     with pytest.raises(InputError, match="warehouse"):
         load_plan("no-such-plan")
+
+
+THREADS = """
+import threading
+import subprocess
+import sys
+
+import numpy as np
+from homeward.studies.planning.floor import make_floor
+from homeward.studies.planning.settings import load_plan
+
+plan = load_plan("warehouse")
+floor, marks = make_floor(plan), np.array(list(plan.landmarks.values()))
+parts = np.array_split(floor.points, 8)
+ready, found = threading.Barrier(len(parts)), [None] * len(parts)
+
+def look(k):
+    ready.wait()
+    found[k] = floor.sees(parts[k], marks)
+
+threads = [threading.Thread(target=look, args=[k]) for k in range(len(parts))]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+assert np.array_equal(np.vstack(found), floor.sees(floor.points, marks))
+"""
+
+
+def test_threads_may_look_across_one_floor_at_once():
+    # In a process of its own: it died of a segmentation fault.
+    subprocess.run([sys.executable, "-c", THREADS], check=True, timeout=120)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -181,8 +181,8 @@ def _on_panorama(
     return on, (on[:, 0] >= -0.5) & (on[:, 0] < width - 0.5)
 
 
-@cache
 def _sift() -> Any:
+    # Made anew each time, in a microsecond: threads share nothing.
     # Without the precise upscale every keypoint is a quarter of a pixel off.
     return opencv().SIFT_create(
         nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Collection, Mapping, Sequence
-from functools import cached_property
 from importlib.resources import files
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -70,18 +70,26 @@ class Program:
     ) -> None:
         self._package, self._sources = package, sources
         self._functions, self._may_fail = functions, may_fail
+        self._lock = Lock()
 
     def __call__(self) -> ctypes.CDLL | None:
         """Return the compiled functions; None where there is no compiler, or it fails."""
-        return self._loaded[0]
+        return self._once()[0]
 
     @property
     def why_not(self) -> NativeError | None:
         """Why there is no compiled code; None where there is."""
-        return self._loaded[1]
+        return self._once()[1]
 
-    @cached_property
-    def _loaded(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
+    def _once(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
+        # Not a cached_property, which has no lock: a function whose argument types another thread
+        # has yet to set would be called with its addresses cut in half.
+        with self._lock:
+            if "_loaded" not in vars(self):
+                self._loaded = self._load()
+        return self._loaded
+
+    def _load(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
         folder = files(self._package).joinpath("native")
         source = "\n".join(folder.joinpath(name).read_text("utf-8") for name in self._sources)
         try:

@@ -50,9 +50,12 @@ class Floor:
 
     def sees(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Say which targets (q, 2) [m] can be seen from which origins (n, 2), shape (n, q)."""
+        # A prepared geometry works in memory of its own, so threads cannot share one.
+        sight = shapely.from_wkb(shapely.to_wkb(self.sight))
+        shapely.prepare(sight)
         ends = np.empty((len(origins), len(targets), 2, 2))
         ends[:, :, 0], ends[:, :, 1] = origins[:, None], targets[None]
-        return np.asarray(shapely.covers(self.sight, shapely.linestrings(ends)))
+        return np.asarray(shapely.covers(sight, shapely.linestrings(ends)))
 
 
 def make_floor(plan: Plan) -> Floor:
@@ -84,10 +87,7 @@ def make_floor(plan: Plan) -> Floor:
     inside = shapely.contains_xy(free, *np.meshgrid(x, y))
     if not inside.any():
         raise InputError("no point of the grid is free: see grid, clearance, outline and shelves")
-    floor = Floor(outline, shelves, sight, x, y, np.asarray(inside))
-    # The first question builds the index of `sight`, before threads share it.
-    floor.sees(np.array([[plan.home.x, plan.home.y]]), np.array(plan.outline))
-    return floor
+    return Floor(outline, shelves, sight, x, y, np.asarray(inside))
 
 
 def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
