@@ -1,9 +1,11 @@
 PYTHON ?= python3
-VENV := .venv
+# Another Python gets an environment of its own: make test PYTHON=python3.13 makes .venv-3.13.
+OTHER := $(if $(filter python3,$(PYTHON)),,-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'))
+VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo test lint bench clean
+.PHONY: install demo plan test lint bench clean
 
 install: $(VENV)/installed
 
@@ -16,6 +18,9 @@ $(VENV)/installed: $(PINS)
 
 demo: install
 	$(BIN)/homeward run sample --out out/demo
+
+plan: install
+	$(BIN)/homeward plan warehouse --out out/plan
 
 test: install
 	$(BIN)/python -m pytest
