@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from homeward.scoring import score
     from homeward.track import Track, run
 
+    __version__: str
+
 _HOMES = {
     "Drive": "drives.drive",
     "Estimate": "estimator",
@@ -41,6 +43,7 @@ __all__ = [
     "Pose",
     "Status",
     "Track",
+    "__version__",
     "make_estimator",
     "open_drive",
     "run",
@@ -48,8 +51,14 @@ __all__ = [
 ]
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def __getattr__(name: str) -> Any:
     # Imported when first asked for: `import homeward` alone stays quick.
+    if name == "__version__":
+        return import_module("importlib.metadata").version("homeward")
     if name not in _HOMES:
         raise AttributeError(f"module 'homeward' has no attribute {name!r}")
     return getattr(import_module(f"homeward.{_HOMES[name]}"), name)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class HomewardError(Exception):
-    """Anything that a user can put right; its message is one line."""
+    """Anything told in one line: bad input (`InputError`), or good input that has no answer."""
 
 
 class InputError(HomewardError):
@@ -26,3 +26,19 @@ class InputError(HomewardError):
         place = "" if file is None else f"{file}" + ("" if row is None else f", row {row}") + ": "
         super().__init__(place + what)
         self.what, self.file, self.row = what, file, row
+
+
+def needs_extra(what: str, extra: str) -> InputError:
+    """Return the error that says what lacks which extra, and how it is installed from a checkout.
+
+    Parameters
+    ----------
+    what : str
+        What was asked for, as a plural.
+    extra : str
+        A key of pyproject.toml's optional-dependencies.
+    """
+    return InputError(
+        f"{what} need the extra {extra}, which is not installed: in the folder that holds "
+        f"homeward's pyproject.toml, run: pip install -c constraints.txt -e '.[{extra}]'"
+    )

@@ -46,6 +46,15 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     assert f"x: {x:.2f}, y: {y:.2f}, yaw: {yaw:.2f}" in note
 
 
+def test_only_what_nobody_told_is_named():
+    rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0})
+    rig.drive(60)
+    (note,) = (n for n in rig.localizer.notes if "camera" in n)
+    assert "camera's yaw would be 0" in note
+    found = note.partition("drive.yaml: ")[2]
+    assert float(found.removeprefix("yaw: ").removesuffix(".")) == pytest.approx(0.3, abs=0.03)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from homeward.cli.terminal import no_answer, say, warn
+
 
 def compare(
     home: Annotated[Path, typer.Argument(help="The panorama taken at home.")],
@@ -37,14 +39,14 @@ def compare(
     from homeward.vision.turning_along import turning_along
 
     settings = read_image_settings(camera)
-    check_output(out, RESULT)
     home_image, home_view = read_view(home, settings.camera, mask=mask or settings.mask)
     now_image, now_view = read_view(now, settings.camera, like=home_view)
+    check_output(out, RESULT)
     seen = compare_views(home_view, now_view, settings.camera)
     write_comparison(out, seen, (home_image, now_image), (home_view, now_view))
-    typer.echo(describe(seen))
+    say(describe(seen))
     if found := turning_along(seen, settings.camera):
-        typer.echo(f"{found.matches} {found.words} (--mask FILE).")
-    typer.echo(f"Picture: {out / PICTURE}")
+        warn(f"{found.matches} {found.words} (--mask FILE).")
+    say(f"Picture: {out / PICTURE}")
     if not seen.accepted:
-        raise typer.Exit(1)
+        raise no_answer()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.terminal import say, warn
 
 
 def convert(
@@ -32,12 +33,11 @@ def convert(
     from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
     from homeward.frames import Pose
-    from homeward.studies.single_run import named_drive
 
     place = None if home is None else Pose(*three_numbers(home, "--home"))
     with progress(f"reading {source}") as tell:
         drive = open_drive(
-            named_drive(source),
+            source,
             robot=robot,
             home=place,
             home_noise=math.radians(home_noise_deg),
@@ -47,10 +47,10 @@ def convert(
         )
     with progress(f"writing {target}") as tell:
         kind = save_drive(drive, target, tell)
-    typer.echo(
+    say(
         f"{kind} {target}: {drive.odometry.t.size} twists, {drive.sightings.t.size} sightings, "
         f"{len(drive.home)} home bearings"
         + ("" if drive.truth is None else f", {drive.truth.t.size} true poses")
     )
     for remark in drive.remark_lines:
-        typer.echo(remark)
+        warn(remark)

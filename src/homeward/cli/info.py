@@ -9,32 +9,44 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from homeward.cli.options import progress
+from homeward.cli.terminal import say, table, warn
 
 if TYPE_CHECKING:
     from homeward.drives.ros.survey import Topic
 
-COLUMNS = ("topic", "type", "messages", "rate", "longest gap", "received after header")
+OF_LOGS = ("topic", "type", "messages", "rate", "longest gap", "received after header")
+OF_FOLDERS = ("file", "columns", "stamps", "rate", "longest gap", "")
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="A ROS bag, an MCAP file, or a drive folder.")],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="A ROS bag, an MCAP file, a drive folder, a folder of images, an MRCLAM folder, "
+            "or: sample."
+        ),
+    ],
     topics: Annotated[
         Path | None, typer.Option(help="A YAML file that says which topics hold what.")
     ] = None,
 ) -> None:
-    """List topics, types, rates, gaps and clocks of a log, and which topics would be used."""
+    """List topics, types, rates, gaps and clocks of a log, and which topics would be used.
+
+    Of a folder: its files, their rates, and what is missing.
+    """
     from homeward.drives.ros.info import log_info
 
     with progress(f"reading {log}") as tell:
         found = log_info(log, topics, tell)
-    messages = sum(topic.count for topic in found.topics)
-    typer.echo(f"{log}: {found.kind}, {len(found.topics)} topics, {messages} messages")
-    rows = [COLUMNS, *(_row(topic) for topic in found.topics)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
-    for row in rows:
-        typer.echo("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
+    if found.folder:
+        say(f"{log}: {found.kind}")
+    else:
+        messages = sum(topic.count for topic in found.topics)
+        say(f"{log}: {found.kind}, {len(found.topics)} topics, {messages} messages")
+    head = OF_FOLDERS if found.folder else OF_LOGS
+    table([head, *(_row(topic) for topic in found.topics)], left=len(head))
     for remark in found.remarks:
-        typer.echo(remark)
+        warn(remark)
     if found.settings:
         typer.echo("Used, as a topics file would say it:")
         typer.echo(found.settings.rstrip())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -16,33 +17,59 @@ from homeward.cli.render import render
 from homeward.cli.reproduce import reproduce
 from homeward.cli.run import run
 from homeward.cli.see import see
+from homeward.cli.settings import settings
 from homeward.cli.simulate import simulate
 from homeward.cli.study import study
+from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.cli.view import view
-from homeward.errors import HomewardError
+from homeward.errors import HomewardError, InputError
 
 
 class OneLineErrors(TyperGroup):
-    """Turns every error that a user can put right into one line and exit status 2."""
+    """Turns every error of ours, and Ctrl-C, into one line and an exit status."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
             return super().invoke(ctx)
         except HomewardError as error:
-            typer.echo(f"homeward: {' '.join(str(error).split())}", err=True)
-            raise typer.Exit(2) from None
+            refuse(str(error))
+            bad = isinstance(error, InputError)
+            raise typer.Exit(BAD_INPUT if bad else NO_ANSWER) from None
+        except KeyboardInterrupt:
+            refuse("stopped")
+            raise typer.Exit(INTERRUPTED) from None
 
 
 app = typer.Typer(
     cls=OneLineErrors,
     name="homeward",
-    help="Where is the robot, relative to a place it has seen before? From bearings alone.",
+    epilog=EXIT_STATUSES,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        import homeward
+
+        typer.echo(f"homeward {homeward.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show it and exit."),
+    ] = False,
+) -> None:
+    """Where is the robot, relative to a place it has seen before? From bearings alone."""
+
+
 COMMANDS = (
     run,
     view,
@@ -56,6 +83,9 @@ COMMANDS = (
     convert,
     compare,
     see,
+    settings,
 )
 for command in COMMANDS:
-    app.command()(command)
+    # Whole first paragraphs: what typer takes of itself ends in the middle of a sentence.
+    first = (inspect.getdoc(command) or "").partition("\n\n")[0]
+    app.command(short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)

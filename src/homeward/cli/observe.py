@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.terminal import say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,9 +52,6 @@ def observe(
     Of a number of landmarks, or of a drive. The folder gets observe.html, the drawing as PNG and
     SVG, and observe.yaml.
     """
-    from homeward.report.observe_page import SETTINGS_FILE
-    from homeward.report.output import check_output
-
     of_model = {
         "landmarks": landmarks,
         "compass": compass or None,
@@ -73,7 +71,6 @@ def observe(
         if value:
             there = "needs a drive" if drive is None else "is for a model, not for a drive"
             raise InputError(f"--{name} {there}")
-    check_output(out, SETTINGS_FILE)
     if drive is None:
         _of_model({k: v for k, v in of_model.items() if v is not None}, out)
     else:
@@ -82,23 +79,31 @@ def observe(
 
 def _of_model(given: dict[str, Any], out: Path) -> None:
     from homeward.observability.study import observe as observe_model
-    from homeward.report.observe_page import PAGE, model_summary, same_to, write_model_view
+    from homeward.report.observe_page import (
+        PAGE,
+        SETTINGS_FILE,
+        model_summary,
+        same_to,
+        write_model_view,
+    )
+    from homeward.report.output import check_output
 
     settings = {"landmarks": 2, **given}
     asked = {**settings, "unknown": tuple(settings.get("unknown", ()))}
     with progress("observing") as tell:
         view = observe_model(asked.pop("landmarks"), **cast(Any, asked))
+        check_output(out, SETTINGS_FILE)
         tell(0.5)
         write_model_view(out, view, settings)
-    typer.echo(model_summary(view))
-    typer.echo(_numbers(view))
+    say(model_summary(view))
+    say(_numbers(view))
     if view.family:
         members = sum(len(t.unknowns) - 1 for t in view.family)
-        typer.echo(
+        say(
             f"{members} other worlds drawn; in each all bearings are the same to"
             f" {same_to(view):.0e} rad."
         )
-    typer.echo(f"Page: {out / PAGE}")
+    say(f"Page: {out / PAGE}")
 
 
 def _numbers(view: ModelView) -> str:
@@ -121,25 +126,31 @@ def _numbers(view: ModelView) -> str:
 def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     from homeward.drives.opening import open_drive
     from homeward.frames import Pose
-    from homeward.report.observe_page import PAGE, drive_summary, write_drive_view
-    from homeward.studies.observing import WINDOW_S, observe_drive
-    from homeward.studies.single_run import named_drive
+    from homeward.report.observe_page import (
+        PAGE,
+        SETTINGS_FILE,
+        drive_summary,
+        write_drive_view,
+    )
+    from homeward.report.output import check_output
+    from homeward.studies.observing import WINDOW_S, check_window, observe_drive
 
     settings = {"drive": drive, "window": WINDOW_S, **given}
-    place = named_drive(drive)
     pose = None if "home" not in given else Pose(*three_numbers(given["home"], "--home"))
     noise = math.radians(settings["home-noise-deg"])
     with progress(f"reading {drive}") as tell:
         opened = open_drive(
-            place,
+            drive,
             robot=given.get("robot"),
             home=pose,
             home_noise=noise,
             topics=given.get("topics"),
             tell=tell,
         )
+    check_window(opened, settings["window"])
+    check_output(out, SETTINGS_FILE)
     with progress(f"observing {opened.name}") as tell:
         view: DriveView = observe_drive(opened, settings["window"], tell)
         write_drive_view(out, view, settings)
-    typer.echo(drive_summary(view))
-    typer.echo(f"Page: {out / PAGE}")
+    say(drive_summary(view))
+    say(f"Page: {out / PAGE}")

@@ -1,4 +1,4 @@
-"""What the commands share: values from text, and a progress bar."""
+"""What the commands share: values from text, where output goes, and a progress bar."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
+from homeward.cli.terminal import INTERRUPTED, refuse
 from homeward.errors import InputError
 
 Robot = Annotated[int | None, typer.Option(help="MRCLAM: which robot.")]
@@ -21,6 +22,14 @@ HomePose = Annotated[
 HomeNoise = Annotated[float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")]
 Topics = Annotated[
     Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Another value of a setting; repeatable. homeward settings lists them.",
+    ),
 ]
 Scheduler = Annotated[
     str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
@@ -50,6 +59,37 @@ def key_values(changes: list[str]) -> dict[str, Any]:
     return chosen
 
 
+def output_folder(chosen: Path | None, name: str, marker: str) -> Path:
+    """Return the folder to write, once inputs have proved good.
+
+    Parameters
+    ----------
+    chosen : Path, optional
+        By the user; None: out/NAME, or out/NAME-run where out/NAME holds something else, as the
+        drive itself.
+    name : str
+        Of the input.
+    marker : str
+        As in `homeward.report.output.check_output`.
+
+    Raises
+    ------
+    InputError
+        When it holds something other than earlier output.
+    """
+    from homeward.report.output import check_output
+
+    folder = chosen or Path("out") / name
+    try:
+        check_output(folder, marker)
+    except InputError:
+        if chosen is not None:
+            raise
+        folder = folder.with_name(f"{folder.name}-run")
+        check_output(folder, marker)
+    return folder
+
+
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     """Return three finite numbers written with commas between them.
 
@@ -67,20 +107,9 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     return a, b, c
 
 
-def print_table(rows: list[list[str]]) -> None:
-    """Print rows of text, the head first; all columns but the first two stand right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        cells = [
-            cell.ljust(width) if k < 2 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        typer.echo("  ".join(cells).rstrip())
-
-
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Let Ctrl-C and a kill end the block with one line and exit status 130."""
+    """Let Ctrl-C and a kill end the block, say that its work is kept, and exit with 130."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -89,11 +118,8 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo(
-            "homeward: stopped; finished blocks are kept, and the same command goes on from them",
-            err=True,
-        )
-        raise typer.Exit(130) from None
+        refuse("stopped; finished blocks are kept, and the same command goes on from them")
+        raise typer.Exit(INTERRUPTED) from None
     finally:
         signal.signal(signal.SIGTERM, before)
 

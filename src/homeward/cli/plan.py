@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from homeward.cli.options import progress
+from homeward.cli.terminal import say
 from homeward.errors import InputError
 
 
@@ -26,15 +27,17 @@ def plan(
     from homeward.report.plan_page import PAGE, SETTINGS_FILE, write_plan
     from homeward.report.plan_words import plan_summary
     from homeward.studies.planning.analysis import analyse
+    from homeward.studies.planning.floor import make_floor
     from homeward.studies.planning.settings import load_plan
 
     settings = load_plan(source)
+    try:
+        make_floor(settings)
+    except InputError as error:
+        raise InputError(error.what, Path(source)) from error
     check_output(out, SETTINGS_FILE)
     with progress(f"planning {settings.name}") as tell:
-        try:
-            view = analyse(settings, tell)
-        except InputError as error:
-            raise InputError(error.what, Path(source)) from error
+        view = analyse(settings, tell)
         write_plan(out, view)
-    typer.echo(plan_summary(view))
-    typer.echo(f"Page: {out / PAGE}")
+    say(plan_summary(view))
+    say(f"Page: {out / PAGE}")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.options import key_values, progress
+from homeward.cli.options import Changes, key_values, progress
+from homeward.cli.terminal import say
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
@@ -34,10 +35,7 @@ def render(
     points: Annotated[
         bool, typer.Option("--points", help="Write the exact point that each pixel shows, too.")
     ] = False,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="KEY=VALUE, as in camera.width=1024; repeatable."),
-    ] = None,
+    changes: Changes = None,
 ) -> None:
     """Render what a panoramic camera sees on a drive through a room.
 
@@ -56,17 +54,18 @@ def render(
 
     given = key_values(changes or []) | ({"estimator": estimator} if estimator else {})
     scenario = load_room(room, seed, given)
+    eye = Eye(scenario)
     check_output(out, SCENARIO)
     with progress(f"rendering {scenario.name}") as tell, whole_folder(out, SCENARIO) as scratch:
-        made = write_rendered(Eye(scenario), scratch, points, _maker(scenario), tell)
+        made = write_rendered(eye, scratch, points, _maker(scenario), tell)
     camera = made.eye.scenario.camera
     moved = moved_boxes(made.eye)
-    typer.echo(
+    say(
         f"{scenario.name}: {made.drive.span[1]:.1f} s, {made.images} images of "
         f"{camera.width}x{camera.height}, {len(moved)} boxes moved since home; ended "
         f"({made.ending.value}) {made.final_distance:.3f} m from home; written to {out}"
     )
-    typer.echo(describe_moved(moved))
+    say(describe_moved(moved))
 
 
 def _maker(scenario: RenderScenario) -> Callable[[Drive], Estimator] | None:

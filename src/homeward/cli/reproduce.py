@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,11 +12,15 @@ from homeward.cli.options import (
     Scheduler,
     Workers,
     key_values,
-    print_table,
     progress,
     resumable,
 )
+from homeward.cli.terminal import say
+from homeward.cli.terminal import table as print_rows
 from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.studies.paper.tables import Row
 
 IMAGE_RUNS = 3
 """Layouts per case when every sample must be rendered."""
@@ -54,10 +58,12 @@ def reproduce(
         list[str] | None,
         typer.Option(
             "--set",
-            help="KEY=VALUE, as in assumed.bearing_sigma=0.05, assumed.fault=[0.1,0.2], "
+            metavar="KEY=VALUE",
+            help="As in assumed.bearing_sigma=0.05, assumed.fault=[0.1,0.2], "
             "assumed.initial_error=[0,0,0], assumed.meaning_of_Q=state, "
             "assumed.meaning_of_R=deviation or assumed.stop_radius=0.02; repeatable. With --study "
-            "also varied, searched, robust: how many layouts these parts get.",
+            "also varied, searched, robust: how many layouts these parts get. "
+            "homeward settings reproduce lists all.",
         ),
     ] = None,
 ) -> None:
@@ -100,15 +106,18 @@ def _cases(out: Path, values: dict[str, Any]) -> None:
         result = run_cases(settings, tell)
         write_reproduction(out, result)
 
-    typer.echo(f"{'case':14} {'filter':11}       R  theta  alpha   printed: R  theta  alpha")
-    for row in rows(result):
-        ours = "{:8.4f} {:.4f} {:.4f}".format(*row.median)
-        printed = "     {:8.4f} {:.4f} {:.4f}".format(*row.printed) if row.printed else ""
-        typer.echo(f"{row.case:14} {row.filter:11}{ours}{printed}")
-    typer.echo(
+    head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
+    print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
+    say(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
         f"Page: {out / PAGE}"
     )
+
+
+def _cells(row: Row) -> list[str]:
+    """Return errors beside the printed ones, where there are any."""
+    printed = ["", "", ""] if row.printed is None else [f"{value:.4f}" for value in row.printed]
+    return [*(f"{value:.4f}" for value in row.median), *printed]
 
 
 def _study(
@@ -141,6 +150,6 @@ def _study(
         result = study_layouts(settings, store, where, tell)
         write_layouts(out, result)
     for table in (error_table, ratio_table, order_table, search_table):
-        print_table(table(result))
+        print_rows(table(result))
         typer.echo("")
-    typer.echo(f"{headline(result)}. Page: {out / PAGE}; every run: {out / DATA}")
+    say(f"{headline(result)}. Page: {out / PAGE}; every run: {out / DATA}")

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import HomePose, Robot, Topics, key_values, progress, three_numbers
+from homeward.cli.options import (
+    Changes,
+    HomePose,
+    Robot,
+    Topics,
+    key_values,
+    output_folder,
+    progress,
+    three_numbers,
+)
+from homeward.cli.terminal import no_answer, say, warn
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +32,9 @@ def run(
             "the run.yaml of an earlier run, or: sample."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out"),
+    out: Annotated[
+        Path | None, typer.Option(help="The folder to write [out/NAME OF THE DRIVE].")
+    ] = None,
     estimator: Annotated[
         str | None, typer.Option(help="robust (default), ekf, a-ekf, pi-ekf.")
     ] = None,
@@ -46,15 +58,13 @@ def run(
         str | None,
         typer.Option(help="ekf, a-ekf, pi-ekf: auto (default), interpreter or native."),
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="KEY=VALUE, a setting of the estimator; repeatable."),
-    ] = None,
+    changes: Changes = None,
 ) -> None:
     """Localise a robot along a drive, and write what came out.
 
     The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
-    report.html and run.yaml, from which the run repeats.
+    report.html and run.yaml, from which the run repeats. Where no pose was found, the exit status
+    is 1.
     """
     from homeward.drives.settings import nested
 
@@ -90,8 +100,9 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     given : dict
         What options say, by name; must be empty with a run.yaml.
     """
+    from homeward.drives.opening import SAMPLE
     from homeward.drives.settings import validated
-    from homeward.studies.single_run import SAMPLE, RunSettings, load_run
+    from homeward.studies.single_run import RunSettings, load_run
 
     file = Path(drive)
     if file.suffix in (".yaml", ".yml") and file.is_file():
@@ -104,16 +115,18 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     return validated(RunSettings, {"drive": drive, **given})
 
 
-def _run(settings: RunSettings, out: Path) -> None:
-    from homeward.report.output import check_output
+def _run(settings: RunSettings, out: Path | None) -> None:
     from homeward.report.run_folder import SETTINGS_FILE, write_run
-    from homeward.studies.single_run import execute
+    from homeward.studies.single_run import finish, prepare
 
-    check_output(out, SETTINGS_FILE)
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
-        drive, track, complete = execute(settings, tell)
-        summary = write_run(out, drive, track, complete.model_dump(mode="json"))
-    typer.echo(summary)
+        drive, estimator, complete = prepare(settings, tell)
+        folder = output_folder(out, drive.name, SETTINGS_FILE)
+        track = finish(drive, estimator, complete, tell)
+        summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
+    say(summary)
     for line in (*drive.remark_lines, *track.notes):
-        typer.echo(line)
-    typer.echo(f"Report: {out / 'report.html'}")
+        warn(line)
+    say(f"Report: {folder / 'report.html'}")
+    if not track.has_pose.any():
+        raise no_answer()

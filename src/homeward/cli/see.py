@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from homeward.cli.options import progress
+from homeward.cli.terminal import no_answer, say, warn
 
 
 def see(
@@ -20,7 +21,7 @@ def see(
 
     Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
     camera, the home image, and a mask, black where the robot itself is seen; drive.yaml and
-    truth.csv are handed on.
+    truth.csv are handed on. Where no landmark was found, the exit status is 1.
     """
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.errors import InputError
@@ -30,11 +31,12 @@ def see(
 
     if out.resolve() == folder.resolve():
         raise InputError("choose another output folder than that of the images", out)
-    check_output(out, ODOMETRY)
     with progress(f"looking at {folder}") as tell:
-        drive = see_folder(folder, tell)
+        drive = see_folder(folder, tell, lambda: check_output(out, ODOMETRY))
         write_folder(drive, out)
-    typer.echo(describe_sightings(drive))
+    say(describe_sightings(drive))
     for line in drive.remark_lines:
-        typer.echo(line)
-    typer.echo(f"Drive: {out}")
+        warn(line)
+    say(f"Drive: {out}")
+    if not drive.sightings.t.size:
+        raise no_answer()

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.options import key_values, progress
+from homeward.cli.options import Changes, key_values, progress
+from homeward.cli.terminal import say
 
 if TYPE_CHECKING:
-    from homeward.estimator import Estimator
-    from homeward.simulation.scenario import Scenario
     from homeward.simulation.simulate import Simulation
 
 
@@ -36,18 +35,17 @@ def simulate(
     estimator: Annotated[
         str | None, typer.Option(help="Whose pose steers: truth, robust, ekf, a-ekf, pi-ekf.")
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="KEY=VALUE, as in noise.bearing_sigma=0.01; repeatable."),
-    ] = None,
+    changes: Changes = None,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
 
     Beside the drive it writes scenario.yaml, which repeats the drive to the last bit, and
     world.csv, the truth about the landmarks.
     """
+    from homeward.registry import make_estimator
     from homeward.report.output import check_output, whole_folder
     from homeward.simulation.files import SCENARIO, load_scenario, write_simulation
+    from homeward.simulation.simulate import prepare
     from homeward.simulation.simulate import simulate as run_simulation
 
     options = {
@@ -57,22 +55,14 @@ def simulate(
     }
     given = {key: value for key, value in options.items() if value is not None}
     chosen = load_scenario(scenario, given | key_values(changes or []))
+    prepared = prepare(chosen)
+    steering = None if chosen.estimator == "truth" else make_estimator(chosen.estimator, prepared)
     check_output(out, SCENARIO)
     with progress(f"simulating {chosen.name}") as tell:
-        simulation = run_simulation(chosen, _estimator(chosen), tell)
+        simulation = run_simulation(chosen, steering, tell)
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
-    typer.echo(_summary(simulation, out))
-
-
-def _estimator(scenario: Scenario) -> Estimator | None:
-    """Return the estimator that steers, or None when the truth does."""
-    if scenario.estimator == "truth":
-        return None
-    from homeward.registry import make_estimator
-    from homeward.simulation.simulate import prepare
-
-    return make_estimator(scenario.estimator, prepare(scenario))
+    say(_summary(simulation, out))
 
 
 def _summary(simulation: Simulation, out: Path) -> str:

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Scheduler, Workers, print_table, progress, resumable
+from homeward.cli.options import Scheduler, Workers, progress, resumable
+from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.terminal import table as print_rows
 
 
 def study(
@@ -26,7 +28,8 @@ def study(
 
     The folder gets results.nc (netCDF: errors of every run, over time too), study.html, every
     figure as PNG, study.yaml, and the finished blocks; stopped, the same command goes on from
-    them. By default all processors of this machine work.
+    them. By default all processors of this machine work. Where every run failed, the exit status
+    is 1. Needs the extra scale.
     """
     from homeward.report.output import check_output
     from homeward.report.study_page import DATA, PAGE, headline, write_study
@@ -46,8 +49,10 @@ def study(
     with resumable(), progress(plan.study.name) as tell:
         results = run_study(plan, store, where, tell)
         write_study(folder, results)
-    print_table(table(results))
-    typer.echo(headline(results) + ".")
+    print_rows(table(results))
+    say(headline(results) + ".")
     for reason, number in failures(results).items():
-        typer.echo(f"  {number} failed: {reason}")
-    typer.echo(f"Page: {folder / PAGE}; results: {folder / DATA}")
+        warn(f"{number} failed: {reason}")
+    say(f"Page: {folder / PAGE}; results: {folder / DATA}")
+    if results.failed.all():
+        raise no_answer()

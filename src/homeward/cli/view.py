@@ -9,7 +9,8 @@ import typer
 
 from homeward.cli.options import progress
 from homeward.cli.run import run_settings
-from homeward.errors import InputError
+from homeward.cli.terminal import say, warn
+from homeward.errors import needs_extra
 
 
 def view(
@@ -30,24 +31,25 @@ def view(
     except ModuleNotFoundError as error:
         if error.name != "rerun":
             raise
-        raise InputError("the viewer is not installed: pip install 'homeward[view]'") from None
+        raise needs_extra("views of a run", "view") from None
     from homeward.drives.images import read_images
     from homeward.report.run_folder import SETTINGS_FILE, is_written_as
-    from homeward.studies.single_run import drive_path, execute
+    from homeward.studies.single_run import drive_path, finish, prepare
 
     written = (Path(run) / SETTINGS_FILE).is_file()
     settings = run_settings(str(Path(run) / SETTINGS_FILE) if written else run, {})
-    if rerun is None:
-        viewer.check_display()
-    else:
-        viewer.check_recording(rerun)
-    images = read_images(drive_path(settings), {})
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
-        drive, track, _ = execute(settings, tell)
+        drive, estimator, complete = prepare(settings, tell)
+        images = read_images(drive_path(settings), {})
+        if rerun is None:
+            viewer.check_display()
+        else:
+            viewer.check_recording(rerun)
+        track = finish(drive, estimator, complete, tell)
     if written and not is_written_as(Path(run), track):
-        typer.echo(f"The drive or homeward has changed since {run} was written; it shows anew.")
+        warn(f"The drive or homeward has changed since {run} was written; it shows anew.")
     if rerun is None:
         viewer.show(drive, track, images)
     else:
         viewer.write_recording(rerun, drive, track, images)
-        typer.echo(f"Recording: {rerun}")
+        say(f"Recording: {rerun}")

@@ -80,7 +80,7 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     return Drive(
         name=folder.resolve().name,
         odometry=read_odometry(folder / ODOMETRY, remarks),
-        sightings=_read_sightings(folder / BEARINGS, remarks),
+        sightings=read_sightings(folder / BEARINGS, remarks),
         home=read_home(folder / HOME, remarks),
         settings=read_drive_settings(folder / SETTINGS),
         truth=read_truth(folder / TRUTH, remarks),
@@ -172,7 +172,8 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     return Odometry(table["t"], table["v"], table["omega"])
 
 
-def _read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
+def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
+    """Read a bearings.csv (t, landmark, bearing[, sigma]); errors and remarks as `read_folder`."""
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
     table = read_csv(path, columns, {"sigma": numbers_or_nothing})
     table.require_order()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 from homeward.drives.drive import Drive
@@ -15,6 +16,9 @@ from homeward.drives.one_clock import on_one_clock
 from homeward.drives.ros.bag_folder import is_log
 from homeward.errors import InputError
 from homeward.frames import Pose
+
+SAMPLE = "sample"
+"""The word for the drive that ships inside the package."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ def open_drive(
     Parameters
     ----------
     path : path-like
-        A drive folder, a folder of images, an MRCLAM folder, a ROS bag or an MCAP file.
+        A drive folder, a folder of images, an MRCLAM folder, a ROS bag, an MCAP file or `SAMPLE`.
     robot, home, home_noise, seed
         As in `read_mrclam`; robot and home are needed there, and refused elsewhere.
     topics : path-like, optional
@@ -77,14 +81,44 @@ def open_drive(
     InputError
         When no reader knows it, its reader refuses it, or bearings and odometry do not overlap.
     """
-    place = Path(path)
-    if not place.exists():
-        raise InputError("no such file or folder", place)
+    place = located(path)
     named = None if topics is None else Path(topics)
     choices = Choices(robot, home, home_noise, seed, named, tell)
+    return on_one_clock(reader_of(place).read(place, choices), place)
+
+
+def located(path: str | os.PathLike[str]) -> Path:
+    """Return where a drive is: a path, or `SAMPLE` where nothing is called so.
+
+    Raises
+    ------
+    InputError
+        When there is nothing.
+    """
+    place = Path(path)
+    if place.exists():
+        return place
+    if str(path) == SAMPLE:
+        return sample_drive()
+    raise InputError("no such file or folder", place)
+
+
+def sample_drive() -> Path:
+    """Return the folder of the sample drive that ships inside the package."""
+    return Path(str(files("homeward").joinpath("data", SAMPLE)))
+
+
+def reader_of(place: Path) -> Reader:
+    """Return the reader that knows what is there.
+
+    Raises
+    ------
+    InputError
+        When none does.
+    """
     for reader in READERS:
         if reader.recognises(place):
-            return on_one_clock(reader.read(place, choices), place)
+            return reader
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
@@ -119,13 +153,14 @@ def _open_images(path: Path, choices: Choices) -> Drive:
     return see_folder(path, choices.tell)
 
 
-def _is_image_folder(path: Path) -> bool:
+def is_image_folder(path: Path) -> bool:
+    """Whether it has images, and no bearings yet."""
     # A drive folder may have images, too: its bearings are known already.
     return (path / IMAGES).exists() and not (path / BEARINGS).exists()
 
 
 READERS = (
-    Reader("a folder of images (images.csv)", _is_image_folder, _open_images),
+    Reader("a folder of images (images.csv)", is_image_folder, _open_images),
     Reader("an MRCLAM folder (Barcodes.dat)", is_mrclam, _open_mrclam),
     Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
     Reader("a log (a ROS bag or an MCAP file)", is_log, _open_log),

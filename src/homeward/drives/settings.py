@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
+from homeward.drives.complaints import complaint
 from homeward.drives.drive import Strict
-from homeward.drives.table import naming, quoted
+from homeward.drives.table import naming
 from homeward.errors import InputError
 
 Model = TypeVar("Model", bound=Strict)
@@ -68,10 +69,7 @@ def validated(model: type[Model], values: Any, file: Path | None = None) -> Mode
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = _key(first["loc"], values)
-        message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{quoted(key)}: {message}" if key else message, file) from error
+        raise InputError(complaint(error, model, values), file) from error
 
 
 def nested(values: dict[str, Any]) -> dict[str, Any]:
@@ -119,14 +117,3 @@ def _without_absent(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: v for k, v in value.items() if v not in ("", "null", "~")}
     return value
-
-
-def _key(location: tuple[int | str, ...], values: Any) -> str:
-    """Return a key in dots, without the tags of unions, which pydantic puts between the keys."""
-    parts = []
-    for i, part in enumerate(location):
-        if isinstance(values, dict) and part not in values and i < len(location) - 1:
-            continue
-        parts.append(str(part))
-        values = values.get(part) if isinstance(values, dict) else None
-    return ".".join(parts)

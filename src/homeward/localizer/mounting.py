@@ -16,8 +16,8 @@ from homeward.localizer.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
 DENIAL = (
-    "The camera does not sit at the robot's centre and look ahead, which nobody had told; "
-    "about right would be, in drive.yaml: sensor: {{x: {:.2f}, y: {:.2f}, yaw: {:.2f}}}."
+    "The bearings deny that the camera's {} would be 0, as it was taken to be since nobody told; "
+    "about right would be, under sensor in drive.yaml: {}."
 )
 LEAST_RAD, CENTRE_M = 1e-6, 1e-3
 """It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
@@ -60,7 +60,12 @@ class Mounting:
     def words(self, calibration: np.ndarray) -> tuple[str, ...]:
         """Return what the user must know of it, a calibration (7,) being the present one."""
         found = self.found(calibration)
-        return () if found is None else (DENIAL.format(*found),)
+        if found is None:
+            return ()
+        names = [part for part in ("x", "y", "yaw") if part not in self._said.model_fields_set]
+        values = {"x": found.x, "y": found.y, "yaw": found.heading}
+        right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
+        return (DENIAL.format(" or ".join(names), right),)
 
     def denies(self, now: Marginal) -> bool:
         """Return whether the map denies for the first time what was taken for granted.

@@ -17,7 +17,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
@@ -96,6 +96,17 @@ class DriveView:
     """The same of all bearings at once."""
 
 
+def check_window(drive: Drive, window: float) -> None:
+    """Raise InputError when nothing was seen, or windows are not positive or far too short."""
+    if not 0 < window < np.inf:
+        raise InputError(f"the window must be a positive number of seconds, not {window:g}")
+    if not drive.sightings.t.size:
+        raise InputError(f"{drive.name}: nothing was seen on it")
+    if (span := float(np.ptp(drive.sightings.t))) > window / OVERLAP * MOST_WINDOWS:
+        least = OVERLAP * span / MOST_WINDOWS
+        raise InputError(f"windows of {window:g} s are too many; of {least:.2g} s they are not")
+
+
 def observe_drive(
     drive: Drive, window: float = WINDOW_S, progress: Callable[[float], None] | None = None
 ) -> DriveView:
@@ -115,19 +126,14 @@ def observe_drive(
     Raises
     ------
     InputError
-        When the window is not positive or far too short, nothing was seen, or there is neither
-        truth nor a pose.
+        As `check_window`.
+    HomewardError
+        When there is neither truth nor a pose, or no landmark can be placed.
     """
-    if not 0 < window < np.inf:
-        raise InputError(f"the window must be a positive number of seconds, not {window:g}")
-    if not drive.sightings.t.size:
-        raise InputError(f"{drive.name}: nothing was seen on it")
+    check_window(drive, window)
     rows, poses, path_from = _path(drive)
     seen = _Seen(drive, rows, poses)
     step = window / OVERLAP
-    if seen.t[-1] / step > MOST_WINDOWS:
-        least = OVERLAP * seen.t[-1] / MOST_WINDOWS
-        raise InputError(f"windows of {window:g} s are too many; of {least:.2g} s they are not")
     begins = np.arange(0.0, max(seen.t[-1] - window + step, 1e-9), step)
     windows = []
     for k, begin in enumerate(begins):
@@ -161,7 +167,7 @@ def _path(drive: Drive) -> tuple[np.ndarray, Pose, str]:
     at = np.clip(np.searchsorted(track.t, t), 0, max(track.t.size - 1, 0))
     rows = np.flatnonzero(track.has_pose[at] & (track.t[at] == t))
     if not rows.size:
-        raise InputError(f"{drive.name}: no truth, and the robust localiser found no pose in it")
+        raise HomewardError(f"{drive.name}: no truth, and the robust localiser found no pose in it")
     at = at[rows]
     return rows, Pose(track.x[at], track.y[at], track.heading[at]), "the robust localiser, smoothed"
 
@@ -212,7 +218,7 @@ class _Seen:
                 off = abs(wrap(at_home.bearing - bearing(Pose(0.0, 0.0, 0.0), *found[0])))
             stored.append(off < MOVED)
         if not names:
-            raise InputError(f"{drive.name}: no landmark was seen well enough to be placed")
+            raise HomewardError(f"{drive.name}: no landmark was seen well enough to be placed")
         self.names, self.unplaced = tuple(names), tuple(unplaced)
         self.places, self.stored = np.array(places), np.array(stored, bool)
 

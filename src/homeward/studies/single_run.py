@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +11,10 @@ import numpy as np
 from pydantic import Field
 
 from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
-from homeward.drives.opening import open_drive
+from homeward.drives.folder import HOME
+from homeward.drives.opening import SAMPLE, open_drive, sample_drive
+from homeward.drives.ros.bag_folder import is_log
+from homeward.drives.ros.settings import NAME_HOME
 from homeward.drives.settings import read_tree, validated
 from homeward.engine.online import OnlineFilter
 from homeward.errors import InputError
@@ -24,8 +26,6 @@ from homeward.registry import DEFAULT, NEED_START, estimator_settings, make_esti
 from homeward.track import Track
 from homeward.track import run as follow
 
-SAMPLE = "sample"
-"""The word for the drive that ships inside the package."""
 TRUTH_SIGMA = 0.05
 """Of a start prior taken from the truth [m and rad]."""
 TRUTH_NOTE = "The start prior was taken from the truth: this run was told where it began."
@@ -96,18 +96,26 @@ def execute(
     Raises
     ------
     InputError
-        As `prepare`, and when an estimator cannot smooth.
+        As `prepare`.
     """
     drive, estimator, complete = prepare(run, progress)
-    notes = (TRUTH_NOTE,) if complete.start == "truth" else ()
-    if not run.smooth:
-        track = follow(drive, estimator, progress)
-    else:
-        settings = estimator_settings(run.estimator, run.settings)
-        if not isinstance(settings, LocalizerSettings):
-            raise InputError(f"{estimator.name} cannot smooth; the estimator robust can")
+    return drive, finish(drive, estimator, complete, progress), complete
+
+
+def finish(
+    drive: Drive,
+    estimator: Estimator,
+    run: RunSettings,
+    progress: Callable[[float], None] | None = None,
+) -> Track:
+    """Return the track of a run, its three parts as from `prepare`."""
+    notes = (TRUTH_NOTE,) if run.start == "truth" else ()
+    settings = estimator_settings(run.estimator, run.settings)
+    if run.smooth and isinstance(settings, LocalizerSettings):
         track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
-    return drive, replace(track, notes=(*track.notes, *notes)), complete
+    else:
+        track = follow(drive, estimator, progress)
+    return replace(track, notes=(*track.notes, *notes))
 
 
 def prepare(
@@ -127,9 +135,12 @@ def prepare(
     Raises
     ------
     InputError
-        When the drive cannot be read or saw nothing, or the settings do not fit.
+        When the drive cannot be read or saw nothing, the settings do not fit, or the estimator
+        cannot smooth.
     """
     settings = estimator_settings(run.estimator, run.settings)
+    if run.smooth and not isinstance(settings, LocalizerSettings):
+        raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
     drive = open_drive(
         drive_path(run),
         robot=run.robot,
@@ -142,7 +153,8 @@ def prepare(
     if not drive.sightings.t.size:
         raise InputError("no sightings of landmarks in it", Path(run.drive))
     if not drive.home:
-        raise InputError("nothing in it tells what the camera saw at home", Path(run.drive))
+        way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
+        raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
     start = run.start or _default_start(run.estimator, drive)
     if start is not None:
         told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
@@ -160,16 +172,6 @@ def prepare(
 def drive_path(run: RunSettings) -> Path:
     """Return where the drive of a run is."""
     return sample_drive() if run.drive == SAMPLE else Path(run.drive)
-
-
-def named_drive(name: str) -> Path:
-    """Return where a drive is that a user named: a path, or `SAMPLE` where no file is called so."""
-    return sample_drive() if name == SAMPLE and not Path(name).exists() else Path(name)
-
-
-def sample_drive() -> Path:
-    """Return the folder of the sample drive that ships inside the package."""
-    return Path(str(files("homeward").joinpath("data", SAMPLE)))
 
 
 def _default_start(estimator: str, drive: Drive) -> Literal["truth"] | None:

@@ -38,7 +38,9 @@ RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
 
 def see_folder(
-    path: str | os.PathLike[str], progress: Callable[[float], None] | None = None
+    path: str | os.PathLike[str],
+    progress: Callable[[float], None] | None = None,
+    ready: Callable[[], None] | None = None,
 ) -> SeenDrive:
     """Turn an image folder into a drive.
 
@@ -49,6 +51,8 @@ def see_folder(
         and perhaps images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
     progress : callable, optional
         Told the fraction done, in [0, 1].
+    ready : callable, optional
+        Called when everything but the images along the drive is read: looking at them takes long.
 
     Returns
     -------
@@ -80,6 +84,8 @@ def see_folder(
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
     _, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
+    if ready is not None:
+        ready()
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
     headings = dead_reckoning(odometry, images.t).heading
     glances, along = _look_at_all(front_end, images.files, headings, progress)

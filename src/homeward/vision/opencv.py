@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import cache
 from typing import Any
 
-from homeward.errors import InputError
+from homeward.errors import needs_extra
 
 KEPT = 256 << 20
 """So much freed memory may stay with the process [bytes]."""
@@ -28,7 +28,7 @@ def opencv() -> Any:
     try:
         import cv2
     except ImportError:
-        raise InputError("images need OpenCV: pip install 'homeward[vision]'") from None
+        raise needs_extra("images", "vision") from None
     _keep_memory()
     return cv2
 

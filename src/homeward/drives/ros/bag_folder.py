@@ -99,7 +99,9 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
     """Return a folder's files in order, and whether their messages are compressed."""
     file = path / METADATA
     if not file.is_file():
-        return _bare_files(path), False
+        if not (files := _bare_files(path)):
+            raise InputError("no ROS bag and no MCAP file in it", path)
+        return files, False
     told = _metadata(file)
     names, how = told.get("relative_file_paths"), told.get("compression_mode") or ""
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.drives.folder import is_drive_folder, read_folder
+from homeward.drives.folder import (
+    BEARINGS,
+    HOME,
+    ODOMETRY,
+    REQUIRED,
+    TRUTH,
+    is_drive_folder,
+    read_folder,
+    read_home,
+    read_odometry,
+    read_sightings,
+    read_truth,
+)
+from homeward.drives.images import IMAGES, read_images
+from homeward.drives.mrclam import is_mrclam
 from homeward.drives.one_clock import on_one_clock
+from homeward.drives.opening import is_image_folder, located, reader_of
 from homeward.drives.ros.bag_folder import open_log
 from homeward.drives.ros.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
-from homeward.drives.ros.settings import LogSettings
+from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.stamps import NANO
 from homeward.drives.ros.survey import Survey, Tell, Topic, survey
 from homeward.drives.ros.times import Clock
@@ -31,19 +46,22 @@ class LogInfo:
 
     kind: str
     topics: tuple[Topic, ...]
+    """Of a log; of a folder, its files as if they were topics."""
     settings: str
     """The topics file that says what is used without one: YAML; empty when there is none."""
     remarks: tuple[str, ...]
     """What serves for what, what is in the way, and what a reader counted, each a line."""
+    folder: bool = False
+    """Whether it is a folder of CSV files or images."""
 
 
 def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
-    """Look into a log, or a drive folder.
+    """Look into a log, or a folder that holds a drive.
 
     Parameters
     ----------
     path : Path
-        A ROS bag, an MCAP file, or a drive folder.
+        Whatever `homeward.drives.opening.open_drive` opens, or would, were it complete.
     topics : Path, optional
         A topics file to be tried.
     tell : callable, optional
@@ -54,11 +72,16 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     InputError
         When it is none of them, or damaged.
     """
-    if not path.exists():
-        raise InputError("no such file or folder", path)
-    if path.is_dir() and is_drive_folder(path):
-        drive = read_folder(path)
-        return LogInfo("drive folder", _streams(drive), "", tuple(_judged(drive, path)))
+    path = located(path)
+    reader_of(path)  # refuses what is nothing
+    if is_image_folder(path):
+        needed = (IMAGES, ODOMETRY)
+        return LogInfo("folder of images", *_files(path, needed), folder=True)
+    if is_mrclam(path):
+        way = "homeward run reads it, given --robot N and --home X,Y,HEADING."
+        return LogInfo("MRCLAM folder", (), "", (way,), folder=True)
+    if is_drive_folder(path):
+        return LogInfo("drive folder", *_files(path, REQUIRED), folder=True)
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
     known = survey(log, tell=tell)
@@ -71,17 +94,38 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     return LogInfo(log.kind, known.topics, settings_yaml(plan), remarks)
 
 
-def _streams(drive: Drive) -> tuple[Topic, ...]:
-    """Return the files of a drive folder as if they were topics."""
-    files = [
-        ("odometry.csv", "t,v,omega", drive.odometry.t),
-        ("bearings.csv", "t,landmark,bearing", np.unique(drive.sightings.t)),
-    ]
-    if drive.truth is not None:
-        files.append(("truth.csv", "t,x,y,heading", drive.truth.t))
-    return tuple(
-        Topic(name, columns, np.rint(t * NANO).astype(np.int64), None) for name, columns, t in files
+_Remarks = dict[str, int]
+_TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
+    ODOMETRY: ("t,v,omega", lambda file, told: read_odometry(file, told).t),
+    BEARINGS: ("t,landmark,bearing", lambda file, told: np.unique(read_sightings(file, told).t)),
+    IMAGES: ("t,file", lambda file, told: read_images(file.parent, told).t),
+    TRUTH: ("t,x,y,heading", lambda file, told: _true_times(file, told)),
+}
+"""Files with times: their columns, and what reads the times [s]."""
+
+
+def _true_times(file: Path, told: _Remarks) -> np.ndarray:
+    truth = read_truth(file, told)
+    return np.empty(0) if truth is None else truth.t
+
+
+def _files(path: Path, needed: tuple[str, ...]) -> tuple[tuple[Topic, ...], str, tuple[str, ...]]:
+    """Return the files of a folder as if they were topics, no settings, and remarks."""
+    told: _Remarks = {}
+    topics = tuple(
+        Topic(name, columns, np.rint(times(path / name, told) * NANO).astype(np.int64), None)
+        for name, (columns, times) in _TIMED.items()
+        if (path / name).exists()
     )
+    remarks = []
+    if (path / HOME).exists():
+        remarks.append(f"{HOME}: {len(read_home(path / HOME, told))} landmarks seen at home.")
+    if missing := [name for name in needed if not (path / name).exists()]:
+        remarks += [f"{number:,} {reason}" for reason, number in told.items()]
+        remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
+    elif needed == REQUIRED:
+        remarks += _judged(read_folder(path), path)
+    return topics, "", tuple(remarks)
 
 
 def _judged(drive: Drive, path: Path) -> Iterator[str]:
@@ -109,10 +153,7 @@ def _missing(plan: LogSettings) -> Iterator[str]:
     if not plan.bearings:
         yield "No topic tells bearings."
     if plan.home is None:
-        yield (
-            "Nothing tells what the camera saw at home: name it under home in a topics file "
-            "(csv, topic, or during: [from, until])."
-        )
+        yield f"Nothing tells what the camera saw at home: {NAME_HOME}."
 
 
 def _candidates(known: Survey) -> Iterator[str]:

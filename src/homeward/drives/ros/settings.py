@@ -44,6 +44,10 @@ class BearingsTopic(Strict):
     """Standard deviation of a bearing that has none of its own [rad]."""
 
 
+NAME_HOME = "name it under home in a topics file (csv, topic, or during: [from, until])"
+"""The way out where nothing in a log tells what the camera saw at home."""
+
+
 class HomeFrom(Strict):
     """Where the home bearings are: one of these."""
 

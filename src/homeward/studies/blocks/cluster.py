@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, needs_extra
 from homeward.studies.blocks.store import Arrays, our_version
 
 Argument = TypeVar("Argument")
@@ -48,7 +48,7 @@ def on_cluster(
     try:
         distributed: Any = import_module("distributed")
     except ImportError:
-        raise InputError("Dask is not installed: pip install 'homeward[scale]'") from None
+        raise needs_extra("Dask workers", "scale") from None
     with ExitStack() as stack:
         client = _connect(distributed, stack, scheduler, workers)
         token = uuid4().hex[:8]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.errors import InputError
+from homeward.errors import InputError, needs_extra
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import BlockStore, our_version
 from homeward.studies.study.plan import Plan, block_name
@@ -46,7 +46,7 @@ def require_scale() -> None:
         try:
             import_module(package)
         except ImportError:
-            raise InputError(f"{package} is not installed: pip install 'homeward[scale]'") from None
+            raise needs_extra("studies", "scale") from None
 
 
 def open_study(plan: Plan, folder: Path) -> BlockStore:
