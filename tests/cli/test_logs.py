@@ -1,5 +1,6 @@
 """`homeward info` and `homeward convert` as a user would call them."""
 
+import re
 import shutil
 
 import pytest
@@ -53,6 +54,45 @@ def test_info_of_a_drive_folder(tmp_path):
     assert "neither" in refused(call("info", tmp_path / "notes.txt"))
 
 
+def test_info_of_an_unfinished_drive_folder_says_what_is_there_and_what_is_missing(tmp_path):
+    shutil.copy(sample_drive() / "odometry.csv", tmp_path)
+    result = call("info", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert f"{tmp_path}: drive folder" in result.stdout
+    assert re.search(r"odometry.csv +t,v,omega +3604 +20.0 Hz", result.stdout)
+    assert "refuses it: there is no bearings.csv, no home.csv." in result.stdout
+
+
+def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
+    shutil.copy(sample_drive() / "odometry.csv", tmp_path / "wheels.csv")
+    assert "neither" in refused(call("info", tmp_path))
+
+
+def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
+    images, mrclam = tmp_path / "images", tmp_path / "mrclam"
+    shutil.copytree(sample_drive(), images)
+    (images / "bearings.csv").unlink()
+    (images / "images.csv").write_text("t,file\n0.5,a.png\n1.0,a.png\n")
+    (images / "a.png").touch()
+    told = call("info", images).stdout
+    assert "folder of images" in told
+    assert re.search(r"images.csv +t,file +2 +2.0 Hz", told)
+    mrclam.mkdir()
+    (mrclam / "Barcodes.dat").touch()
+    assert "--robot N and --home X,Y,HEADING" in call("info", mrclam).stdout
+
+
+def test_a_log_without_home_names_the_way_out(tmp_path):
+    folder = tmp_path / "drive"
+    shutil.copytree(sample_drive(), folder)
+    (folder / "home.csv").write_text("landmark,bearing\n")
+    log = tmp_path / "homeless.mcap"
+    assert call("convert", folder, log).exit_code == 0
+    line = refused(call("run", log, "--out", tmp_path / "out"))
+    assert "name it under home in a topics file" in line
+    assert "home.csv has no rows" in refused(call("run", folder, "--out", tmp_path / "out"))
+
+
 def test_info_says_why_a_drive_would_be_refused(tmp_path):
     """In the words with which it is; what is there, is told all the same."""
     folder = tmp_path / "drive"
@@ -68,7 +108,7 @@ def test_info_says_why_a_drive_would_be_refused(tmp_path):
     *_, last = told.stdout.splitlines()
     words = refused(call("run", folder, "--out", tmp_path / "out"))
     assert "the first of the bearings is 4,8" in words
-    assert last == f"homeward run refuses it: {words.partition('drive: ')[2]}."
+    assert last == f"Note: homeward run refuses it: {words.partition('drive: ')[2]}."
 
 
 def test_info_says_that_most_bearings_are_beyond_the_odometry(tmp_path):

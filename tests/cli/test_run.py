@@ -77,7 +77,7 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
     assert result.exit_code == 0, result.output
     (line,) = [row for row in result.stdout.splitlines() if "in degrees?" in row]
     beyond = sum(abs(float(cells[2])) > math.tau for cells in degrees)
-    assert line.startswith(f"{beyond} bearings beyond a full turn")
+    assert line.startswith(f"Note: {beyond} bearings beyond a full turn")
 
 
 @pytest.mark.parametrize("command", ["run", "info", "convert"])

@@ -65,4 +65,4 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.delitem(sys.modules, "homeward.report.viewer", raising=False)
     monkeypatch.delattr("homeward.report.viewer", raising=False)
-    assert "pip install 'homeward[view]'" in refused(call("view", "sample"))
+    assert "pip install -c constraints.txt -e '.[view]'" in refused(call("view", "sample"))

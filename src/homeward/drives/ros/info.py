@@ -75,13 +75,12 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     path = located(path)
     reader_of(path)  # refuses what is nothing
     if is_image_folder(path):
-        needed = (IMAGES, ODOMETRY)
-        return LogInfo("folder of images", *_files(path, needed), folder=True)
+        return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
     if is_mrclam(path):
         way = "homeward run reads it, given --robot N and --home X,Y,HEADING."
         return LogInfo("MRCLAM folder", (), "", (way,), folder=True)
     if is_drive_folder(path):
-        return LogInfo("drive folder", *_files(path, REQUIRED), folder=True)
+        return _folder_info("drive folder", path, REQUIRED)
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
     known = survey(log, tell=tell)
@@ -109,23 +108,23 @@ def _true_times(file: Path, told: _Remarks) -> np.ndarray:
     return np.empty(0) if truth is None else truth.t
 
 
-def _files(path: Path, needed: tuple[str, ...]) -> tuple[tuple[Topic, ...], str, tuple[str, ...]]:
-    """Return the files of a folder as if they were topics, no settings, and remarks."""
+def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
+    """Return what is in a folder, complete or not."""
     told: _Remarks = {}
     topics = tuple(
         Topic(name, columns, np.rint(times(path / name, told) * NANO).astype(np.int64), None)
         for name, (columns, times) in _TIMED.items()
         if (path / name).exists()
     )
-    remarks = []
     if (path / HOME).exists():
-        remarks.append(f"{HOME}: {len(read_home(path / HOME, told))} landmarks seen at home.")
+        kind += f", {len(read_home(path / HOME, told))} landmarks seen at home"
+    remarks: list[str] = []
     if missing := [name for name in needed if not (path / name).exists()]:
         remarks += [f"{number:,} {reason}" for reason, number in told.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
     elif needed == REQUIRED:
         remarks += _judged(read_folder(path), path)
-    return topics, "", tuple(remarks)
+    return LogInfo(kind, topics, "", tuple(remarks), folder=True)
 
 
 def _judged(drive: Drive, path: Path) -> Iterator[str]:
