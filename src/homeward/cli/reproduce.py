@@ -59,11 +59,9 @@ def reproduce(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="As in assumed.bearing_sigma=0.05, assumed.fault=[0.1,0.2], "
-            "assumed.initial_error=[0,0,0], assumed.meaning_of_Q=state, "
-            "assumed.meaning_of_R=deviation or assumed.stop_radius=0.02; repeatable. With --study "
-            "also varied, searched, robust: how many layouts these parts get. "
-            "homeward settings reproduce lists all.",
+            help="Another value of a setting, as in assumed.fault=[0.1,0.2]; repeatable. "
+            "homeward settings reproduce lists them; with --study there are also varied, searched "
+            "and robust: how many layouts these parts get.",
         ),
     ] = None,
 ) -> None:

@@ -1,0 +1,282 @@
+"""What a new user types first: help, versions, defaults, exit statuses, and mistakes."""
+
+import os
+import pty
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import homeward
+from homeward.cli.main import COMMANDS, app
+from homeward.cli.settings import _models
+from homeward.drives.keys import ANY, keys
+from homeward.drives.opening import sample_drive
+from homeward.drives.settings import nested, validated
+from homeward.errors import InputError, needs_extra
+from homeward.registry import ESTIMATORS
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = [command.__name__ for command in COMMANDS]
+
+
+def call(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def refused(result):
+    assert result.exit_code == 2, result.output
+    (line,) = result.stderr.strip().splitlines()
+    return line
+
+
+def program(*words, **options):
+    return subprocess.Popen([sys.executable, "-m", "homeward", *map(str, words)], **options)
+
+
+def on_terminal(width, *words):
+    """What a command shows on a terminal so wide."""
+    ours, theirs = pty.openpty()
+    given = {**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
+    with program(*words, stdout=theirs, stderr=subprocess.DEVNULL, env=given) as running:
+        os.close(theirs)
+        shown = b""
+        try:
+            while piece := os.read(ours, 65536):
+                shown += piece
+        except OSError:  # the other end is closed
+            pass
+        running.wait(60)
+    os.close(ours)
+    return shown.decode()
+
+
+@pytest.fixture
+def short(tmp_path):
+    """The first five seconds of the sample drive, and the folder in which commands run."""
+    folder = tmp_path / "short"
+    shutil.copytree(sample_drive(), folder)
+    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
+        head, *rows = (folder / name).read_text().splitlines()
+        kept = [row for row in rows if float(row.split(",")[0]) <= 5.0]
+        (folder / name).write_text("\n".join([head, *kept]) + "\n")
+    return folder
+
+
+def test_the_version_is_said_in_every_way():
+    (said,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert homeward.__version__ == said
+    assert call("--version").stdout == f"homeward {said}\n"
+    told = subprocess.run(
+        [sys.executable, "-m", "homeward", "--version"], capture_output=True, text=True, check=True
+    )
+    assert told.stdout == f"homeward {said}\n"
+    assert f"version: {said}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_what_can_be_imported_is_listed_and_there():
+    assert {"open_drive", "run", "make_estimator", "score", "__version__"} <= set(dir(homeward))
+    assert all(getattr(homeward, name) is not None for name in dir(homeward))
+
+
+def test_the_sample_is_opened_from_python_by_its_name(tmp_path, monkeypatch):
+    assert homeward.open_drive("sample").sightings.t.size > 1000
+    monkeypatch.chdir(tmp_path)
+    Path("sample").mkdir()
+    with pytest.raises(InputError, match="neither"):
+        homeward.open_drive("sample")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_has_help_that_says_the_exit_statuses(name):
+    assert call(name, "-h").stdout == call(name, "--help").stdout
+    assert "1 no answer" in " ".join(call(name, "-h").stdout.split())
+    assert "130 interrupted" in " ".join(call("-h").stdout.split())
+
+
+@pytest.mark.parametrize("width", [50, 80])
+def test_help_is_wrapped_at_words_and_never_cut(width):
+    for words in ([], *([name] for name in NAMES)):
+        shown = on_terminal(width, *words, "--help")
+        assert all(len(line.rstrip()) <= width for line in shown.splitlines()), words
+        assert "..." not in shown.replace("[ARGS]...", "").replace("--set ...", "")
+
+
+@pytest.mark.parametrize("width", [32, 50, 80])
+def test_what_a_run_says_is_wrapped_at_words_and_notes_stand_out(short, width, tmp_path):
+    (short / "drive.yaml").write_text("sensor: {x: 0.2}\n")
+    shown = on_terminal(width, "run", short, "--estimator", "ekf", "--out", tmp_path / "o")
+    assert "\x1b[33m\x1b[1mNote: " in shown
+    plain = re.sub(r"\x1b\[\d*m", "", shown)
+    assert "which bends every bearing." in " ".join(plain.split())
+    assert all(len(line) <= width or " " not in line.strip() for line in plain.splitlines())
+
+
+def test_a_table_too_wide_for_the_terminal_becomes_a_list(short):
+    assert re.search(r"odometry.csv +t,v,omega +101", on_terminal(90, "info", short))
+    shown = on_terminal(40, "info", short)
+    assert "odometry.csv: columns t,v,omega, stamps" in shown
+    assert all(len(line) <= 40 or " " not in line.strip() for line in shown.splitlines())
+
+
+def test_shell_completion_can_be_shown():
+    told = CliRunner().invoke(app, ["--show-completion"], env={"SHELL": "/bin/bash"})
+    assert "complete" in told.output
+
+
+def test_without_out_a_run_goes_where_its_drive_is_named(short, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("out", "demo").mkdir(parents=True)  # as after make demo
+    assert "Report: out/short/report.html" in call("run", short).stdout
+    assert "Report: out/short/report.html" in call("run", "short").stdout
+    shutil.copytree(short, Path("out", "drive"))
+    assert "Report: out/drive-run/report.html" in call("run", "out/drive").stdout
+    assert not Path("out", "drive", "run.yaml").exists()
+
+
+BAD_INPUTS = [
+    (["run", "nowhere"], "no such file"),
+    (["run", "bad"], "bearings.csv, row 3"),
+    (["run", "sample", "--set", "windwo=3"], "did you mean window?"),
+    (["run", "sample", "--estimator", "ekf", "--smooth"], "cannot smooth"),
+    (["simulate", "nowhere"], "presets"),
+    (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
+    (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),
+    (["render", "study", "--set", "furnish.boxes=100"], "boxes"),
+    (["reproduce", "--set", "runs=0"], "runs"),
+    (["study", "nowhere"], "nowhere"),
+    (["observe", "--landmarks", "0"], "landmarks"),
+    (["observe", "bad"], "bearings.csv, row 3"),
+    (["observe", "sample", "--window", "0"], "window"),
+    (["plan", "nowhere"], "plans"),
+    (["plan", "off.yaml"], "outside the outline"),
+    (["compare", "a.png", "b.png"], "a.png"),
+    (["see", "short"], "images.csv"),
+    (["convert", "bad", "--"], "bearings.csv, row 3"),
+]
+
+
+@pytest.mark.parametrize(("words", "fragment"), BAD_INPUTS, ids=lambda v: " ".join(v))
+def test_inputs_are_checked_before_outputs(short, tmp_path, monkeypatch, words, fragment):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(short, "bad")
+    rows = Path("bad", "bearings.csv").read_text().splitlines()
+    rows[2] = "0.1,L01,north"
+    Path("bad", "bearings.csv").write_text("\n".join(rows))
+    plan = {"outline": [[0, 0], [4, 0], [4, 4], [0, 4]], "landmarks": {"a": [9, 9]}}
+    Path("off.yaml").write_text(yaml.safe_dump({**plan, "home": {"x": 1, "y": 1}}))
+    Path("full").mkdir()
+    Path("full", "thesis.tex").write_text("irreplaceable")
+    out = ["full"] if words[0] == "convert" else ["--out", "full"]
+    assert fragment in refused(call(*words, *out))
+    assert [file.name for file in Path("full").iterdir()] == ["thesis.tex"]
+
+
+def test_no_pose_is_no_answer(short, tmp_path):
+    (short / "home.csv").write_text("landmark,bearing\nelsewhere,0.3\n")
+    (short / "drive.yaml").unlink()
+    result = call("run", short, "--out", tmp_path / "out")
+    assert "No pose was found" in result.stdout
+    assert result.exit_code == 1
+    (short / "truth.csv").unlink()
+    result = call("observe", short, "--out", tmp_path / "o")
+    assert "found no pose" in result.stderr
+    assert result.exit_code == 1
+
+
+def test_a_study_whose_every_run_fails_is_no_answer(tmp_path):
+    study = {"runs": 1, "scenario": "warehouse", "loop": "open", "estimators": ["ekf"]}
+    study["set"] = {"start.prior": False, "trajectory.duration": 2.0}
+    (tmp_path / "failing.yaml").write_text(yaml.safe_dump(study))
+    result = call("study", tmp_path / "failing.yaml", "--out", tmp_path / "out")
+    assert "1 failed" in result.stdout, result.output
+    assert result.exit_code == 1
+
+
+@pytest.mark.parametrize("when", [0.05, 1.5])
+def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
+    words = ["simulate", "circle", "--set", "trajectory.duration=100000", "--out", tmp_path / "x"]
+    with program(*words, stderr=subprocess.PIPE, text=True) as running:
+        time.sleep(when)
+        # While Python itself starts, before a line of ours runs, its own word is a traceback.
+        while not Path(f"/proc/{running.pid}/maps").read_text().count("pydantic_core"):
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        said = running.stderr.read()
+        assert running.wait(60) == 130, said
+    assert said in ("homeward: stopped\n", "")  # typer says nothing while it reads the words
+
+
+def test_what_an_extra_needs_is_said_with_a_way_that_works():
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = pyproject["project"]["optional-dependencies"]
+    sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
+    named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
+    assert named == {"vision", "view", "scale"} <= set(extras)
+    line = str(needs_extra("images", "vision"))
+    assert "pip install -c constraints.txt -e '.[vision]'" in line
+    assert (ROOT / "constraints.txt").is_file()
+    everything = sources + "\n".join(file.read_text() for file in ROOT.glob("*.md"))
+    everything += "\n".join(file.read_text() for file in (ROOT / "docs").glob("*.md"))
+    assert "pip install 'homeward[" not in everything  # nothing is published under that name
+
+
+def test_settings_are_listed_for_all_that_has_any():
+    assert all(f"homeward settings {name}" in call("settings").stdout for name in _models())
+    for name, (_, model) in _models().items():
+        told = call("settings", name).stdout
+        assert all(f"{key.name}=" in told for key in keys(model))
+    assert "window=40  # Keyframes" in call("settings", "robust").stdout
+    assert "there are robust" in refused(call("settings", "kalman"))
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_default_that_is_listed_can_be_set(name):
+    model = ESTIMATORS[name][0]
+    listed = {key.name: yaml.safe_load(key.default) for key in keys(model) if ANY not in key.name}
+    assert validated(model, nested(listed)) == model()
+
+
+def test_listed_defaults_are_those_of_the_model_that_holds_them():
+    told = {key.name: key.default for key in keys(_models()["render"][1])}
+    assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
+    assert told["boxes.*.at"] == "needed"
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("run sample --set windwo=3", "windwo: there is no such key; did you mean window?"),
+        ("run sample --set odometry.distnce=1", "did you mean odometry.distance?"),
+        ("run sample --set window=3", "window: must be at least 5, not 3"),
+        ("run sample --set window=wide", "window: must be a whole number, not wide"),
+        ("run sample --set window=[1]", "window: must be a whole number"),
+        ("run sample --set odometry=3", "odometry: must be keys and values, not 3"),
+        ("run sample --set moved_prior=1", "moved_prior: must be less than 1, not 1"),
+        ("run sample --set gate=.nan", "gate: must be finite, not nan"),
+        ("run sample --estimator ekf --set integration=rk5", "must be rk4 or euler, not rk5"),
+        ("run sample --estimator pi-ekf --set proportional=x", "must be a number or a list, not x"),
+        ("run sample --estimator pi-ekf --set proportional=[[1,x]]", "proportional.0.1: must be"),
+        ("run sample --seed -1", "seed: must be at least 0, not -1"),
+        ("simulate circle --set probability=1", "did you mean visibility.probability?"),
+        ("simulate circle --set trajectory.kind=spiral", "kind must be one of homing, circle"),
+        ("simulate circle --set visibility.range=[1]", "visibility.range.1: is needed"),
+        ("simulate circle --set visibility.range=[1,2,3]", "takes 2 values or fewer"),
+        ("simulate circle --set visibility.occlusion=perhaps", "must be true or false"),
+        ("render study --set camera.widht=64", "did you mean camera.width?"),
+        ("reproduce --set assumed.falt=[0.1,0.2]", "did you mean assumed.fault?"),
+        ("reproduce --set colour=red", "homeward settings lists those that there are"),
+    ],
+)
+def test_mistakes_in_settings_are_told_in_plain_words(words, complaint, tmp_path):
+    line = refused(call(*words.split(), "--out", tmp_path / "out"))
+    assert complaint in line
+    assert not re.search(r"[Ii]nput|[Ff]ield|permitted|valid |Value error", line)
