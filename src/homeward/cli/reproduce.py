@@ -59,7 +59,7 @@ def reproduce(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="Another value of a setting, as in assumed.fault=[0.1,0.2]; repeatable. "
+            help="Another value of a setting; repeatable. "
             "homeward settings reproduce lists them; with --study there are also varied, searched "
             "and robust: how many layouts these parts get.",
         ),
