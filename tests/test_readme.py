@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,3 +42,14 @@ def test_links_and_pictures_exist():
 def test_make_targets_exist(target):
     assert f"make {target}" in README
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_each_python_has_an_environment_of_its_own():
+    said = [
+        subprocess.run(
+            ["make", "-n", "plan", *chosen], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout
+        for chosen in ([], [f"PYTHON={sys.executable}"])
+    ]
+    assert ".venv/bin/homeward plan" in said[0]
+    assert f".venv-{sys.version_info[0]}.{sys.version_info[1]}/bin/homeward plan" in said[1]
