@@ -10,7 +10,6 @@ from rig import BEARING_SIGMA, Rig, another_room, ring
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.localizer.elsewhere import Elsewhere
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.reasons import REPLACED
@@ -126,18 +125,3 @@ def test_what_was_stored_is_told_by_the_yaw_that_was_found():
     assert rig.localizer.mount.heading == pytest.approx(0.3, abs=0.02)
     for m in rig.localizer.landmarks():
         assert m.home_bearing_stored == pytest.approx(m.home_bearing_estimated, abs=0.05)
-
-
-def test_a_map_that_is_begun_anew_is_not_elsewhere():
-    rig, elsewhere = Rig(ring(8)), Elsewhere()
-    rig.drive(20)
-    mapper = rig.localizer.mapper
-    innovations = list(rig.answers[-1][0].innovations)
-    elsewhere.look(rig.t, list(rig.landmarks), innovations, mapper)
-    elsewhere.look(rig.t, list(rig.landmarks), innovations, mapper)
-    others = [f"other {i}" for i in range(6)]
-    elsewhere.look(rig.t, others, [], mapper)
-    assert elsewhere.doubted
-    mapper._begin_anew(rig.t)
-    elsewhere.look(rig.t, others, [], mapper)
-    assert not elsewhere.doubted

@@ -248,9 +248,9 @@ def test_a_home_that_may_be_anywhere_judges_no_landmark():
     rig = Rig(ring(8), faults={"L1": 0.5})
     rig.drive(40)
     assert [m.landmark for m in rig.localizer.landmarks() if m.moved] == ["L1"]
-    hypotheses = rig.localizer._hypotheses
+    hypotheses = rig.localizer.chart.hypotheses
     vague = dataclasses.replace(hypotheses.best, information=1e-3 * np.eye(3), known_doubt=None)
-    rig.localizer._hypotheses = Hypotheses((vague,), np.ones(1))
+    rig.localizer.chart.hypotheses = Hypotheses((vague,), np.ones(1))
     assert all(m.moved is None for m in rig.localizer.landmarks())
 
 

@@ -11,7 +11,10 @@ from heapq import nlargest
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.carried import FEWEST as FEWEST_CARRIED
+from homeward.localizer.carried import Displaced, carried_at
 from homeward.localizer.glimpses import Glimpse, glimpse
+from homeward.localizer.marginal import Marginal
 from homeward.localizer.sightings import (
     BEARING,
     KEYFRAME,
@@ -53,7 +56,11 @@ class Landmark:
     """In the window."""
     sightings: int = 0
     entered: int = 0
-    """Keyframe at which it entered the map."""
+    """Keyframe at which it entered the map ..."""
+    first: int = 0
+    """... from which it was first seen ..."""
+    last: int = 0
+    """... and from which it was last seen where it stands."""
     refused: int = 0
     """By how many more sightings of late did not fit than, counted twice, did."""
     lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -128,6 +135,7 @@ class Landmarks:
                 self._waiting.setdefault(name, Waiting(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
+                landmark.last = window.newest
                 if not landmark.refused:
                     self._waiting.pop(name, None)
         window.add_sightings(rows[rows[:, LANDMARK] >= 0])
@@ -189,7 +197,8 @@ class Landmarks:
         rows = rows[agree]
         rows[:, LANDMARK] = number = window.add_landmark(position)
         window.add_sightings(rows)
-        self.mapped[name] = Landmark(name, number, entered=window.newest)
+        first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
+        self.mapped[name] = Landmark(name, number, 0, window.newest, first, last)
         for line in directions(rows, window.poses_of(rows), window.calibration).tolist():
             self.mapped[name].seen_along(line)
         return True
@@ -255,6 +264,40 @@ class Landmarks:
                 self._drop(window, name)
                 started = True
         return started
+
+    def carried_at(self, marginal: Marginal) -> int | None:
+        """Return the keyframe after which the robot was carried, by landmarks that seem to move.
+
+        None where it was not; see `carried`.
+        """
+        pairs = [(was, self.mapped[n]) for n, was in self.former.items() if n in self.mapped]
+        if len(pairs) < FEWEST_CARRIED:
+            return None
+        (before, spread), (now, more) = (
+            marginal.places(np.array([pair[side].number for pair in pairs])) for side in (0, 1)
+        )
+        displaced = Displaced(
+            before,
+            now,
+            np.linalg.eigvalsh(spread + more)[:, -1],
+            np.array([was.last for was, _ in pairs]),
+            np.array([is_.first for _, is_ in pairs]),
+        )
+        stayed = [m for n, m in self.mapped.items() if n not in self.former]
+        return carried_at(
+            displaced, np.array([m.first for m in stayed]), np.array([m.last for m in stayed])
+        )
+
+    def go_back(self, window: Window, keyframe: int) -> None:
+        """Drop what entered after a keyframe; what is said to have moved since did not."""
+        for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
+            self._drop(window, name)
+        for name in [n for n in self.former if n not in self.mapped]:
+            self.mapped[name] = self.former.pop(name)
+            self.mapped[name].refused = 0
+            del self.moved_at[name]
+        self._waiting.clear()
+        self.glimpsed.clear()
 
     def drop_misfits(self, window: Window) -> int:
         """Take landmarks out on which the sightings do not agree; return how many."""

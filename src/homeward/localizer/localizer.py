@@ -1,13 +1,14 @@
-"""The robust localiser: a map in the odometry frame, and home found in it (see the package)."""
+"""The robust localiser: a map in the odometry frame, and home found in it.
+
+Where the robot is lost in its map, another one is begun beside it, and what gives a pose first
+answers: the old map, in which the robot is looked for, or the new one, in which home is.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
 from collections.abc import Mapping
-
-import numpy as np
 
 from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, HomeBearing
@@ -21,40 +22,19 @@ from homeward.estimator import (
 )
 from homeward.frames import Pose
 from homeward.localizer.arrivals import Arrivals, Glance
+from homeward.localizer.chart import Chart
 from homeward.localizer.compiled import why_not
-from homeward.localizer.elsewhere import Elsewhere
-from homeward.localizer.inventory import Inventory
 from homeward.localizer.mapper import Mapper
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.moved import (
-    PROBABLE,
-    Hypotheses,
-    Start,
-    carry,
-    challenged,
-    follow,
-    renamed,
-    search,
-    starts,
-)
+from homeward.localizer.marginal import Marginal
+from homeward.localizer.moved import Hypotheses
 from homeward.localizer.noise import deviation
 from homeward.localizer.odometry import lag_words
-from homeward.localizer.preintegration import Motion
 from homeward.localizer.problem import HomeProblem
-from homeward.localizer.reasons import LOST, REPLACED, why_home_is_not_found
 from homeward.localizer.senses import REVERSED, Senses
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.standing import Standing
-from homeward.localizer.stored import StoredHome
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
-NO_BEARINGS_S = 2.0
-"""Without an accepted bearing for so long, the robot is coasting [s]."""
-SEARCH_EVERY = 40
-"""Keyframes between two searches for home from scratch ..."""
-SEARCH_PATIENCE = 10
-"""... which waits so many for one at which the window is not solved."""
 
 
 class Localizer:
@@ -82,26 +62,22 @@ class Localizer:
         self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
-        self._home = StoredHome(home, self._drive, self.settings)
-        self._mapper = Mapper(self._drive, self.settings, self.counts)
-        self._standing = Standing(self.settings, self._drive.odometry)
-        self._hypotheses: Hypotheses | None = None
-        self._seen_from_home: list[str] = []
-        self._starts: deque[Start] = deque()
-        self._searched = 0
-        """Keyframe at which other places for home were last looked for."""
-        self._clock, self._arrivals, self._elsewhere = Clock(), Arrivals(), Elsewhere()
+        self._stored = home
+        self._chart = Chart(home, self._drive, self.settings, self.counts)
+        self._beside: Chart | None = None
+        """Another one, begun where the robot was lost in the first."""
+        self._keeps = False
+        self._clock, self._arrivals = Clock(), Arrivals()
         self._senses = Senses(self._drive.sensor.yaw)
         self._t = -math.inf
-        self._last_accepted = -math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and what was found out about the robot; each a sentence."""
         if self._senses.reversed:
             return (*self._notes, f"{REVERSED[0].upper()}{REVERSED[1:]}.")
-        noisy = (NOISY_NOTE,) if self._mapper.noise.doubt > 1.0 else ()
-        mounting, calibration = self._mapper.mounting, self._mapper.window.calibration
+        noisy = (NOISY_NOTE,) if self.mapper.noise.doubt > 1.0 else ()
+        mounting, calibration = self.mapper.mounting, self.mapper.window.calibration
         return (*self._notes, *noisy, *mounting.words(calibration), *lag_words(calibration))
 
     def odometry(self, t: float, v: float, omega: float) -> None:
@@ -116,7 +92,8 @@ class Localizer:
             self.counts.reject("odometry came late")
             return
         self._advance(t)
-        self._mapper.twist(t, v, omega)
+        for chart in self._charts:
+            chart.mapper.twist(t, v, omega)
         self._senses.odometry(t, v, omega)
         self._see_what_is_due()
 
@@ -152,38 +129,44 @@ class Localizer:
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        best = None if self._hypotheses is None or self._senses.reversed else self._hypotheses.best
-        found = best is not None and self._standing.home_is_found(best)
-        inventory = Inventory(
-            self._home.believed(self._mapper.noise),
-            self._home.yaw(self._mapper),
-            self._mapper.landmarks,
-            self._mapper.marginal,
-            self._seen_from_home,
-            self._hypotheses if found else None,
-        )
-        return inventory.landmarks()
+        return self.chart.landmarks(judge=not self._senses.reversed)
 
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-        return self._mapper.mounting.found(self._mapper.window.calibration)
+        return self.mapper.mounting.found(self.mapper.window.calibration)
+
+    @property
+    def chart(self) -> Chart:
+        """What answers: the newer map where it alone has a pose."""
+        if self._beside is not None and self._beside.has_pose and not self._chart.has_pose:
+            return self._beside
+        return self._chart
 
     @property
     def mapper(self) -> Mapper:
         """The map that home is found in."""
-        return self._mapper
+        return self.chart.mapper
+
+    def keep_closed(self) -> None:
+        """Keep everything that is said, for `Window.whole`; memory then grows with the drive."""
+        self._keeps = True
+        self._chart.mapper.keep_closed()
+
+    @property
+    def spells_lost(self) -> list[tuple[float, float]]:
+        """From when until when the map that home is found in knows nothing of the robot [s]."""
+        lost = self.mapper.lost
+        now = [(lost.since, math.inf)] if lost.since is not None else []
+        return [(-math.inf, self.mapper.begun), *lost.spells, *now]
 
     def problem(self, marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a Gaussian of this map."""
-        return self._home.problem(self._seen_from_home, self._mapper, marginal)
+        return self.chart.problem(marginal)
 
     def home_bearing_sigmas(self) -> dict[str, float]:
         """Return how well each home bearing is predicted by everything else [rad], by landmark."""
-        if self._hypotheses is None:
-            return {}
-        variances = self._hypotheses.best.innovations[1]
-        return dict(zip(self._seen_from_home, np.sqrt(variances).tolist(), strict=True))
+        return self.chart.home_bearing_sigmas()
 
     def conclude(self, marginal: Marginal) -> Hypotheses | None:
         """Find home anew by what a whole drive says at its end, for `landmarks` too.
@@ -198,96 +181,58 @@ class Localizer:
         Hypotheses or None
             None when home is not found: then everything stays as it was.
         """
-        before = self._hypotheses.fits if self._hypotheses is not None else ()
-        found = search(self.problem(marginal), [(f.home, f.right) for f in before])
-        if found is not None:
-            self._mapper.marginal, self._hypotheses = marginal, found
-            self._standing.take(found, firm=True)
-        return found
+        return self.chart.conclude(marginal)
+
+    @property
+    def _charts(self) -> tuple[Chart, ...]:
+        """All there are, the older one first."""
+        return (self._chart,) if self._beside is None else (self._chart, self._beside)
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
-        return t < self._t - LATE_S or not self._mapper.reaches(t)
+        return t < self._t - LATE_S or not all(c.mapper.reaches(t) for c in self._charts)
 
     def _see_what_is_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
-        for glance in self._arrivals.due(self._mapper.felt, self._t):
-            innovations, fresh = self._mapper.sight(*glance)
-            self._elsewhere.look(glance.t, glance.sightings, innovations, self._mapper)
-            if any(i.accepted for i in innovations):
-                self._last_accepted = glance.t
-            if fresh:
-                self._find_home()
+        for glance in self._arrivals.due(self._chart.mapper.felt, self._t):
+            innovations = self._chart.sight(glance, self._t)
+            if self._beside is not None or self._chart.is_lost:
+                innovations = self._map_beside(glance) or innovations
         return () if self._arrivals.waits else tuple(innovations)
+
+    def _map_beside(self, glance: Glance) -> list[Innovation]:
+        """Go on mapping beside the first map, until one of both is sure of a pose.
+
+        Returned are the innovations of a stamp in the new map.
+        """
+        if self._beside is None or self._beside.is_lost:
+            self._beside = self._begun_anew(glance.t)
+        innovations = self._beside.sight(glance, self._t)
+        if self._beside.estimate(self._t).status is Status.LOCALISED and self._chart.is_lost:
+            self._chart, self._beside = self._beside, None
+            self._chart.mapper.count_in(self.counts)
+        elif self._chart.proven and self._chart.estimate(self._t).status is Status.LOCALISED:
+            self._beside = None
+        return innovations
+
+    def _begun_anew(self, t: float) -> Chart:
+        """Return an empty chart that begins at the robot at `t` [s]."""
+        elsewhere = self._drive.model_copy(update={"start": None})
+        chart = Chart(self._stored, elsewhere, self.settings, Counts())
+        if self._keeps:
+            chart.mapper.keep_closed()
+        chart.begin(t)
+        return chart
 
     def _advance(self, t: float) -> None:
         """Let time come to `t` [s], unless it was there."""
         if self._t == -math.inf:
-            self._mapper.begin(t)
-            if self._home.has_start:
-                self._find_home()
+            self._chart.begin(t)
         self._t = max(self._t, t)
-
-    def _find_home(self) -> None:
-        """Follow home as the map changes; search for it anew when there is reason to."""
-        if self._mapper.begun_anew:
-            self._home.forget_start()
-        names = self._mapper.landmarks.seen_from(self._home.bearings)
-        problem = self._home.problem(names, self._mapper, self._mapper.marginal)
-        now = self._hypotheses
-        if now is None or names != self._seen_from_home:
-            also = renamed(now, self._seen_from_home, names) if now else []
-            now = search(problem, also)
-            self._starts.clear()
-            self._seen_from_home = names
-        else:
-            before = now.peak
-            now = (follow if self._mapper.solved else carry)(problem, now)
-            if now is not None and now.peak < before + math.log(PROBABLE):
-                # The best set's home went astray: there may be a way back to it, or a better one.
-                now = search(problem, [(f.home, f.right) for f in (*now.fits, *now.adrift)])
-            elif now is not None:
-                now = self._challenged(problem, now)
-        self._hypotheses = now
-        self._standing.mount_spread = self._home.mount_spread(self._mapper.marginal)
-        self._standing.take(now, self._mapper.solved and not self._coasts(self._t))
-
-    def _coasts(self, t: float) -> bool:
-        """Return whether no bearing was accepted lately before `t` [s]."""
-        return t - self._last_accepted > NO_BEARINGS_S
-
-    def _challenged(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
-        """Look now and then where else home might be, one place after the other."""
-        since = self._mapper.window.newest - self._searched
-        wait = SEARCH_PATIENCE if self._mapper.solved else 0
-        if self._starts and since >= wait:
-            return challenged(problem, now, self._starts.popleft())
-        if not self._starts and since >= SEARCH_EVERY + wait:
-            self._starts.extend(starts(problem))
-            self._searched = self._mapper.window.newest
-        return now
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
         if self._senses.reversed:
             return Estimate(t, Status.MAPPING, REVERSED, None, None, innovations)
-        complaint = self._arrivals.complaint()
-        if self._hypotheses is None:
-            words = complaint or why_home_is_not_found(
-                self._mapper, self._home.bearings, self._seen_from_home
-            )
-            return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        if self._mapper.lost.since is not None:
-            return Estimate(t, Status.MAPPING, complaint or LOST, None, None, innovations)
-        motion, moved = self._mapper.motion(t), None
-        if motion is not Motion.none():
-            calibration = self._mapper.marginal.covariance[3:HEAD, 3:HEAD]
-            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-            moved = motion.delta, drift
-        found = self._standing.estimate(t, moved, self._coasts(t), innovations)
-        if found.pose is None:
-            return dataclasses.replace(found, reason=complaint or found.reason)
-        if self._elsewhere.doubted:
-            return dataclasses.replace(found, status=Status.UNVERIFIED, reason=REPLACED)
-        return found
+        return self.chart.estimate(t, innovations, self._arrivals.complaint())

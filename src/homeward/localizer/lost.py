@@ -10,6 +10,7 @@ from homeward.estimator import Innovation
 from homeward.localizer.landmarks import Landmarks
 from homeward.localizer.marginal import Marginal
 from homeward.localizer.preintegration import Motion
+from homeward.localizer.reasons import LOST
 from homeward.localizer.relocation import SightLines, relocate
 from homeward.localizer.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
 
@@ -86,18 +87,25 @@ class Lost:
 
     def __init__(self) -> None:
         self.since: float | None = None
-        """Since when the robot does not know where in its map it is [s]."""
+        """Since when the robot does not know where in its map it is [s] ..."""
+        self.why = LOST
+        """... and how that shows, in words."""
+        self.spells: list[tuple[float, float]] = []
+        """From when until when it was lost before [s]."""
         self.search = Search()
         self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
 
-    def begin(self, t: float) -> None:
-        """Be lost from `t` [s] on."""
-        self.since = t
+    def begin(self, t: float, why: str = LOST) -> None:
+        """Be lost from `t` [s] on, or look for the robot anew if it is."""
+        if self.since is None:
+            self.since, self.why = t, why
         self.search = Search()
         self._recent.clear()
 
-    def end(self) -> None:
-        """Be lost no longer."""
+    def end(self, t: float) -> None:
+        """Be lost no longer, from `t` [s] on."""
+        if self.since is not None:
+            self.spells.append((self.since, t))
         self.since = None
         self._recent.clear()
 
@@ -110,6 +118,12 @@ class Lost:
             and len(wrong) >= LIFTED_SHARE * RECENT
             and len(set(wrong)) >= 2
         )
+
+    @property
+    def proven(self) -> bool:
+        """Whether most of the last sightings fit, since the robot was last found."""
+        fitting = sum(fits for _, fits in self._recent)
+        return len(self._recent) == RECENT and fitting >= FITTING_SHARE * RECENT
 
     def others_fit(self, names: list[str]) -> bool:
         """Return whether the last sightings of all landmarks but these fitted."""

@@ -10,7 +10,9 @@ import numpy as np
 from homeward.drives.drive import DriveSettings
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
+from homeward.frames import Pose, compose
 from homeward.localizer.blur import blurred
+from homeward.localizer.elsewhere import Elsewhere
 from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
 from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, Search, Shoved, hopeless, leap
@@ -19,6 +21,7 @@ from homeward.localizer.mounting import Mounting
 from homeward.localizer.noise import BearingNoise
 from homeward.localizer.odometry import Odometry, calibration_sigmas
 from homeward.localizer.preintegration import Motion
+from homeward.localizer.reasons import LOST, REPLACED
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.sightings import LANDMARK, SIGMA, Look, sighting_rows
 from homeward.localizer.window import NEAR_M, Window
@@ -59,6 +62,7 @@ class Mapper:
         self.mounting, sigmas = Mounting(drive, settings), calibration_sigmas(drive, settings)
         drift = DRIFT_SHARE * np.concatenate([sigmas, self.mounting.sigmas])
         self._new_window = partial(Window, sigmas, drift**2 / DRIFT_S)
+        self._keeps = False
         self._begin_map(0.0)
         self.begun_anew = False
         """Whether the first map was thrown away, and the origin with it."""
@@ -66,7 +70,9 @@ class Mapper:
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
         self.window: Window = self._new_window(self.mounting.sigmas)
-        self.lost, self._shoved = Lost(), Shoved()
+        if self._keeps:
+            self.window.keep_closed()
+        self.lost, self._shoved, self._elsewhere = Lost(), Shoved(), Elsewhere()
         self.landmarks = Landmarks(self._settings.parallax)
         self._taken: dict[str, int] = {}
         self.begin(t)
@@ -87,8 +93,21 @@ class Mapper:
 
     def begin(self, t: float) -> None:
         """Let the first keyframe, the origin, be at `t` [s]."""
+        self.begun = t
         self.window.stamps[0] = t
         self._odometry.restart(t)
+
+    def keep_closed(self) -> None:
+        """Keep closed keyframes too, for `Window.whole`; memory then grows with the drive."""
+        self._keeps = True
+        self.window.keep_closed()
+
+    def count_in(self, counts: Counts) -> None:
+        """Count sightings elsewhere from now on, those counted so far included."""
+        counts.used += self._counts.used
+        for reason, number in self._counts.rejected.items():
+            counts.reject(reason, number)
+        self._counts = counts
 
     def twist(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on."""
@@ -151,6 +170,12 @@ class Mapper:
         if self.lost.was_lifted(innovations):
             self._lose(t)
             return innovations, self._look_around(look)
+        place = np.array(
+            compose(Pose(*self.marginal.mean[:3].tolist()), Pose(*since.delta.tolist()))
+        )
+        if self._elsewhere.replaced(names, innovations, place, self.marginal.positions):
+            self._lose(t, REPLACED)
+            return innovations, self._look_around(look)
         suspicion = self._shoved.suspicion(innovations, since)
         if suspicion and self._relocated(*suspicion, since, look):
             return innovations, True
@@ -166,6 +191,9 @@ class Mapper:
         changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
+        if changed and self._was_carried():
+            self._lose(t)
+            return innovations, self._look_around(look)
         return innovations, fresh or changed or anew
 
     def _wants_keyframe(self, t: float, motion: Motion) -> bool:
@@ -279,10 +307,20 @@ class Mapper:
             window.forget(count)
             self.landmarks.forget(window.first)
 
-    def _lose(self, t: float) -> None:
+    def _was_carried(self) -> bool:
+        """Return whether landmarks moved together; then the map is again what it was before."""
+        when = self.landmarks.carried_at(self.marginal)
+        if when is None:
+            return False
+        self.landmarks.go_back(self.window, when)
+        self._between = []
+        self._correct(None)
+        return True
+
+    def _lose(self, t: float, why: str = LOST) -> None:
         """Begin to look for the robot in its map, from where it is at `t` [s]."""
         self._odometry.restart(t)
-        self.lost.begin(t)
+        self.lost.begin(t, why)
         self._shoved.clear()
 
     def _look_around(self, look: Look) -> bool:
@@ -304,7 +342,7 @@ class Mapper:
         if found is None:
             return False
         self._add_keyframe(look.t, leap(self.window.poses[-1], *found).then(way))
-        self.lost.end()
+        self.lost.end(look.t)
         self._shoved.clear()
         self._keep(look.t, look.names, self._rows(Motion.none(), look), {})
         self._correct(None)

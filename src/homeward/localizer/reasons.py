@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
-from homeward.localizer.mapper import Mapper
 from homeward.localizer.problem import FEWEST
+
+if TYPE_CHECKING:
+    from homeward.localizer.mapper import Mapper
 
 LOST = "the robot is lost in its map: what it sees does not fit, or odometry was gone"
 REPLACED = "at once none of the map was in sight and as much else: was the robot carried off?"

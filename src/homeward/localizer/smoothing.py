@@ -9,13 +9,12 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
-from homeward.estimator import Estimate, Status
+from homeward.estimator import Estimate
 from homeward.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.moved import Hypotheses, posed
 from homeward.localizer.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.preintegration import Motion
-from homeward.localizer.reasons import REPLACED
 from homeward.localizer.senses import REVERSED
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
@@ -45,11 +44,12 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     -------
     Track
         With the same rows as the causal one, which is returned as it is when home is not found, or
-        bearings run against the turns. What else shows on the way alone is taken from it.
+        bearings run against the turns. Where the robot was lost in its last map, and before that
+        map was begun, rows are those of the causal one.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, drive.settings, settings)
-    localizer.mapper.window.keep_closed()
+    localizer.keep_closed()
     track = run(drive, localizer)
     if track.reason[-1:] == [REVERSED]:
         return track
@@ -61,8 +61,8 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     if there is None:
         return track
     rows = _rows(track.t, there, whole, drive, settings)
-    doubted = [reason == REPLACED for reason in track.reason]
-    rows = [_unsure(row) if doubt else row for row, doubt in zip(rows, doubted, strict=True)]
+    for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
+        rows[i] = _row(track, i)
     return dataclasses.replace(
         track_of(localizer, rows),
         innovations=track.innovations,
@@ -72,11 +72,19 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     )
 
 
-def _unsure(row: Estimate) -> Estimate:
-    """Return a row at which the robot may have been carried off."""
-    if row.pose is None:
-        return row
-    return dataclasses.replace(row, status=Status.UNVERIFIED, reason=REPLACED)
+def _unknown(times: np.ndarray, localizer: Localizer) -> np.ndarray:
+    """Return at which times the last map knows nothing of the robot, shape (n,), bool."""
+    spells = localizer.spells_lost
+    return np.any([(begin <= times) & (times < end) for begin, end in spells] or [times < times], 0)
+
+
+def _row(track: Track, i: int) -> Estimate:
+    """Return a row of a track as the estimate that it was."""
+    t, status, reason = float(track.t[i]), track.status[i], track.reason[i]
+    if not track.has_pose[i]:
+        return Estimate(t, status, reason)
+    pose = Pose(*(float(column[i]) for column in (track.x, track.y, track.heading)))
+    return Estimate(t, status, reason, pose, track.covariance[i])
 
 
 def _there(localizer: Localizer, whole: Window, found: Hypotheses) -> list[Hypotheses] | None:

@@ -1,0 +1,83 @@
+"""Landmarks that moved together: then it was the robot that was carried.
+
+Where several landmarks moved by one rigid motion, and hardly anything that was seen before is still
+where it was, the odometry frame itself moved: the robot was lifted and put down where little of its
+map was in sight. What was mapped since is not in one frame with what was mapped before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from homeward.angles import wrap
+
+FEWEST = 3
+"""So many landmarks must have moved together: two always do, but for the distance between them."""
+AGREES = 3.0
+"""One moved with the others when it is no farther from where they have it [standard deviations]."""
+FARTHEST = 0.1
+"""... nor farther than this, of the extent of all [1]."""
+
+
+@dataclass(frozen=True)
+class Displaced:
+    """Where k landmarks stood and where they stand now."""
+
+    before: np.ndarray
+    """(k, 2) [m]"""
+    now: np.ndarray
+    """(k, 2) [m]"""
+    variance: np.ndarray
+    """(k,): of one coordinate of both together, the larger [m^2]."""
+    last: np.ndarray
+    """(k,): the last keyframe from which they were seen where they stood."""
+    first: np.ndarray
+    """(k,): the first one from which they were seen where they stand now."""
+
+
+def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> int | None:
+    """Return the keyframe after which the robot was carried, or None where it was not.
+
+    Parameters
+    ----------
+    displaced : Displaced
+        Landmarks that moved, for all that is known.
+    entered, last : ndarray, shape (m,)
+        Keyframes at which those that did not move entered the map, and last fitted it.
+    """
+    together = moved_together(displaced)
+    if together.sum() < FEWEST:
+        return None
+    moved_last, moved_first = displaced.last[together], displaced.first[together]
+    best, when = 0, None
+    for k in sorted(set(moved_last.tolist())):
+        moved = int(((moved_last <= k) & (moved_first >= k)).sum())
+        stayed = int(((entered <= k) & (last > k)).sum())
+        if moved >= FEWEST and moved - stayed > best:
+            best, when = moved - stayed, k
+    return when
+
+
+def moved_together(displaced: Displaced) -> np.ndarray:
+    """Return which landmarks moved by one rigid motion, the most that did, shape (k,), bool."""
+    before, now = displaced.before, displaced.now
+    most = np.zeros(len(before), bool)
+    reach = FARTHEST * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
+    for i, j in combinations(range(len(before)), 2):
+        a, b = before[j] - before[i], now[j] - now[i]
+        turn = wrap(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0]))
+        c, s = np.cos(turn), np.sin(turn)
+        middle = 0.5 * (before[i] + before[j])
+        there = (before - middle) @ np.array([[c, s], [-s, c]]) + 0.5 * (now[i] + now[j])
+        # The two that tell the motion err, too, the more so the nearer they are to each other.
+        lever = np.hypot(*(before - middle).T) / max(float(np.hypot(*a)), 1e-9)
+        pair = displaced.variance[i] + displaced.variance[j]
+        sigma = np.sqrt(displaced.variance + pair * (0.25 + lever**2))
+        off = np.hypot(*(now - there).T)
+        fits = off < np.minimum(AGREES * sigma, reach)
+        if fits[i] and fits[j] and fits.sum() > most.sum():
+            most = fits
+    return most
