@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,8 @@ LATE_S = 10.0
 """Answers are judged in the last seconds of a drive [s]."""
 WRONG_SIGMAS = 4.0
 """A pose is wrong that is farther off [standard deviations]."""
+
+START = Pose(0.5, 0.3, 0.0)
 
 Marks = dict[str, tuple[float, float]]
 Bearings = dict[str, float]
@@ -60,9 +62,10 @@ class World:
     half_view: float = math.pi
     """It sees to both sides of its axis so far [rad]."""
     middle: tuple[float, float] = (0.0, 0.0)
-    pose: Pose = Pose(0.5, 0.3, 0.0)
+    pose: Pose = START
     t: float = 0.0
-    _target: tuple[float, float] = field(default=(0.0, 0.0))
+    target: tuple[float, float] = (0.0, 0.0)
+    """Where it is driving to [m]."""
 
     def home(self) -> dict[str, HomeBearing]:
         """Return what the camera saw at home, the origin."""
@@ -106,13 +109,13 @@ class World:
     def _law(self) -> tuple[float, float]:
         """Return the speed and the turn rate that lead to the next place."""
         x, y, heading = self.pose
-        while math.hypot(self._target[0] - x, self._target[1] - y) < 2.0 * self.speed:
+        while math.hypot(self.target[0] - x, self.target[1] - y) < 2.0 * self.speed:
             way, away = self.rng.uniform(-math.pi, math.pi), self.rng.uniform(0.2, 1.0)
-            self._target = (
+            self.target = (
                 self.middle[0] + self.reach * away * math.cos(way),
                 self.middle[1] + self.reach * away * math.sin(way),
             )
-        off = wrap(math.atan2(self._target[1] - y, self._target[0] - x) - heading)
+        off = wrap(math.atan2(self.target[1] - y, self.target[0] - x) - heading)
         return self.speed, float(np.clip(1.5 * off, -0.7, 0.7))
 
 
@@ -204,31 +207,46 @@ def _mishap(world: World, seconds: float) -> list[Sample]:
     return list(world.drive(seconds))
 
 
-def hall(
-    seed: int, metres: float, turn: float = 0.0, back: bool = False
-) -> tuple[Callable[[], Localizer], list[Sample]]:
-    """Return what makes a localiser, and a drive in a hall in which the robot is carried.
+class Carried(NamedTuple):
+    """How a robot is carried in the hall."""
 
-    Parameters
-    ----------
-    seed : int
-    metres : float
-        How far it is carried along the hall.
-    turn : float, optional
-        By how much it is turned [rad].
-    back : bool, optional
-        Whether it is carried back after a while, instead of driving back.
-    """
+    metres: float
+    """How far along it."""
+    turn: float = 0.0
+    """By how much it is turned [rad]."""
+    back: bool = False
+    """Whether it is carried back after a while, instead of driving back."""
+    blind: bool = False
+    """Whether it sees nothing for some seconds before and after, and drives on."""
+    half_view: float = math.pi
+    """It sees to both sides of its axis so far [rad]."""
+
+
+CARRIED = {
+    f"carried {metres:.0f} m{words}": Carried(metres, **how)
+    for metres in (10.0, 20.0, 40.0)
+    for words, how in {
+        "": {},
+        ", turned": {"turn": 1.5},
+        ", and back": {"back": True},
+        ", blind": {"blind": True},
+        ", narrow camera": {"half_view": 0.6},
+    }.items()
+}
+
+
+def hall(seed: int, how: Carried) -> tuple[Callable[[], Localizer], list[Sample]]:
+    """Return what makes a localiser, and a drive in a hall in which the robot is carried."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-20.0, 60.0, 60), rng.uniform(-20.0, 20.0, 60)
     marks = {f"L{i}": p for i, p in enumerate(zip(x.tolist(), y.tolist(), strict=True))}
-    world = World(marks, rng, 8.0, 0.8, sight=15.0)
+    world = World(marks, rng, 8.0, 0.8, sight=15.0, half_view=how.half_view)
     home = world.home()
     samples = list(world.drive(90.0))
-    carry(world, metres, turn)
+    samples += _carry(world, how.metres, how.turn, how.blind)
     samples += world.drive(60.0)
-    if back:
-        carry(world, -metres, -turn)
+    if how.back:
+        samples += _carry(world, -how.metres, -how.turn, how.blind)
     else:
         world.middle = (0.0, 0.0)
     samples += world.drive(150.0)
@@ -236,12 +254,14 @@ def hall(
     return lambda: Localizer(home, settings), samples
 
 
-def carry(world: World, metres: float, turn: float) -> None:
+def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample]:
     """Lift the robot, and what it wanders about, along the hall."""
+    samples = list(world.drive(10.0, spoil=lambda _: {})) if blind else []
     x, y, heading = world.pose
     world.pose = Pose(x + metres, y, float(wrap(heading + turn)))
     world.middle = (world.middle[0] + metres, world.middle[1])
-    world._target = world.pose[:2]
+    world.target = world.pose[:2]
+    return samples + (list(world.drive(10.0, spoil=lambda _: {})) if blind else [])
 
 
 def main() -> None:
@@ -258,6 +278,7 @@ def main() -> None:
 
 
 def _calamities(seeds: range) -> None:
+    """Print in how many drives a pose is found again."""
     alone, whole, lost, lies = 0, 0, [], []
     for seed in seeds:
         make, bad, honest = calamity(seed)
@@ -274,26 +295,22 @@ def _calamities(seeds: range) -> None:
 
 
 def _hall(seeds: range) -> None:
-    for metres in (10.0, 20.0, 40.0):
-        for words, turn, back in (
-            ("", 0.0, False),
-            (", turned", 1.5, False),
-            (" and back", 0.0, True),
-        ):
-            outcomes = []
-            for seed in seeds:
-                make, samples = hall(seed, metres, turn, back)
-                outcomes.append(replay(make(), samples))
-            right = sum(o.status is Status.LOCALISED and o.lies == 0.0 for o in outcomes)
-            none = sum(o.pose == 0.0 for o in outcomes)
-            wrong = [s for s, o in zip(seeds, outcomes, strict=True) if o.lies > 0.0]
-            errors = [o.error for o in outcomes]
-            print(
-                f"carried {metres:.0f} m{words}: of {len(seeds)} localised and right {right}, "
-                f"without a pose {none}, localised and wrong {len(wrong)} {wrong}; "
-                f"median error {np.nanmedian(errors):.2f} m, largest {np.nanmax(errors):.2f} m",
-                flush=True,
-            )
+    """Print what becomes of robots that are carried in a hall."""
+    for words, how in CARRIED.items():
+        outcomes = []
+        for seed in seeds:
+            make, samples = hall(seed, how)
+            outcomes.append(replay(make(), samples))
+        right = sum(o.status is Status.LOCALISED and o.lies == 0.0 for o in outcomes)
+        none = sum(o.pose == 0.0 for o in outcomes)
+        wrong = [s for s, o in zip(seeds, outcomes, strict=True) if o.lies > 0.0]
+        errors = np.array([o.error for o in outcomes])
+        print(
+            f"{words}: of {len(seeds)} localised and right {right}, without a pose {none}, "
+            f"localised and wrong {len(wrong)} {wrong}; error of the last pose "
+            f"{np.nanmedian(errors):.2f} m in the median, {np.nanmax(errors):.2f} m at most",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.arrivals import Glance
 from homeward.localizer.inventory import Inventory
+from homeward.localizer.lost import DOUBTFUL_SHARE, PROVEN_SHARE
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.marginal import HEAD, Marginal
 from homeward.localizer.moved import (
@@ -63,7 +64,7 @@ class Chart:
         settings: LocalizerSettings,
         counts: Counts,
     ) -> None:
-        self.mapper = Mapper(drive, settings, counts)
+        self.counts, self.mapper = counts, Mapper(drive, settings, counts)
         self.hypotheses: Hypotheses | None = None
         """Where home may be in the map; None where it is not found."""
         self._home = StoredHome(home, drive, settings)
@@ -103,9 +104,14 @@ class Chart:
         return self.mapper.lost.since is not None
 
     @property
-    def proven(self) -> bool:
-        """Whether the robot is where the map has it, by most that it saw since it was found."""
-        return not self.is_lost and self.mapper.lost.proven
+    def is_doubtful(self) -> bool:
+        """Whether too little fits of what was seen lately, or the robot is lost."""
+        return self.is_lost or self.mapper.lost.fitting < DOUBTFUL_SHARE
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether nearly all fits of what was seen lately."""
+        return not self.is_lost and self.mapper.lost.fitting >= PROVEN_SHARE
 
     @property
     def has_pose(self) -> bool:

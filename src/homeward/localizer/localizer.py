@@ -6,6 +6,7 @@ answers: the old map, in which the robot is looked for, or the new one, in which
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Mapping
@@ -35,6 +36,8 @@ from homeward.localizer.settings import LocalizerSettings
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
+CLEARLY = 20
+"""A map is better to which so many more sightings fit: where both are right, as many fit both."""
 
 
 class Localizer:
@@ -66,6 +69,8 @@ class Localizer:
         self._chart = Chart(home, self._drive, self.settings, self.counts)
         self._beside: Chart | None = None
         """Another one, begun where the robot was lost in the first."""
+        self._lead = 0
+        """So many more sightings fit the other one, since then or since it was the worse one."""
         self._keeps = False
         self._clock, self._arrivals = Clock(), Arrivals()
         self._senses = Senses(self._drive.sensor.yaw)
@@ -84,12 +89,12 @@ class Localizer:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
-            self.counts.reject("odometry is not finite, or no robot's")
+            self._reject("odometry is not finite, or no robot's")
             return
         late = self._is_too_late(t)
         self._arrivals.odometry(t, late)
         if late:
-            self.counts.reject("odometry came late")
+            self._reject("odometry came late")
             return
         self._advance(t)
         for chart in self._charts:
@@ -107,10 +112,10 @@ class Localizer:
         said, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._arrivals.newest or self._is_too_late(t):
             self._arrivals.late_bearings()
-            self.counts.reject("bearings came late", len(sightings))
+            self._reject("bearings came late", len(sightings))
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
-        self.counts.reject("bearing is not finite", len(sightings) - len(usable))
+        self._reject("bearing is not finite", len(sightings) - len(usable))
         self._advance(t)
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
@@ -188,6 +193,11 @@ class Localizer:
         """All there are, the older one first."""
         return (self._chart,) if self._beside is None else (self._chart, self._beside)
 
+    def _reject(self, reason: str, number: int = 1) -> None:
+        """Count samples that reach no map."""
+        for chart in self._charts:
+            chart.counts.reject(reason, number)
+
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
         return t < self._t - LATE_S or not all(c.mapper.reaches(t) for c in self._charts)
@@ -197,33 +207,54 @@ class Localizer:
         innovations: list[Innovation] = []
         for glance in self._arrivals.due(self._chart.mapper.felt, self._t):
             innovations = self._chart.sight(glance, self._t)
-            if self._beside is not None or self._chart.is_lost:
-                innovations = self._map_beside(glance) or innovations
+            if self._beside is not None:
+                innovations = self._see_beside(self._beside, glance, innovations)
+            elif self._chart.is_doubtful:
+                self._begin_beside(glance.t)
         return () if self._arrivals.waits else tuple(innovations)
 
-    def _map_beside(self, glance: Glance) -> list[Innovation]:
-        """Go on mapping beside the first map, until one of both is sure of a pose.
+    def _see_beside(
+        self, beside: Chart, glance: Glance, before: list[Innovation]
+    ) -> list[Innovation]:
+        """Take a stamp into the other map too, and leave one of them when the other is proven.
 
-        Returned are the innovations of a stamp in the new map.
+        Parameters
+        ----------
+        beside : Chart
+            The other map.
+        glance : Glance
+            The stamp.
+        before : list of Innovation
+            Of it, in the first map.
+
+        Returns
+        -------
+        list of Innovation
+            In the map that answers.
         """
-        if self._beside is None or self._beside.is_lost:
-            self._beside = self._begun_anew(glance.t)
-        innovations = self._beside.sight(glance, self._t)
-        if self._beside.estimate(self._t).status is Status.LOCALISED and self._chart.is_lost:
-            self._chart, self._beside = self._beside, None
-            self._chart.mapper.count_in(self.counts)
-        elif self._chart.proven and self._chart.estimate(self._t).status is Status.LOCALISED:
+        innovations = beside.sight(glance, self._t)
+        gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
+        self._lead = max(0, self._lead + gained)
+        if self._lead >= CLEARLY and self._is_sure(beside):
+            self._chart, self.counts, self._beside = beside, beside.counts, None
+        elif self._chart.is_proven and self._is_sure(self._chart):
             self._beside = None
-        return innovations
+        elif beside.is_lost:
+            self._begin_beside(glance.t)
+        return innovations if self.chart is beside else before
 
-    def _begun_anew(self, t: float) -> Chart:
-        """Return an empty chart that begins at the robot at `t` [s]."""
-        elsewhere = self._drive.model_copy(update={"start": None})
-        chart = Chart(self._stored, elsewhere, self.settings, Counts())
+    def _is_sure(self, chart: Chart) -> bool:
+        """Return whether a chart has a pose to rely on."""
+        return chart.estimate(self._t).status is Status.LOCALISED
+
+    def _begin_beside(self, t: float) -> None:
+        """Begin another map at the robot, at `t` [s]."""
+        anywhere = self._drive.model_copy(update={"start": None})
+        self._beside = Chart(self._stored, anywhere, self.settings, copy.deepcopy(self.counts))
+        self._lead = 0
         if self._keeps:
-            chart.mapper.keep_closed()
-        chart.begin(t)
-        return chart
+            self._beside.mapper.keep_closed()
+        self._beside.begin(t)
 
     def _advance(self, t: float) -> None:
         """Let time come to `t` [s], unless it was there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -22,6 +23,8 @@ LOST_RAD, LOST_SHARE = 0.7, 1.0
 """A motion less certain than this, against the landmarks' distance [1], tells nothing."""
 NOTHING_M = 0.01
 """So little is nothing among any landmarks [m]."""
+DOUBTFUL_SHARE, PROVEN_SHARE = 0.6, 0.9
+"""With a smaller share that fit the map is doubted, until such a share does."""
 FITS, SUSPECT_SHARE = 3.0, 0.5
 """When such a share of a stamp's sightings is off by more [standard deviations], the robot may have
 been shoved ..."""
@@ -120,10 +123,10 @@ class Lost:
         )
 
     @property
-    def proven(self) -> bool:
-        """Whether most of the last sightings fit, since the robot was last found."""
-        fitting = sum(fits for _, fits in self._recent)
-        return len(self._recent) == RECENT and fitting >= FITTING_SHARE * RECENT
+    def fitting(self) -> float:
+        """Share of the last sightings that fit [1]; NaN while the robot was not long found."""
+        full = len(self._recent) == RECENT
+        return sum(fits for _, fits in self._recent) / RECENT if full else math.nan
 
     def others_fit(self, names: list[str]) -> bool:
         """Return whether the last sightings of all landmarks but these fitted."""

@@ -15,7 +15,7 @@ from homeward.localizer.blur import blurred
 from homeward.localizer.elsewhere import Elsewhere
 from homeward.localizer.gate import judge
 from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.lost import LOST_AGAIN_RAD, Lost, Search, Shoved, hopeless, leap
+from homeward.localizer.lost import LOST_AGAIN_RAD, LOST_RAD, Lost, Search, Shoved, hopeless, leap
 from homeward.localizer.marginal import Marginal, Prediction
 from homeward.localizer.mounting import Mounting
 from homeward.localizer.noise import BearingNoise
@@ -102,13 +102,6 @@ class Mapper:
         self._keeps = True
         self.window.keep_closed()
 
-    def count_in(self, counts: Counts) -> None:
-        """Count sightings elsewhere from now on, those counted so far included."""
-        counts.used += self._counts.used
-        for reason, number in self._counts.rejected.items():
-            counts.reject(reason, number)
-        self._counts = counts
-
     def twist(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on."""
         if not self.feels and not self._start_told:
@@ -153,7 +146,7 @@ class Mapper:
         look = Look(t, names, bearings, self.noise.sigmas(names, sigmas))
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.lost.since is None and hopeless(motion, self.marginal)
-        anew = gone and not self.landmarks.mapped
+        anew = not self.landmarks.mapped and (gone or self._lost_its_origin())
         if anew:
             motion = self._begin_anew(t)
         elif gone:
@@ -195,6 +188,13 @@ class Mapper:
             self._lose(t)
             return innovations, self._look_around(look)
         return innovations, fresh or changed or anew
+
+    def _lost_its_origin(self) -> bool:
+        """Return whether the way from the origin, which nothing else holds, is not known any more.
+
+        All that is mapped later would be as vague as that, and nothing linear in it.
+        """
+        return not self._start_told and bool(self.marginal.covariance[2, 2] > LOST_RAD**2)
 
     def _wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""

@@ -1,0 +1,154 @@
+"""Never lost for ever, and no robot that was carried believes that its landmarks were."""
+
+import math
+
+import numpy as np
+import pytest
+from rig import Rig, ring
+from test_found_out import Logged
+
+from benchmarks.kidnapped import CARRIED, calamity, hall, replay
+from homeward.estimator import Innovation, Status
+from homeward.frames import Pose
+from homeward.localizer.carried import Displaced, carried_at, moved_together
+from homeward.localizer.elsewhere import Elsewhere
+from homeward.localizer.smoothing import smooth
+
+
+@pytest.mark.parametrize("seed", range(9, 17))
+def test_a_minute_that_alone_gives_a_pose_gives_one_after_any_calamities(seed):
+    make, bad, honest = calamity(seed)
+    alone, whole = replay(make(), honest), replay(make(), bad + honest)
+    assert whole.pose > 0.5 or alone.pose <= 0.5
+    assert whole.lies == 0.0
+
+
+@pytest.mark.parametrize("how", ["carried 40 m", "carried 40 m, turned", "carried 20 m, blind"])
+def test_a_robot_carried_in_a_hall_is_never_sure_and_wrong(how):
+    make, samples = hall(100, CARRIED[how])
+    outcome = replay(make(), samples)
+    assert outcome.lies == 0.0
+    assert outcome.status is not Status.LOCALISED or outcome.error < 0.5
+
+
+def displaced(before, now, sigma=0.05, last=50, first=60):
+    """Landmarks that moved, each seen so long where it stood, and from then on where it stands."""
+    k = len(before)
+    return Displaced(before, now, np.full(k, sigma**2), np.full(k, last), np.full(k, first))
+
+
+def moved(points, turn, by):
+    """Points (k, 2) turned round the origin and shifted."""
+    c, s = math.cos(turn), math.sin(turn)
+    return points @ np.array([[c, s], [-s, c]]) + by
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_landmarks_that_moved_by_one_rigid_motion_are_found_among_others(seed):
+    rng = np.random.default_rng(seed)
+    before = rng.uniform(-10.0, 10.0, (9, 2))
+    now = rng.uniform(-10.0, 10.0, (9, 2))
+    now[:5] = moved(before[:5], rng.uniform(-3.0, 3.0), rng.uniform(-40.0, 40.0, 2))
+    now += 0.05 * rng.normal(size=now.shape)
+    together = moved_together(displaced(before, now))
+    assert together[:5].all()
+    assert together[5:].sum() == 0
+
+
+def test_two_landmarks_that_were_swapped_do_not_carry_the_robot():
+    before = np.array([[3.0, 1.0], [-2.0, 4.0]])
+    nobody = np.zeros(0, int)
+    assert carried_at(displaced(before, before[::-1]), nobody, nobody) is None
+
+
+def test_landmarks_moved_on_one_cart_among_more_that_stay_do_not_carry_the_robot():
+    before = np.random.default_rng(0).uniform(-10.0, 10.0, (4, 2))
+    cart = displaced(before, moved(before, 0.4, [3.0, -1.0]))
+    stayed = np.zeros(5, int), np.full(5, 90)
+    assert carried_at(cart, *stayed) is None
+    # What was only seen before, or only since, ties nothing together.
+    entered, last = np.array([0, 0, 0, 55, 60]), np.array([40, 50, 45, 90, 90])
+    assert carried_at(cart, entered, last) == 50
+
+
+def test_three_landmarks_on_a_cart_are_named_and_the_robot_stays_where_it_is():
+    rig = Rig(ring(10))
+    rig.drive(60)
+    said, cart = len(rig.answers), ("L2", "L3", "L4")
+    for name in cart:
+        x, y = rig.landmarks[name]
+        rig.landmarks[name] = (x + 0.8, y - 0.9)
+    rig.drive(60)
+    assert rig.error() < 0.1
+    assert rig.wrong_share(said) < 0.02
+    assert rig.moved() == set(cart)
+
+
+def test_a_home_known_by_former_places_alone_is_not_verified():
+    rig = Rig(ring(8))
+    assert rig.drive(40).status is Status.LOCALISED
+    known = rig.localizer.mapper.landmarks
+    known.former = {name: known.mapped[name] for name in list(known.mapped)[:6]}
+    answer = rig.drive(2)
+    assert answer.status is Status.UNVERIFIED
+    assert answer.reason.startswith("only 2 of 8")
+
+
+def innovations(names, accepted):
+    return [Innovation(n, 0.0, 0.01, accepted) for n in names]
+
+
+def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
+    marks, here = np.array(list(ring(12).values())), np.zeros(3)
+    old, new = [f"a{i}" for i in range(6)], [f"b{i}" for i in range(6)]
+    for turned, mapped, expected in ((0.0, [], True), (1.0, [], False), (0.0, new, False)):
+        elsewhere = Elsewhere()
+        assert not elsewhere.replaced(new, [], here, marks)  # nothing was known before
+        assert not elsewhere.replaced(old, innovations(old, True), here, marks)
+        there = np.array([0.1, 0.0, turned])
+        said = elsewhere.replaced(new, innovations(mapped, True), there, marks)
+        assert said is expected
+    # One that was known, and does not fit any more, changes nothing.
+    elsewhere = Elsewhere()
+    elsewhere.replaced(old, innovations(old, True), here, marks)
+    assert elsewhere.replaced([*new, "a0"], innovations(["a0"], False), here, marks)
+
+
+def mix_up(rig, seconds):
+    """Drive on while every landmark is taken for another; then begin to see right."""
+    names = list(rig.landmarks)
+    wrong = dict(zip(names, names[3:] + names[:3], strict=True))
+    rig.drive(seconds, see=lambda seen: {wrong[n]: b for n, b in seen.items()})
+
+
+def test_smoothing_knows_nothing_of_the_time_before_its_map_was_begun():
+    rig = Logged(ring(10))
+    mix_up(rig, 30)
+    honest = rig.t
+    rig.pose = Pose(-1.0, 0.6, 2.0)
+    rig.drive(40)
+    track = smooth(rig.logged())
+    truth = {round(a.t, 6): p for a, p in rig.answers}
+    for t, x, y, status in zip(track.t.tolist(), track.x, track.y, track.status, strict=True):
+        if status is Status.LOCALISED and t > honest + 5.0 and round(t, 6) in truth:
+            assert math.hypot(x - truth[round(t, 6)].x, y - truth[round(t, 6)].y) < 0.2
+    assert track.status[-1] is Status.LOCALISED
+
+
+def test_every_sighting_is_counted_once_though_two_maps_take_it():
+    rig = Rig(ring(10))
+    mix_up(rig, 20)
+    rig.drive(40)
+    counts = rig.localizer.counts
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert counts.used + sum(counts.rejected.values()) <= 10 * len(rig.answers)
+
+
+def test_a_robot_lost_among_its_own_landmarks_is_found_and_the_other_map_dropped():
+    rig = Rig(ring(10))
+    rig.drive(60)
+    rig.pose = Pose(-1.2, 1.0, -2.0)
+    rig.drive(20)
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.localizer._beside is None
+    assert rig.localizer.mapper.window.newest > 60  # the old map, gone on
