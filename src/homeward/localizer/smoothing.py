@@ -74,8 +74,8 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 
 def _unknown(times: np.ndarray, localizer: Localizer) -> np.ndarray:
     """Return at which times the last map knows nothing of the robot, shape (n,), bool."""
-    spells = localizer.spells_lost
-    return np.any([(begin <= times) & (times < end) for begin, end in spells] or [times < times], 0)
+    begin, end = np.array(localizer.spells_lost).T[:, :, None]
+    return np.asarray(((begin <= times) & (times < end)).any(axis=0))
 
 
 def _row(track: Track, i: int) -> Estimate:

@@ -136,7 +136,8 @@ class Standing:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         standing = int((best.right & self._stands).sum())
         if standing < FEWEST:
-            return Status.UNVERIFIED, f"only {standing} of {agreeing} that agree did not move since"
+            words = f"only {standing} of {agreeing} home bearings that agree are of landmarks"
+            return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
         if self._rivals > 1.0 - self._settings.sure:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
         if coasting:
