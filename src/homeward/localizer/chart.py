@@ -164,6 +164,12 @@ class Chart:
         )
         return inventory.landmarks()
 
+    @property
+    def stayed(self) -> np.ndarray:
+        """(q,), bool: which of the landmarks of `problem` did not move on the way."""
+        former = self.mapper.landmarks.former
+        return np.array([name not in former for name in self._seen_from_home], bool)
+
     def problem(self, marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a Gaussian of this map."""
         return self._home.problem(self._seen_from_home, self.mapper, marginal)
@@ -210,9 +216,7 @@ class Chart:
 
     def _take(self, now: Hypotheses | None, firm: bool) -> None:
         """Let the standing be by these hypotheses."""
-        former = self.mapper.landmarks.former
-        stands = np.array([name not in former for name in self._seen_from_home], bool)
-        self._standing.take(now, firm, stands)
+        self._standing.take(now, firm, self.stayed)
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing was accepted lately before `t` [s]."""

@@ -60,7 +60,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     there = None if found is None else _there(localizer, whole, found)
     if there is None:
         return track
-    rows = _rows(track.t, there, whole, drive, settings)
+    rows = _rows(track.t, there, localizer.chart.stayed, whole, drive, settings)
     for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
         rows[i] = _row(track, i)
     return dataclasses.replace(
@@ -111,6 +111,7 @@ def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float
 def _rows(
     times: np.ndarray,
     there: list[Hypotheses],
+    stayed: np.ndarray,
     whole: Window,
     drive: Drive,
     settings: LocalizerSettings,
@@ -122,7 +123,7 @@ def _rows(
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
         standing = Standing(settings, drive.settings.odometry)
-        standing.take(there[k], firm=True)
+        standing.take(there[k], firm=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])

@@ -53,8 +53,8 @@ class Standing:
         self._others = Others.none()
         self._weights: np.ndarray | None = None
         """Of the hypotheses that `_others` comes from."""
-        self._checked = self._stands = np.zeros(0, bool)
-        """The home bearings of the best one that the others check, and of landmarks that stand."""
+        self._checked = self._stayed = np.zeros(0, bool)
+        """The home bearings of the best one that the others check, and of landmarks that stayed."""
         self._rivals = 0.0
         self._most = math.inf
         """How uncertain a pose may be that was given [m]."""
@@ -63,7 +63,7 @@ class Standing:
         self.mount_spread = np.zeros((2, 2))
         """Covariance of x and y of the camera on the robot [m^2]."""
 
-    def take(self, now: Hypotheses | None, firm: bool, stands: np.ndarray | None = None) -> None:
+    def take(self, now: Hypotheses | None, firm: bool, stayed: np.ndarray | None = None) -> None:
         """Take the hypotheses of a new keyframe.
 
         Parameters
@@ -73,14 +73,14 @@ class Standing:
         firm : bool
             Whether they come from a solved window with the landmarks in sight: only then may a pose
             be withdrawn.
-        stands : ndarray, shape (q,), bool, optional
+        stayed : ndarray, shape (q,), bool, optional
             Which landmarks stand where they were mapped first; all by default.
         """
         self._best = None if now is None else now.best
         if now is None:
             self.fixed, self._weights = False, None
             return
-        self._stands = np.ones_like(now.best.right) if stands is None else stands
+        self._stayed = np.ones_like(now.best.right) if stayed is None else stayed
         if now.weights is not self._weights:  # not only carried on
             self._others, self._weights = others_of(now), now.weights
             self._checked = now.best.checked
@@ -134,9 +134,9 @@ class Standing:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
-        standing = int((best.right & self._stands).sum())
-        if standing < FEWEST:
-            words = f"only {standing} of {agreeing} home bearings that agree are of landmarks"
+        stayed = int((best.right & self._stayed).sum())
+        if stayed < FEWEST:
+            words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
         if self._rivals > 1.0 - self._settings.sure:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
