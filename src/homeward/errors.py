@@ -5,8 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 
+def printable(text: str) -> str:
+    r"""Return text as one line that a terminal does nothing but print.
+
+    Names in files may hold what clears a screen, moves the cursor or begins a new line; it comes
+    out as Python would write it: ``\x1b``, ``\n``, ``\u202e``.
+    """
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class HomewardError(Exception):
     """Anything told in one line: bad input (`InputError`), or good input that has no answer."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class InputError(HomewardError):

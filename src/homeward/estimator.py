@@ -7,12 +7,17 @@ estimator, and nothing it answers is rewritten later.
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+import functools
+import math
+import numbers
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
+from homeward.errors import InputError
 from homeward.frames import Polar, Pose, to_polar
 
 
@@ -117,12 +122,77 @@ class Counts:
             self.rejected[reason] = self.rejected.get(reason, 0) + number
 
 
+class Turn:
+    """Lets one thread in at a time; a copy of what holds it has its own."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+
+    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
+        return Turn, ()
+
+
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def in_turn(method: Method) -> Method:
+    """Let one thread at a time into a method of an estimator, which holds a `Turn` as ``_turn``."""
+
+    @functools.wraps(method)
+    def inside(self: Any, *values: Any, **named: Any) -> Any:
+        with self._turn.lock:
+            return method(self, *values, **named)
+
+    return cast(Method, inside)
+
+
+def guarded(method: Method) -> Method:
+    """Let real numbers alone, and mappings to such, into a method, and one thread at a time.
+
+    Anything else raises `InputError` before anything is changed.
+    """
+    turn = in_turn(method)
+
+    @functools.wraps(method)
+    def inside(self: Any, *values: Any, **named: Any) -> Any:
+        named = {name: _numbers(value) for name, value in named.items()}
+        return turn(self, *map(_numbers, values), **named)
+
+    return cast(Method, inside)
+
+
+def _numbers(value: Any) -> Any:
+    """Return a real number as a float, and a mapping with its values so; None stays."""
+    if value is None:
+        return None
+    if isinstance(value, Mapping):
+        return {name: _real(number) for name, number in value.items()}
+    return _real(value)
+
+
+def _real(value: Any) -> float:
+    if type(value) is float:
+        return value
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(())[()]
+    if not isinstance(value, numbers.Real):
+        raise InputError(f"{str(value)[:40]!r} is a {type(value).__name__}, not a real number")
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
 class Estimator(Protocol):
     """What every estimator of homeward offers, online and offline.
 
     Samples come in the order of their stamps; one that comes too late, or holds a number that is
     not finite, is counted and otherwise ignored, never an error. How late is too late is up to
     the estimator. A twist holds from its stamp until the next one's, at most `HOLD_S`.
+
+    What is no real number at all raises `InputError`, and changes nothing. Samples are of one
+    robot and have an order, so an estimator belongs to one thread; where several call it, each
+    waits for its turn, and what then comes out of order counts as late.
     """
 
     name: str

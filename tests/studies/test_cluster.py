@@ -1,7 +1,10 @@
 """Blocks on a real Dask cluster of two worker processes, one of them killed on the way."""
 
+import logging
 import multiprocessing
+from contextlib import closing, contextmanager
 
+import psutil
 import pytest
 from studies import chores
 
@@ -13,11 +16,25 @@ from homeward.studies.blocks.store import BlockStore
 distributed = pytest.importorskip("distributed")
 
 
+@contextmanager
+def cluster(workers):
+    """The address of a scheduler with so many workers."""
+    local = distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    )
+    with closing(local):
+        yield local.scheduler_address
+
+
 def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(tmp_path):
     work = {str(x): (str(tmp_path), x) for x in range(10)}
     store = BlockStore(tmp_path / "out", {"runs": 10}, "study.yaml")
     told = []
-    finish(store, chores.die_once, work, Where(workers=2), told.append)
+    with cluster(2) as address:
+        finish(store, chores.die_once, work, Where(scheduler=address), told.append)
     assert (tmp_path / "died").exists()
     assert told == sorted(set(told))
     assert len(told) == 11
@@ -29,10 +46,11 @@ def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(tmp_path):
 def test_an_interrupted_cluster_study_goes_on_elsewhere(tmp_path):
     store = BlockStore(tmp_path / "out", {"runs": 4}, "study.yaml")
     work = {str(x): x for x in range(4)}
-    results = on_cluster(chores.slow_square, work, workers=1)
-    name, arrays = next(results)
-    store.save(name, arrays)
-    results.close()
+    with cluster(1) as address:
+        results = on_cluster(chores.slow_square, work, address)
+        name, arrays = next(results)
+        store.save(name, arrays)
+        results.close()
     assert not multiprocessing.active_children()
     told = []
     finish(store, chores.square, work, Where(), told.append)
@@ -47,5 +65,20 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
 
 
 def test_a_block_that_kills_every_worker_is_told_of():
-    with pytest.raises(HomewardError, match="KilledWorker"):
-        list(on_cluster(chores.die_always, {"0": 0}, workers=1))
+    with cluster(1) as address, pytest.raises(HomewardError, match="KilledWorker"):
+        list(on_cluster(chores.die_always, {"0": 0}, address))
+
+
+def test_processes_of_this_machine_open_no_port(tmp_path):
+    """A port would be open to everybody on a shared machine, and computes what it is sent."""
+    store = BlockStore(tmp_path / "out", {"runs": 3}, "study.yaml")
+    listening = []
+
+    def look(_):
+        me = psutil.Process()
+        for process in (me, *me.children(recursive=True)):
+            found = process.net_connections()
+            listening.extend(c for c in found if c.status == psutil.CONN_LISTEN)
+
+    finish(store, chores.square, {str(x): x for x in range(3)}, Where(workers=2), look)
+    assert not listening

@@ -48,8 +48,9 @@ def info(
     for remark in found.remarks:
         warn(remark)
     if found.settings:
-        typer.echo("Used, as a topics file would say it:")
-        typer.echo(found.settings.rstrip())
+        say("Used, as a topics file would say it:")
+        for line in found.settings.splitlines():
+            say(line)
 
 
 def _row(topic: Topic) -> tuple[str, ...]:

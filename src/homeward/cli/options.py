@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 
 from homeward.cli.terminal import INTERRUPTED, refuse
-from homeward.errors import InputError
+from homeward.drives.yaml_text import parse_yaml
+from homeward.errors import InputError, printable
 
 Robot = Annotated[int | None, typer.Option(help="MRCLAM: which robot.")]
 HomePose = Annotated[
@@ -35,7 +35,7 @@ Scheduler = Annotated[
     str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
 ]
 Workers = Annotated[
-    int | None, typer.Option(min=1, help="Compute on so many Dask workers of this machine.")
+    int | None, typer.Option(min=1, help="Compute with so many processes of this machine.")
 ]
 
 
@@ -53,9 +53,9 @@ def key_values(changes: list[str]) -> dict[str, Any]:
         if not key or not equals:
             raise InputError(f"--set {change}: must be KEY=VALUE")
         try:
-            chosen[key] = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise InputError(f"--set {change}: the value is not YAML") from None
+            chosen[key] = parse_yaml(text, None, typed=True)
+        except InputError as error:
+            raise InputError(f"--set {key}: {error.what}") from None
     return chosen
 
 
@@ -130,7 +130,7 @@ def progress(words: str) -> Iterator[Callable[[float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     bar = Progress(
         *columns,
@@ -140,5 +140,5 @@ def progress(words: str) -> Iterator[Callable[[float], None]]:
         speed_estimate_period=600.0,  # a block of a study may take a minute
     )
     with bar:
-        task = bar.add_task(words, total=1.0)
+        task = bar.add_task(printable(words), total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +19,7 @@ from homeward.cli.options import (
     three_numbers,
 )
 from homeward.cli.terminal import no_answer, say, warn
+from homeward.drives.files import is_there
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ def run(
         "home": None if home is None else three_numbers(home, "--home"),
         "home_noise_deg": home_noise_deg,
         "seed": seed,
-        "topics": None if topics is None else str(topics.resolve()),
+        "topics": None if topics is None else os.path.realpath(topics),
         "smooth": smooth or None,
         "settings": own or None,
     }
@@ -105,13 +107,13 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     from homeward.studies.single_run import RunSettings, load_run
 
     file = Path(drive)
-    if file.suffix in (".yaml", ".yml") and file.is_file():
+    if file.suffix in (".yaml", ".yml") and is_there(file) and not os.path.isdir(file):
         if given:
             option = "--" + ("set" if "settings" in given else min(given).replace("_", "-"))
             raise InputError(f"{option} cannot be changed: the run repeats as it was", file)
         return load_run(file)
-    if drive != SAMPLE or file.exists():
-        drive = str(file.resolve())
+    if drive != SAMPLE or is_there(file):
+        drive = os.path.realpath(file)
     return validated(RunSettings, {"drive": drive, **given})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,7 @@ def see(
     from homeward.report.sightings import describe_sightings
     from homeward.vision.folder import see_folder
 
-    if out.resolve() == folder.resolve():
+    if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)
     with progress(f"looking at {folder}") as tell:
         drive = see_folder(folder, tell, lambda: check_output(out, ODOMETRY))

@@ -10,6 +10,8 @@ from typing import TextIO
 
 import typer
 
+from homeward.errors import printable
+
 ANSWER, NO_ANSWER, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses, the same in all commands."""
 EXIT_STATUSES = (
@@ -32,7 +34,7 @@ def warn(text: str) -> None:
 
 def refuse(text: str) -> None:
     """Print what went wrong on standard error, as one line in a pipe."""
-    _marked("homeward: ", " ".join(text.split()), typer.colors.RED, err=True)
+    _marked("homeward: ", text, typer.colors.RED, err=True)
 
 
 def no_answer() -> typer.Exit:
@@ -50,7 +52,7 @@ def table(rows: Iterable[Iterable[str]], left: int = 2) -> None:
     left : int
         So many columns stand left, the others right.
     """
-    head, *body = [list(row) for row in rows]
+    head, *body = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
     if (width := _width(sys.stdout)) is not None and sum(widths) + 2 * len(widths) > width:
         for row in body:
@@ -72,6 +74,7 @@ def _marked(mark: str, text: str, colour: str, err: bool = False) -> None:
 
 def _wrapped(text: str, stream: TextIO, indent: str = "") -> str:
     """Return a paragraph as it fits the terminal; paths stay whole, to be copied."""
+    text = printable(text)  # a name from a file does nothing to a terminal, nor ends a line early
     if (width := _width(stream)) is None:
         return text
     return textwrap.fill(

@@ -19,18 +19,17 @@ from homeward.drives.drive import (
     Sightings,
     Truth,
 )
+from homeward.drives.files import is_there, naming, require_folder
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.settings import read_settings, settings_yaml
 from homeward.drives.table import (
     Table,
     identifiers,
     is_identifier,
-    naming,
     numbers,
     numbers_or_nothing,
     quoted,
     read_csv,
-    require_folder,
 )
 from homeward.errors import InputError
 
@@ -45,7 +44,7 @@ BEYOND_A_TURN = "bearings beyond a full turn, wrapped (are they in degrees?)"
 
 def is_drive_folder(path: Path) -> bool:
     """Whether any of the files that every drive folder has is there."""
-    return any((path / name).exists() for name in REQUIRED)
+    return any(is_there(path / name) for name in REQUIRED)
 
 
 def read_folder(path: str | os.PathLike[str]) -> Drive:
@@ -73,7 +72,7 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     """
     folder = Path(path)
     require_folder(folder)
-    missing = [name for name in REQUIRED if not (folder / name).exists()]
+    missing = [name for name in REQUIRED if not is_there(folder / name)]
     if missing:
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
     remarks: dict[str, int] = {}
@@ -204,12 +203,12 @@ def _sigma(table: Table) -> np.ndarray:
 
 def read_drive_settings(path: Path) -> DriveSettings:
     """Read drive.yaml, which may be absent."""
-    return read_settings(path, DriveSettings) if path.exists() else DriveSettings()
+    return read_settings(path, DriveSettings) if is_there(path) else DriveSettings()
 
 
 def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
     """Read truth.csv (t, x, y, heading), None where it is absent."""
-    if not path.exists():
+    if not is_there(path):
         return None
     table = read_csv(path, {"t": numbers, "x": numbers, "y": numbers, "heading": numbers})
     table = without_repeats(table, remarks, REPEATED_TRUTH)

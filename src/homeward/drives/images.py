@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from homeward.drives.files import is_there
 from homeward.drives.table import identifiers, numbers, quoted, read_csv
 from homeward.errors import InputError
 
@@ -43,7 +44,7 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
         folder, or is neither JPEG nor PNG by its name.
     """
     table_file = folder / IMAGES
-    if not table_file.exists():
+    if not is_there(table_file):
         return Images(np.empty(0), [])
     table = read_csv(table_file, {"t": numbers, "file": identifiers})
     table.require_order()

@@ -22,6 +22,7 @@ from homeward.drives.drive import (
     Sightings,
     Truth,
 )
+from homeward.drives.files import is_there, require_folder
 from homeward.drives.folder import (
     REPEATED_ODOMETRY,
     REPEATED_TRUTH,
@@ -29,7 +30,7 @@ from homeward.drives.folder import (
     without_repeats,
     wrapped,
 )
-from homeward.drives.table import Table, read_columns, require_folder
+from homeward.drives.table import Table, read_columns
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, between
 
@@ -40,7 +41,7 @@ UNKNOWN_BARCODES = "sightings of unknown barcodes"
 
 def is_mrclam(path: Path) -> bool:
     """Whether the file that every MRCLAM folder has is there."""
-    return (path / BARCODES).exists()
+    return is_there(path / BARCODES)
 
 
 def read_mrclam(
@@ -104,7 +105,7 @@ def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
 
 def _check_robot(folder: Path, robot: int) -> None:
     """Say which robots there are when this one is not."""
-    if (folder / f"Robot{robot}_Odometry.dat").exists():
+    if is_there(folder / f"Robot{robot}_Odometry.dat"):
         return
     names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
     there = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
@@ -168,7 +169,7 @@ def _home_bearings(
 
 
 def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
-    if not path.exists():
+    if not is_there(path):
         return None
     table = without_repeats(read_columns(path, ("t", "x", "y", "heading")), remarks, REPEATED_TRUTH)
     table.require_angle("heading")

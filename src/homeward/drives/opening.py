@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from homeward.drives.drive import Drive
+from homeward.drives.files import is_there
 from homeward.drives.folder import BEARINGS, is_drive_folder, read_folder
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
@@ -96,7 +97,7 @@ def located(path: str | os.PathLike[str]) -> Path:
         When there is nothing.
     """
     place = Path(path)
-    if place.exists():
+    if is_there(place):
         return place
     if str(path) == SAMPLE:
         return sample_drive()
@@ -156,7 +157,7 @@ def _open_images(path: Path, choices: Choices) -> Drive:
 def is_image_folder(path: Path) -> bool:
     """Whether it has images, and no bearings yet."""
     # A drive folder may have images, too: its bearings are known already.
-    return (path / IMAGES).exists() and not (path / BEARINGS).exists()
+    return is_there(path / IMAGES) and not is_there(path / BEARINGS)
 
 
 READERS = (

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from homeward.drives.drive import Drive
+from homeward.drives.files import is_there
 from homeward.drives.folder import write_folder
 from homeward.errors import InputError
 
@@ -40,7 +41,7 @@ def save_drive(
         When it exists or cannot be written.
     """
     place = Path(path)
-    if place.exists() and not (place.is_dir() and not any(place.iterdir())):
+    if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
         raise InputError("exists already; choose another name", place)
     if place.suffix not in LOG_SUFFIXES:
         write_folder(drive, place)

@@ -10,10 +10,14 @@ from pydantic import ValidationError
 
 from homeward.drives.complaints import complaint
 from homeward.drives.drive import Strict
-from homeward.drives.table import naming
+from homeward.drives.files import read_small
+from homeward.drives.table import quoted
+from homeward.drives.yaml_text import DEEPEST, parse_yaml
 from homeward.errors import InputError
 
 Model = TypeVar("Model", bound=Strict)
+LARGEST_SETTINGS = 2**20
+"""Of a file [byte]: what a person writes has thousands."""
 
 
 def read_settings(path: Path, model: type[Model]) -> Model:
@@ -31,14 +35,13 @@ def read_settings(path: Path, model: type[Model]) -> Model:
     InputError
         When the file is not YAML, has a key that the model does not know, or a value out of range.
     """
-    with naming(path, "cannot be read"):
-        data = path.read_bytes()
-    return parse_settings(data, model, path)
+    return parse_settings(_read(path), model, path)
 
 
 def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
     """Parse the text of a settings model; as `read_settings`, errors speak of `path`."""
-    tree = _without_absent(_load(text, path))
+    # As text alone: the model knows the types.
+    tree = _without_absent(parse_yaml(text, path, typed=False))
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
     sections = {k: _without_absent(v) for k, v in tree.items()}
@@ -53,12 +56,7 @@ def read_tree(path: Path) -> dict[str, Any]:
     InputError
         When it cannot be read, or is no mapping.
     """
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path) from None
-    except (yaml.YAMLError, UnicodeError, RecursionError):
-        raise InputError("not YAML", path) from None
+    tree = parse_yaml(_read(path), path, typed=True)
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
     return tree
@@ -82,7 +80,7 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
     """
     tree: dict[str, Any] = {}
     for key, value in values.items():
-        *heads, last = key.split(".")
+        *heads, last = key_parts(key)
         branch = tree
         for head in heads:
             branch = branch.setdefault(head, {})
@@ -92,22 +90,28 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
     return tree
 
 
+def key_parts(key: str) -> list[str]:
+    """Return the keys that one in dots names, from the outermost on.
+
+    Raises
+    ------
+    InputError
+        When it is deeper than settings can be.
+    """
+    parts = key.split(".")
+    if len(parts) > DEEPEST:
+        raise InputError(f"{quoted(key)}: no key lies so deep")
+    return parts
+
+
 def settings_yaml(settings: Strict) -> str:
     """Return a settings model as YAML text, with only the keys that were set; empty if none."""
     tree = settings.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return yaml.safe_dump(tree, sort_keys=False) if tree else ""
 
 
-def _load(text: bytes | str, path: Path) -> Any:
-    """Parse YAML into text alone: the model knows the types, and YAML reads 1:30 as 90."""
-    try:
-        return yaml.load(text, Loader=yaml.BaseLoader)
-    except yaml.MarkedYAMLError as error:
-        row = None if error.problem_mark is None else error.problem_mark.line + 1
-        raise InputError(f"not YAML: {error.problem}", path, row) from error
-    except (yaml.YAMLError, UnicodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"not YAML: {reason}", path) from error
+def _read(path: Path) -> bytes:
+    return read_small(path, LARGEST_SETTINGS, "settings")
 
 
 def _without_absent(value: Any) -> Any:

@@ -8,21 +8,27 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import IO
 
 import numpy as np
 
+from homeward.drives.files import naming, opened
 from homeward.errors import InputError
 
 CHUNK = 1024
 """How many rows are held as text at once; few, so that collecting their garbage stays cheap."""
 LARGEST_ANGLE = 1e6
 """Beyond this [rad] an angle can no longer be wrapped with any meaning."""
+
+LONGEST_LINE = 2**20
+"""Characters; a row that is as long holds no table."""
+_UNDECODABLE = re.compile("[\udc80-\udcff]")
 
 Parser = Callable[[str, Sequence[str], Sequence[int], Path], np.ndarray]
 """Turns (column name, cells, their rows, file) into an array, or raises InputError."""
@@ -105,8 +111,8 @@ def read_csv(
     InputError
         On anything that cannot be read.
     """
-    with _opened(path) as stream:
-        records = _csv_records(stream, path)
+    with _lines(path) as lines:
+        records = _csv_records(lines, path)
         row, header = next(records, (1, None))
         if header is None:
             raise InputError("empty file", path)
@@ -130,14 +136,14 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
     InputError
         On anything that cannot be read.
     """
-    with _opened(path) as stream:
+    with _lines(path) as lines:
         records = (
             (row, line.split())
-            for row, line in enumerate(stream, start=1)
+            for row, line in enumerate(lines, start=1)
             if line.strip() and not line.lstrip().startswith("#")
         )
         return _collect(
-            records, len(names), {name: (i, numbers) for i, name in enumerate(names)}, path
+            records, len(names), {name: (i, _bare_numbers) for i, name in enumerate(names)}, path
         )
 
 
@@ -152,6 +158,14 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
     i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
     trouble = "is empty" if not cells[i].strip() else f"is {quoted(cells[i])}, not a finite number"
     raise InputError(f"{name} {trouble}", path, rows[i])
+
+
+def _bare_numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Parse finite numbers of a file without a header, which may be quite another: none is told."""
+    try:
+        return numbers(name, cells, rows, path)
+    except InputError as error:
+        raise InputError(f"{name} is not a finite number", path, error.row) from None
 
 
 def numbers_or_nothing(
@@ -187,23 +201,6 @@ def quoted(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:40] + "...")
 
 
-@contextmanager
-def naming(path: Path, trouble: str) -> Iterator[None]:
-    """Make an InputError of whatever the system says about `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{trouble}: {error.strerror or error}", path) from error
-
-
-def require_folder(path: Path) -> None:
-    """Raise InputError when `path` is not a folder that can be looked into."""
-    with naming(path, "cannot be read"):
-        if not path.is_dir():
-            raise InputError("not a folder" if path.exists() else "no such folder", path)
-        next(path.iterdir(), None)
-
-
 def _is_finite_number(cell: str) -> bool:
     try:
         return math.isfinite(float(cell)) and "_" not in cell
@@ -212,31 +209,30 @@ def _is_finite_number(cell: str) -> bool:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[TextIO]:
-    """Open a UTF-8 file; whatever the system or the decoder says becomes an InputError."""
-    try:
-        with naming(path, "cannot be read"):
-            if path.exists() and not path.is_file():
-                raise InputError("not a regular file", path)
-            with path.open(encoding="utf-8-sig", newline="") as stream:
-                yield stream
-    except UnicodeDecodeError as error:
-        raise InputError("not UTF-8 text", path, _undecodable_row(path)) from error
+def _lines(path: Path) -> Iterator[Iterator[str]]:
+    """Open a text file to walk its lines; whatever the system says becomes an InputError."""
+    # What is no UTF-8 becomes surrogates, so that the line at fault is known.
+    options = {"encoding": "utf-8-sig", "errors": "surrogateescape", "newline": ""}
+    with naming(path, "cannot be read"), opened(path, "r", **options) as stream:
+        yield _checked(stream, path)
 
 
-def _undecodable_row(path: Path) -> int | None:
-    """Find the row of the first byte that is not UTF-8; the stream knows only its own buffer."""
-    data = path.read_bytes()
-    try:
-        data.decode()
-    except UnicodeDecodeError as error:
-        return len((data[: error.start] + b"?").splitlines())
-    return None
+def _checked(stream: IO[str], path: Path) -> Iterator[str]:
+    """Yield the lines of a file, none of which may be endless or other than UTF-8."""
+    for row in itertools.count(1):
+        line = stream.readline(LONGEST_LINE)
+        if len(line) == LONGEST_LINE:
+            raise InputError(f"a line of {LONGEST_LINE:,} characters or more", path, row)
+        if not line.isascii() and _UNDECODABLE.search(line):
+            raise InputError("not UTF-8 text", path, row)
+        if not line:
+            return
+        yield line
 
 
-def _csv_records(stream: TextIO, path: Path) -> Iterator[tuple[int, list[str]]]:
+def _csv_records(lines: Iterator[str], path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield (row, fields) of every line that is not blank."""
-    reader = csv.reader(stream, skipinitialspace=True, strict=True)
+    reader = csv.reader(lines, skipinitialspace=True, strict=True)
     row = 1
     try:
         for fields in reader:
@@ -257,8 +253,8 @@ def _places(
     """Find the wanted columns in the header."""
     missing = [name for name in required if name not in header]
     if missing:
-        found = quoted(",".join(header))
-        raise InputError(f"no column {', '.join(missing)} in the header {found}", path, row)
+        # What stands there is not told: a link may lead to a file that is nobody's business.
+        raise InputError(f"no column {', '.join(missing)} in the header", path, row)
     for name in wanted:
         if header.count(name) > 1:
             raise InputError(f"column {name} stands twice in the header", path, row)

@@ -11,7 +11,16 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.engine.runner import FilterRunner, Numbers, Tuning
-from homeward.estimator import HOLD_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.estimator import (
+    HOLD_S,
+    Counts,
+    Estimate,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+    Turn,
+    guarded,
+)
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
@@ -63,6 +72,7 @@ class OnlineFilter:
     ) -> None:
         self._runner = FilterRunner(kind, tuning, engine, samples)
         self.name, self.notes, self.counts = name, notes + self._runner.notes, Counts()
+        self._turn = Turn()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
@@ -80,6 +90,7 @@ class OnlineFilter:
         """What executes it: native or interpreter."""
         return self._runner.engine
 
+    @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
         if not self._in_order(t, "odometry samples"):
@@ -90,6 +101,7 @@ class OnlineFilter:
         self._advance(t)
         self._twist, self._twist_t = (v, omega), t
 
+    @guarded
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
@@ -117,12 +129,14 @@ class OnlineFilter:
             self._last_seen = t
         return self._estimate(t, self._belief, innovations)
 
+    @guarded
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s] and change nothing."""
         if math.isnan(self._t):
             return Estimate(t, Status.WAITING, "no odometry and no bearings yet")
         return self._estimate(t, self._predicted(t), ())
 
+    @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return where each landmark must stand, by the paper's relation for D*_i.
 

@@ -20,6 +20,8 @@ from homeward.estimator import (
     Innovation,
     LandmarkEstimate,
     Status,
+    Turn,
+    guarded,
 )
 from homeward.frames import Pose
 from homeward.localizer.arrivals import Arrivals, Glance
@@ -61,7 +63,7 @@ class Localizer:
         drive: DriveSettings | None = None,
         settings: LocalizerSettings | None = None,
     ) -> None:
-        self.counts = Counts()
+        self.counts, self._turn = Counts(), Turn()
         self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()
@@ -85,6 +87,7 @@ class Localizer:
         mounting, calibration = self.mapper.mounting, self.mapper.window.calibration
         return (*self._notes, *noisy, *mounting.words(calibration), *lag_words(calibration))
 
+    @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)
@@ -102,6 +105,7 @@ class Localizer:
         self._senses.odometry(t, v, omega)
         self._see_what_is_due()
 
+    @guarded
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
@@ -124,6 +128,7 @@ class Localizer:
         innovations = self._see_what_is_due()
         return dataclasses.replace(self._estimate(t, innovations), t=said)
 
+    @guarded
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         if self._t == -math.inf:
@@ -132,6 +137,7 @@ class Localizer:
         now = max(at, self._t) if math.isfinite(at) else self._t
         return dataclasses.replace(self._estimate(now, ()), t=t)
 
+    @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
         return self.chart.landmarks(judge=not self._senses.reversed)

@@ -21,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from homeward.errors import printable
 from homeward.report.palette import INK, MUTED, RULE
 
 WIDTH_IN = 7.2
@@ -71,6 +72,11 @@ def style(salt: str = "homeward") -> Iterator[None]:
         # Landmarks have any names; a box instead of a letter is no reason to stop.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
+
+
+def plain(label: str) -> str:
+    """Return a label that somebody chose so that it is drawn as it is, not as a formula."""
+    return printable(label).replace("$", r"\$")
 
 
 def new_figure(height_in: float) -> Figure:

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from homeward.drives.files import is_there
 from homeward.errors import InputError
-
-_SCRATCH = ".writing-"
+from homeward.studies.blocks.store import SCRATCH
 
 
 def check_output(directory: Path, marker: str) -> None:
@@ -29,11 +29,11 @@ def check_output(directory: Path, marker: str) -> None:
     InputError
         When it holds files without that one among them, or is no folder.
     """
-    if not directory.exists():
+    if not is_there(directory):
         return
     if not directory.is_dir():
         raise InputError("is not a folder; choose another output folder", directory)
-    names = {p.name for p in directory.iterdir() if not p.name.startswith(_SCRATCH)}
+    names = {p.name for p in directory.iterdir() if not p.name.startswith(SCRATCH)}
     if names and marker not in names:
         raise InputError(
             f"holds files but no {marker}, so they are not ours to replace; "
@@ -55,11 +55,11 @@ def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
     """
     try:
         check_output(directory, marker)
-        new = not directory.exists()
+        new = not is_there(directory)
         directory.mkdir(parents=True, exist_ok=True)
         try:
             # Inside, not beside: beside may be another file system, where a move is a copy.
-            with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=directory) as scratch:
+            with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=directory) as scratch:
                 yield Path(scratch)
                 for file in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
                     place = directory / file.name

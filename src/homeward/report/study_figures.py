@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
 from homeward.report.below_bound import MARK, below_bound
-from homeward.report.canvas import legend_below, new_figure, style, uncrowd
+from homeward.report.canvas import legend_below, new_figure, plain, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
 from homeward.report.study_maps import draw_maps, grids
 from homeward.studies.study.results import Results
@@ -123,8 +123,8 @@ def draw_overview(results: Results) -> Figure:
 
 
 def _wrapped(label: str) -> str:
-    """Return a label in lines that leave a panel its room."""
-    return textwrap.fill(label, LINE) or label
+    """Return a label as it is, in lines that leave a panel its room."""
+    return textwrap.fill(plain(label), LINE)
 
 
 def _ticks(axes: Axes) -> LogLocator:
@@ -160,7 +160,7 @@ def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:
     for line, place in zip(rows, places, strict=True):
         if line.scenario != before:
             where: dict[str, Any] = {"transform": across, "va": "center"}
-            axes.text(0.02, place - 0.75, line.scenario, weight="bold", **where)
+            axes.text(0.02, place - 0.75, plain(line.scenario), weight="bold", **where)
             before = line.scenario
 
 

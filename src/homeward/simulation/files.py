@@ -9,8 +9,9 @@ from typing import Any, TypeVar
 
 import yaml
 
+from homeward.drives.files import is_there
 from homeward.drives.folder import write_folder
-from homeward.drives.settings import read_settings, validated
+from homeward.drives.settings import key_parts, read_settings, validated
 from homeward.errors import InputError
 from homeward.simulation.presets import PRESETS
 from homeward.simulation.scenario import Course, Scenario
@@ -78,14 +79,14 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
 
 def _existing(source: str) -> Path:
     path = Path(source)
-    if not path.exists():
+    if not is_there(path):
         raise InputError(f"neither a file nor one of the presets {', '.join(PRESETS)}", path)
     return path
 
 
 def _change(tree: dict[str, Any], key: str, value: Any) -> None:
     """Set one key, given in dots, in nested mappings."""
-    *sections, last = key.split(".")
+    *sections, last = key_parts(key)
     branch = tree
     for section in sections:
         inner = branch.setdefault(section, {})

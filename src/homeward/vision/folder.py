@@ -11,6 +11,7 @@ import numpy as np
 
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Sightings
+from homeward.drives.files import is_there, require_folder
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
@@ -21,7 +22,6 @@ from homeward.drives.folder import (
 )
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
-from homeward.drives.table import require_folder
 from homeward.errors import InputError
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_view
@@ -69,10 +69,10 @@ def see_folder(
     """
     folder = Path(path)
     require_folder(folder)
-    if not (folder / IMAGES).exists():
+    if not is_there(folder / IMAGES):
         raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
     told = folder / IMAGE_SETTINGS
-    settings = read_image_settings(told if told.exists() else None)
+    settings = read_image_settings(told if is_there(told) else None)
     remarks: dict[str, int] = {}
     images = read_images(folder, remarks)
     if not images.files:

@@ -28,6 +28,9 @@ from homeward.estimator import (
     FindsMount,
     LandmarkEstimate,
     Status,
+    Turn,
+    guarded,
+    in_turn,
 )
 from homeward.frames import (
     Polar,
@@ -79,7 +82,7 @@ class HomeSight:
     """
 
     def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
-        self._inner = estimator
+        self._inner, self._turn = estimator, Turn()
         self.name, self.counts = estimator.name, estimator.counts
         settings = drive or DriveSettings()
         self._told = settings
@@ -99,6 +102,7 @@ class HomeSight:
         """Those of the other estimator."""
         return self._inner.notes
 
+    @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
@@ -111,6 +115,7 @@ class HomeSight:
         self._twists.append((t, v, omega))
         self._forget_twists()
 
+    @guarded
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
@@ -119,6 +124,7 @@ class HomeSight:
         innovations = self._inner.bearings(t, sightings, sigmas).innovations
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
+    @in_turn
     def home(self, t: float, seen: Comparison | None) -> None:
         """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
 
@@ -144,6 +150,7 @@ class HomeSight:
             self._fix = joined(self._carried(t), fix)
             self._forget_twists()
 
+    @guarded
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         mapped, at = self._inner.estimate(t), self._clock.peek(t)
@@ -152,6 +159,7 @@ class HomeSight:
             return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
         return self._answer(mapped, fix)
 
+    @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
         return self._witness.reconsidered(self._inner.landmarks())

@@ -8,11 +8,12 @@ from __future__ import annotations
 import struct
 import warnings
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from homeward.drives.table import naming
+from homeward.drives.files import naming, opened
 from homeward.errors import InputError
 from homeward.vision.camera import Panorama
 from homeward.vision.features import View, look
@@ -40,16 +41,20 @@ def read_grey(path: Path) -> np.ndarray:
     InputError
         When it is no whole image of one frame, or of a size that is no panorama's.
     """
-    with naming(path, "cannot be read"):
-        if path.exists() and not path.is_file():
-            raise InputError("not a regular file", path)
-        if not path.stat().st_size:
-            raise InputError("empty file", path)
+    with naming(path, "cannot be read"), opened(path) as stream:
+        return _decoded(stream, path)
+
+
+def _decoded(stream: IO[bytes], path: Path) -> np.ndarray:
+    """Decode an open file."""
+    if not stream.read(1):
+        raise InputError("empty file", path)
+    stream.seek(0)
     try:
         with warnings.catch_warnings():
             # Pillow warns of large images and odd tags; sizes are checked below.
             warnings.simplefilter("ignore")
-            with Image.open(path, formats=FORMATS) as image:
+            with Image.open(stream, formats=FORMATS) as image:
                 _check(image)
                 return _grey(_upright(image))
     except InputError as error:
@@ -58,7 +63,7 @@ def read_grey(path: Path) -> np.ndarray:
         raise InputError("not an image that can be read", path) from None
     except Image.DecompressionBombError:
         raise InputError(f"more than {MOST_PIXELS // 10**6} million pixels", path) from None
-    except (OSError, SyntaxError, ValueError, EOFError, MemoryError) as error:
+    except Exception as error:  # whatever decoders make of bytes that are no picture
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a whole image: {reason}", path) from None
 

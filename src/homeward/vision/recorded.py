@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.estimator import Estimate, Estimator
+from homeward.estimator import Estimate, Estimator, guarded
 from homeward.frames import Pose, bearing
 from homeward.vision.compare import LARGEST_DIRECTION_SIGMA, Comparison
 from homeward.vision.doubt import Doubt, doubted, outlasting, remembered
@@ -66,11 +66,13 @@ class RecordedSight(HomeSight):
         """Those of the other estimator, and that home's picture was used."""
         return (*super().notes, self._note)
 
+    @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on, and before it the pictures of earlier stamps."""
         self._look_before(t)
         super().odometry(t, v, omega)
 
+    @guarded
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:

@@ -174,7 +174,9 @@ def test_bombs_and_lengths_in_bounded_memory_and_time(tmp_path):
     for name, message in told.items():
         assert name in message, (name, message)
         assert not message.startswith(("raised", "was read")), (name, message)
-        assert any(word in message for word in [*words.split("|"), "too big", "larger"]), (
+        assert any(
+            word in message for word in [*words.split("|"), "too big", "larger", "computed"]
+        ), (
             name,
             message,
         )
@@ -268,12 +270,12 @@ def test_databases_that_are_no_bags(tmp_path):
 @pytest.mark.parametrize(
     ("metadata", "words"),
     [
-        ("text", "not YAML with"),
-        ("rosbag2_bagfile_information: 3", "not a mapping"),
+        ("text", "not a mapping"),
+        ("rosbag2_bagfile_information: 3", "no rosbag2_bagfile_information"),
         ("rosbag2_bagfile_information: {relative_file_paths: []}", "names no files"),
         ("rosbag2_bagfile_information: {relative_file_paths: [../secret]}", "not there: 'secret'"),
         ("rosbag2_bagfile_information: {relative_file_paths: [.]}", "not there"),
-        ("a: &a [x]\nb: [*a, *a", "not YAML with"),
+        ("a: &a [x]\nb: [*a, *a", "not YAML"),
         (
             "rosbag2_bagfile_information: {relative_file_paths: [x.mcap], compression_mode: file, "
             "compression_format: rar}",

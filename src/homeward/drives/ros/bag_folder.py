@@ -9,22 +9,20 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
-import yaml
-
-from homeward.drives.ros.container import Log, Message, Unpacker, in_short, walking, zstd
+from homeward.drives.files import is_there, naming, opened
+from homeward.drives.ros.container import Budget, Log, Message, Unpacker, in_short, walking, zstd
 from homeward.drives.ros.mcap import MAGIC as MCAP_MAGIC
 from homeward.drives.ros.mcap import Mcap
 from homeward.drives.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC
 from homeward.drives.ros.rosbag1 import Rosbag1
 from homeward.drives.ros.sqlite import MAGIC as SQLITE_MAGIC
 from homeward.drives.ros.sqlite import Sqlite
-from homeward.drives.table import naming, quoted
+from homeward.drives.settings import read_tree
+from homeward.drives.table import quoted
 from homeward.errors import InputError
 
 METADATA = "metadata.yaml"
 _ROOT = "rosbag2_bagfile_information"
-LARGEST_METADATA = 4 * 2**20
-"""[byte]"""
 LARGEST_UNPACKED = 2**34
 """Of a file that was compressed as a whole; it is unpacked to a temporary one [byte]."""
 
@@ -39,8 +37,8 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 def is_log(path: Path) -> bool:
     """Whether a file begins as a log does, or a folder holds a ROS 2 bag."""
     if path.is_dir():
-        return (path / METADATA).is_file() or bool(_bare_files(path))
-    return path.is_file() and (_first_bytes(path).startswith((*_KINDS, b"#ROSBAG")))
+        return is_there(path / METADATA) or bool(_bare_files(path))
+    return is_there(path) and (_first_bytes(path).startswith((*_KINDS, b"#ROSBAG")))
 
 
 def open_log(path: Path) -> Log:
@@ -76,7 +74,7 @@ class BagFolder:
         for number, file in enumerate(self._files):
             with walking(file), _unpacked(file) as whole:
                 log = open_log(whole)
-                unpacker = Unpacker(whole)
+                unpacker = Unpacker(Budget(whole))
                 for channel, receive, data in log.messages():
                     self.done = (number + log.done) / len(self._files)
                     if self._packed_messages:
@@ -85,8 +83,8 @@ class BagFolder:
 
 
 def _first_bytes(path: Path) -> bytes:
-    with naming(path, "cannot be read"), path.open("rb") as stream:
-        return stream.read(16)
+    with naming(path, "cannot be read"), opened(path) as stream:
+        return bytes(stream.read(16))
 
 
 def _bare_files(path: Path) -> list[Path]:
@@ -98,7 +96,7 @@ def _bare_files(path: Path) -> list[Path]:
 def _contents(path: Path) -> tuple[list[Path], bool]:
     """Return a folder's files in order, and whether their messages are compressed."""
     file = path / METADATA
-    if not file.is_file():
+    if not is_there(file):
         if not (files := _bare_files(path)):
             raise InputError("no ROS bag and no MCAP file in it", path)
         return files, False
@@ -117,16 +115,9 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
 
 
 def _metadata(file: Path) -> dict[str, Any]:
-    with naming(file, "cannot be read"):
-        if file.stat().st_size > LARGEST_METADATA:
-            raise InputError("too long for the metadata of a bag", file)
-        text = file.read_bytes()
-    try:
-        told = yaml.safe_load(text)[_ROOT]
-    except (yaml.YAMLError, UnicodeError, RecursionError, KeyError, TypeError, ValueError):
-        raise InputError(f"not YAML with {_ROOT} in it", file) from None
+    told = read_tree(file).get(_ROOT)
     if not isinstance(told, dict):
-        raise InputError(f"{_ROOT} is not a mapping of keys to values", file)
+        raise InputError(f"no {_ROOT} in it with keys and values", file)
     return told
 
 
@@ -139,7 +130,7 @@ def _unpacked(file: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="homeward-") as folder:
         whole = Path(folder) / file.stem
         try:
-            with zstd.open(file, "rb") as packed, whole.open("wb") as out:
+            with opened(file) as stream, zstd.open(stream, "rb") as packed, whole.open("wb") as out:
                 _copy(packed, out, file)
         except (zstd.ZstdError, EOFError) as error:
             raise InputError(f"damaged: {in_short(error)}", file) from error
@@ -152,8 +143,10 @@ def _unpacked(file: Path) -> Iterator[Path]:
 def _copy(packed: Any, out: Any, file: Path) -> None:
     """Copy to a file, no more than a log may hold nor than the disk has room for."""
     room = min(LARGEST_UNPACKED, shutil.disk_usage(Path(out.name).parent).free // 2)
+    budget = Budget(file)
     while block := packed.read(2**20):
         room -= len(block)
+        budget.unpacked(len(block))
         if room < 0:
             raise InputError("unpacks to more than a log may hold", file)
         out.write(block)

@@ -8,6 +8,7 @@ every message in memory, which a log of unknown origin must not be able to ask f
 from __future__ import annotations
 
 import bz2
+import os
 import struct
 import sys
 from abc import ABC, abstractmethod
@@ -15,11 +16,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
 
 import lz4.frame
 
-from homeward.drives.table import naming, quoted
+from homeward.drives.files import naming, opened
+from homeward.drives.table import quoted
 from homeward.errors import InputError
 
 if sys.version_info >= (3, 14):
@@ -33,6 +35,8 @@ LEAST_TOTAL = 256 * 2**20
 """A log may always unpack to this much in all [byte]."""
 LARGEST_GROWTH = 100
 """And beyond it to this many times the size of its file."""
+LEAST_RECORDS = 2_000_000
+"""A log may always have so many records, and one for each byte of its file: some seconds' work."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +85,9 @@ class Log(Protocol):
 class Source:
     """A file read from front to end; nothing is read before its length was found to be possible."""
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path, self._stream = path, stream
-        self.size = path.stat().st_size
+        self.size = os.fstat(stream.fileno()).st_size
         self.at = 0
 
     @property
@@ -127,7 +131,7 @@ class RecordFile(ABC):
 
     def messages(self) -> Iterator[Message]:
         """Walk the messages; see `Log`."""
-        with walking(self.path), self.path.open("rb") as stream:
+        with walking(self.path), opened(self.path) as stream:
             source = Source(self.path, stream)
             source.take(len(self.magic), "the first line")
             yield from self.walk(source)
@@ -137,12 +141,33 @@ class RecordFile(ABC):
         """Walk the messages behind the first line."""
 
 
+class Budget:
+    """What one file may come to in all; more is no recording, but meant to keep us busy."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        size = path.stat().st_size
+        self._bytes = max(LEAST_TOTAL, LARGEST_GROWTH * size)
+        self._records = LEAST_RECORDS + size
+
+    def unpacked(self, size: int) -> None:
+        """Take note of so many bytes that came out of a chunk or a cell."""
+        self._bytes -= size
+        if size > LARGEST_BLOCK or self._bytes < 0:
+            raise InputError("unpacks to more than a log may hold", self.path)
+
+    def record(self) -> None:
+        """Take note of a record."""
+        self._records -= 1
+        if self._records < 0:
+            raise InputError("unpacks to more records than a log may hold", self.path)
+
+
 class Unpacker:
     """Inflates the chunks of one file, none beyond what it declares."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._left = max(LEAST_TOTAL, LARGEST_GROWTH * path.stat().st_size)
+    def __init__(self, budget: Budget) -> None:
+        self._path, self._budget = budget.path, budget
 
     def unpack(self, data: bytes | memoryview, compression: str, size: int) -> bytes | memoryview:
         """Return a chunk's `size` bytes.
@@ -152,7 +177,7 @@ class Unpacker:
         InputError
             For an unknown compression, another size than declared, or more than a log may hold.
         """
-        self._claim(size)
+        self._budget.unpacked(size)
         if compression in ("", "none"):
             raw: bytes | memoryview = data
         elif compression in _INFLATERS:
@@ -172,13 +197,8 @@ class Unpacker:
     def unpack_whole(self, data: bytes) -> bytes:
         """Return what a zstd frame of unknown size holds."""
         raw = _zstd(data, LARGEST_BLOCK + 1)
-        self._claim(len(raw))
+        self._budget.unpacked(len(raw))
         return raw
-
-    def _claim(self, size: int) -> None:
-        self._left -= size
-        if size > LARGEST_BLOCK or self._left < 0:
-            raise InputError("unpacks to more than a log may hold", self._path)
 
 
 def _bz2(data: bytes, limit: int) -> bytes:

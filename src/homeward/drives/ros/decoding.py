@@ -6,12 +6,16 @@ narrow: plain names, no constants, and no more numbers in a message than any tha
 
 from __future__ import annotations
 
+import inspect
 import re
+from functools import cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys.base import make_typesdict
+from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.container import Channel, in_short
@@ -29,7 +33,12 @@ MOST_ELEMENTS = 1_000_000
 """In a sequence."""
 DEEPEST = 20
 """Types within types."""
+LARGEST_DEFINITIONS = 2**20
+"""Characters of all definitions that are made into code, which are those of the topics used."""
+MOST_CONSTANTS, MOST_MODULES = 500, 50
+"""In a definition as IDL, where each name is looked for among all that were told before it."""
 _NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
+_FIELD = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _HEADER_FIRST = re.compile(r"\s*(?:#.*\n\s*)*(?:std_msgs/(?:msg/)?)?Header\s+\w+", re.ASCII)
 _IDL_MARK = "=" * 80 + "\n"
 
@@ -39,6 +48,7 @@ class Decoder:
 
     def __init__(self) -> None:
         self._stores: dict[Channel, Any] = {}
+        self._characters = 0
 
     def decode(self, channel: Channel, data: bytes | memoryview) -> Any:
         """Return a message as rosbags' object, with the fields of its definition.
@@ -49,6 +59,9 @@ class Decoder:
             When it does not fit its type, or the type is not known; names the topic.
         """
         if channel not in self._stores:
+            self._characters += len(channel.definition)
+            if self._characters > LARGEST_DEFINITIONS:
+                raise InputError(f"{channel.topic}: more message definitions than any log has")
             self._stores[channel] = _store(channel)
         try:
             if len(data) > LARGEST_MESSAGE:
@@ -82,55 +95,111 @@ def _store(channel: Channel) -> Any:
             raise InputError(f"{channel.topic}: the log does not say what a {kind} is")
         return known
     types = {**known.fielddefs, **_parsed(channel)}
-    needed: dict[str, Any] = {}
-    _numbers(channel, types, channel.type, needed, ())
+    shapes = _Shapes(channel, types)
+    shapes.of(channel.type, ())
     store = Typestore(max_sequence_length=MOST_ELEMENTS)
-    store.register({name: ([], fields) for name, fields in needed.items()})
+    try:
+        store.register({name: ([], types[name][1]) for name in shapes.known})
+        store.get_msgdef(channel.type)
+    except Exception as error:  # whatever comes of code that is made of a definition
+        raise InputError(
+            f"{channel.topic}: the log's definition of {channel.type} cannot be used: "
+            f"{in_short(error)}"
+        ) from error
     return store
 
 
 def _parsed(channel: Channel) -> dict[str, Any]:
     """Return the types that a channel's definition holds."""
     text = channel.definition
-    if len(text) > LARGEST_DEFINITION or not _NAME.fullmatch(channel.type):
+    if len(text) > LARGEST_DEFINITION:
+        raise InputError(f"{channel.topic}: a definition of {len(text):,} characters, too many")
+    if not _NAME.fullmatch(channel.type):
         raise InputError(f"{channel.topic}: its type {quoted(channel.type)} cannot be read")
     try:
         if channel.syntax == "msg":
             return dict(get_types_from_msg(text, channel.type))
         parts = [part.partition("\n")[2] for part in text.split(_IDL_MARK)[1:]] or [text]
-        return {name: kind for part in parts for name, kind in get_types_from_idl(part).items()}
-    except (TypesysError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
+        known: dict[str, Any] = {}
+        for part in parts:
+            if part.count("const") > MOST_CONSTANTS or part.count("module") > MOST_MODULES:
+                raise ValueError("more constants or modules than any message has")
+            known |= make_typesdict(_Idl(part).specification())
+        return known
+    except Exception as error:  # whatever the parsers make of a text that is none
         raise InputError(
             f"{channel.topic}: the log's definition of {channel.type} cannot be read"
         ) from error
 
 
-def _numbers(
-    channel: Channel,
-    types: dict[str, Any],
-    name: str,
-    needed: dict[str, Any],
-    above: tuple[str, ...],
-) -> int:
-    """Count the fixed numbers in a type, and collect its fields and those of its parts."""
-    if name not in types or name in above or not _NAME.fullmatch(name):
-        raise InputError(f"{channel.topic}: {channel.type} needs {quoted(name)}, which is not told")
-    if len(above) > DEEPEST:
-        raise InputError(f"{channel.topic}: {channel.type} is deeper than any message read")
-    fields = types[name][1]
-    total = 0
-    for field, (node, what) in fields:
-        if not field.isidentifier() or not field.isascii():
-            raise InputError(f"{channel.topic}: {channel.type} has a field {quoted(field)}")
-        many, inner = 1, (node, what)
+class _Idl(IDLParser):
+    """rosbags' parser of IDL in linear time, for constants that are told, not computed.
+
+    Its grammar goes back to the same place again and again, the oftener the deeper brackets lie;
+    what a rule made of a place is kept (packrat parsing). Without sums and shifts a short text
+    cannot tell a number of a gigabyte.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        for rule in _RULES:
+            setattr(self, rule, cache(getattr(self, rule)))
+
+    def const_expr(self, pos: int) -> Any:
+        """Parse a signed literal, a name, or either in brackets."""
+        return self.unary_expr(pos)
+
+
+_RULES = [
+    name
+    for name, rule in vars(IDLParser).items()
+    if inspect.isfunction(rule) and list(inspect.signature(rule).parameters) == ["self", "pos"]
+]
+"""What parses something at a place, and nothing else decides what."""
+
+
+class _Shapes:
+    """How many numbers of a fixed size each type holds, and how deep types lie in it.
+
+    Every field counts, were it of a type without any: it is visited.
+    """
+
+    def __init__(self, channel: Channel, types: dict[str, Any]) -> None:
+        self._channel, self._types = channel, types
+        self.known: dict[str, tuple[int, int]] = {}
+        """By name, parts before what they are parts of."""
+
+    def of(self, name: str, above: tuple[str, ...]) -> tuple[int, int]:
+        """Return numbers and depth of a type that is part of those `above`."""
+        if name in self.known:
+            return self.known[name]
+        if name not in self._types or name in above or not _NAME.fullmatch(name):
+            raise self._refused(f"needs {quoted(name)}, which is not told")
+        total, height, fields = 0, 0, self._types[name][1]
+        for field, kind in fields:
+            if not _FIELD.fullmatch(field):
+                raise self._refused(f"has a field {quoted(field)}")
+            many, below = self._field(kind, (*above, name))
+            total, height = total + many, max(height, below + 1)
+            if total > MOST_NUMBERS:
+                raise self._refused("is larger than any message read")
+            if len(above) + height > DEEPEST:
+                raise self._refused("is deeper than any message read")
+        self.known[name] = max(total, 1), height
+        return self.known[name]
+
+    def _field(self, kind: tuple[Nodetype, Any], above: tuple[str, ...]) -> tuple[int, int]:
+        """Return numbers and depth of a field; a sequence counts as one of its elements."""
+        node, what = kind
+        many = 1
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            inner, length = what
-            many = length if node == Nodetype.ARRAY else 1
-        one = 1
-        if inner[0] == Nodetype.NAME:
-            one = _numbers(channel, types, inner[1], needed, (*above, name))
-        total += many * one
-        if total > MOST_NUMBERS:
-            raise InputError(f"{channel.topic}: {channel.type} is larger than any message read")
-    needed[name] = fields
-    return total
+            (inner, what), length = what
+            # An array of nothing would be visited for ever in a sequence that takes no bytes.
+            if node == Nodetype.ARRAY and length < 1:
+                raise self._refused(f"has an array of {length}")
+            many, node = length if node == Nodetype.ARRAY else 1, inner
+        numbers, depth = self.of(what, above) if node == Nodetype.NAME else (1, 0)
+        return many * numbers, depth
+
+    def _refused(self, why: str) -> InputError:
+        return InputError(f"{self._channel.topic}: {self._channel.type} {why}")

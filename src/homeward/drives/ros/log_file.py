@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +12,9 @@ from typing import Any
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
+from homeward.drives.files import is_there, naming
 from homeward.drives.ros.messages import typestore
 from homeward.drives.ros.stamps import NANO
-from homeward.drives.table import naming
 from homeward.errors import InputError
 
 _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
@@ -54,6 +55,15 @@ class LogFile:
 
 
 @contextmanager
+def _naming_sqlite(path: Path) -> Iterator[None]:
+    """Make an InputError of what sqlite says, which is no OSError when the disk is full."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise InputError(f"cannot be written: {error}", path) from error
+
+
+@contextmanager
 def writing(path: Path) -> Iterator[LogFile]:
     """Lend a log that becomes the file `path` when the block ends without an error.
 
@@ -67,9 +77,9 @@ def writing(path: Path) -> Iterator[LogFile]:
     InputError
         When it exists or cannot be written.
     """
-    if path.exists():
+    if is_there(path):
         raise InputError("exists already; choose another name", path)
-    with naming(path, "cannot be written"):
+    with naming(path, "cannot be written"), _naming_sqlite(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         # Beside it, so that moving it into place is no copy.
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as scratch:

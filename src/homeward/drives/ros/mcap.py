@@ -6,7 +6,15 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 
-from homeward.drives.ros.container import Channel, Message, RecordFile, Source, Unpacker, ros2_type
+from homeward.drives.ros.container import (
+    Budget,
+    Channel,
+    Message,
+    RecordFile,
+    Source,
+    Unpacker,
+    ros2_type,
+)
 from homeward.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -31,7 +39,8 @@ class _Walk:
 
     def __init__(self, log: Mcap, source: Source) -> None:
         self._log, self._source = log, source
-        self._unpacker = Unpacker(log.path)
+        self._budget = Budget(log.path)
+        self._unpacker = Unpacker(self._budget)
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: set[int] = set()
@@ -53,6 +62,7 @@ class _Walk:
             if op == _CHUNK:
                 self._chunks.add(start)
                 for inner, content in _records(self._chunk(record)):
+                    self._budget.record()
                     yield from self._record(inner, content)
             else:
                 yield from self._record(op, record)

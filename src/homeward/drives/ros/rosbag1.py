@@ -6,7 +6,15 @@ import struct
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from homeward.drives.ros.container import Channel, Message, RecordFile, Source, Unpacker, ros2_type
+from homeward.drives.ros.container import (
+    Budget,
+    Channel,
+    Message,
+    RecordFile,
+    Source,
+    Unpacker,
+    ros2_type,
+)
 from homeward.errors import InputError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -32,7 +40,8 @@ class _Walk:
 
     def __init__(self, log: Rosbag1, source: Source) -> None:
         self._log, self._source = log, source
-        self._unpacker = Unpacker(log.path)
+        self._budget = Budget(log.path)
+        self._unpacker = Unpacker(self._budget)
         self._channels: dict[int, Channel] = {}
         self._chunks: set[int] = set()
         self._indexed: set[int] = set()
@@ -70,6 +79,7 @@ class _Walk:
         (size,) = struct.unpack("<I", fields[b"size"])
         raw = self._unpacker.unpack(data, str(fields[b"compression"], "utf-8"), size)
         for inner, record in _records(memoryview(raw)):
+            self._budget.record()
             yield from self._record(inner[b"op"][0], inner, record)
 
     def _record(self, op: int, fields: Fields, data: memoryview) -> Iterator[Message]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from homeward.drives.files import is_there
 from homeward.drives.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose, between
@@ -134,7 +135,7 @@ def load_room(
     if source in PLANS:
         return changed_scenario(room(source, seed or 0), given)
     path = Path(source)
-    if not path.exists():
+    if not is_there(path):
         raise InputError(f"neither a file nor one of the rooms {', '.join(PLANS)}", path)
     if seed is not None:
         given["seed"] = seed

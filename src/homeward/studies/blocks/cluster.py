@@ -1,8 +1,7 @@
-"""Blocks on Dask distributed: workers here or anywhere; what a lost one had begun is done again."""
+"""Blocks on a Dask cluster: workers anywhere; what a lost one had begun is done again."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, closing, suppress
 from importlib import import_module
@@ -20,8 +19,7 @@ CONNECT_S = 10.0
 def on_cluster(
     function: Callable[[Argument], Arrays],
     arguments: Mapping[str, Argument],
-    scheduler: str | None = None,
-    workers: int = 1,
+    scheduler: str,
 ) -> Generator[tuple[str, Arrays]]:
     """Yield (name, result) of each block as it finishes, computed by Dask workers.
 
@@ -33,11 +31,8 @@ def on_cluster(
         Of a module, so that workers can import it.
     arguments : mapping of name to argument
         What can be pickled.
-    scheduler : str, optional
-        Address of a running scheduler, whose workers have the same homeward installed; None: a
-        cluster of our own on this machine.
-    workers : int
-        Processes of that cluster.
+    scheduler : str
+        Address of a running scheduler, whose workers have the same homeward installed.
 
     Raises
     ------
@@ -50,7 +45,7 @@ def on_cluster(
     except ImportError:
         raise needs_extra("Dask workers", "scale") from None
     with ExitStack() as stack:
-        client = _connect(distributed, stack, scheduler, workers)
+        client = _connect(distributed, stack, scheduler)
         token = uuid4().hex[:8]
         futures = {
             client.submit(function, argument, key=f"homeward-{token}-{name}", pure=False): name
@@ -74,19 +69,8 @@ def on_cluster(
                 client.cancel(list(futures), reason="the study ends")
 
 
-def _connect(distributed: Any, stack: ExitStack, scheduler: str | None, workers: int) -> Any:
-    """Return a client of the scheduler, or of a cluster of our own, that ends with the stack."""
-    if scheduler is None:
-        scheduler = stack.enter_context(
-            closing(
-                distributed.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    dashboard_address=":0",
-                    silence_logs=logging.CRITICAL,
-                )
-            )
-        )
+def _connect(distributed: Any, stack: ExitStack, scheduler: str) -> Any:
+    """Return a client of the scheduler that ends with the stack."""
     try:
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:

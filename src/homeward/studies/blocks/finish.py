@@ -22,7 +22,7 @@ class Where:
     scheduler: str | None = None
     """Address of a Dask scheduler."""
     workers: int | None = None
-    """Processes of a Dask cluster of our own on this machine."""
+    """Processes of that pool; None: as many as there are processors."""
 
     def __post_init__(self) -> None:
         """Refuse both at once."""
@@ -63,10 +63,11 @@ def finish(
         progress(done / len(arguments))
     if not missing:
         return
-    if where.scheduler is None and where.workers is None:
-        results: Generator[tuple[str, Arrays]] = on_processes(function, missing)
+    if where.scheduler is None:
+        # Pipes alone: a scheduler of our own would listen to whoever else works on this machine.
+        results: Generator[tuple[str, Arrays]] = on_processes(function, missing, where.workers)
     else:
-        results = on_cluster(function, missing, where.scheduler, where.workers or 1)
+        results = on_cluster(function, missing, where.scheduler)
     with closing(results):
         for name, arrays in results:
             store.save(name, arrays)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
+import shutil
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,12 +19,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from homeward.drives.table import naming
+from homeward.drives.files import is_there, naming, opened, read_small
 from homeward.errors import InputError
 
 Arrays = dict[str, np.ndarray]
 """What a block leaves: names to arrays, text as ``str`` arrays."""
 
+LARGEST_MANIFEST = 2**26
+"""[byte]; settings as JSON are a few times as long as in YAML."""
+SCRATCH = ".writing-"
+"""Begins the names of what is not whole yet; an output folder may hold it and still be new."""
 _KEY = "__study__"
 
 
@@ -95,9 +99,9 @@ class BlockStore:
         """Return a block, or None when it is missing, damaged, or another study's."""
         try:
             # Opened here: of a damaged file NumPy would leave it open.
-            with self._path(name).open("rb") as stream, np.load(stream) as file:
+            with opened(self._path(name)) as stream, np.load(stream) as file:
                 arrays = {k: file[k] for k in file.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        except Exception:  # whatever zip, zlib and NumPy make of a damaged file: it counts as none
             return None
         key = arrays.pop(_KEY, None)
         return arrays if key is not None and str(key) == self.key else None
@@ -105,18 +109,26 @@ class BlockStore:
     def _claim(self, tree: dict[str, Any], marker: str) -> None:
         """Make the folder ours, or check that its blocks are of this very study."""
         manifest = self._blocks / "manifest.json"
-        if manifest.exists():
+        if is_there(manifest):
             self._refuse_change(manifest, tree)
             return
-        self._blocks.mkdir(parents=True, exist_ok=True)
-        words = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-        _write(self.folder / marker, words)
-        _write(manifest, json.dumps(tree, indent=1))
+        new = not is_there(self.folder)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            # First of all: what happens now, the folder is known to be ours.
+            words = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+            _write(self.folder / marker, words)
+            self._blocks.mkdir(exist_ok=True)
+            _write(manifest, json.dumps(tree, indent=1))
+        except BaseException:
+            if new:  # a full disk leaves nothing behind
+                shutil.rmtree(self.folder, ignore_errors=True)
+            raise
 
     def _refuse_change(self, manifest: Path, tree: dict[str, Any]) -> None:
         try:
-            before = json.loads(manifest.read_text(encoding="utf-8"))
-        except ValueError:
+            before = json.loads(read_small(manifest, LARGEST_MANIFEST, "a manifest"))
+        except (ValueError, RecursionError):
             raise InputError("damaged; choose another output folder", manifest) from None
         change = _first_change(before, json.loads(json.dumps(tree)))
         if change is not None:
@@ -136,9 +148,12 @@ def our_version() -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    scratch = path.with_name(f".{path.name}.{os.getpid()}")
-    scratch.write_text(text, encoding="utf-8")
-    os.replace(scratch, path)
+    scratch = path.with_name(f"{SCRATCH}{os.getpid()}-{path.name}")
+    try:
+        scratch.write_text(text, encoding="utf-8")
+        os.replace(scratch, path)
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 def _first_change(before: Any, now: Any, key: str = "") -> str | None:

@@ -10,6 +10,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
+from homeward.drives.files import is_there
 from homeward.drives.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -126,9 +127,9 @@ def load_plan(source: str) -> Plan:
         For a file that cannot be read, a key that there is not, or a value out of range.
     """
     path = Path(source)
-    if not path.exists():
+    if not is_there(path):
         path = Path(str(files("homeward").joinpath("data", "plans", f"{source}.yaml")))
-    if not path.exists() or not source:
+    if not is_there(path) or not source:
         there = sorted(p.stem for p in plans_folder().glob("*.yaml"))
         raise InputError(f"neither a file nor one of the plans {', '.join(there)}", Path(source))
     return read_settings(path, Plan)

@@ -100,11 +100,15 @@ def _gather(plan: Plan, store: BlockStore) -> Results:
         for first in range(0, study.runs, study.block):
             block = store.load(block_name(i, first))
             part = slice(first, first + study.block)
-            for name in RUN:
-                run[name][i, :, part] = block[name]
-            for name in SERIES:
-                series[name][i, :, part] = block[name]
-            failure[i, :, part] = block[FAILURE]
+            try:
+                for name in RUN:
+                    run[name][i, :, part] = block[name]
+                for name in SERIES:
+                    series[name][i, :, part] = block[name]
+                failure[i, :, part] = block[FAILURE]
+            except (KeyError, ValueError):
+                what = f"block {block_name(i, first)} is not of this study; delete it"
+                raise InputError(what, store.folder) from None
     return Results(plan, run, series, failure.astype(np.str_))
 
 
@@ -160,8 +164,9 @@ def write_netcdf(results: Results, path: Path) -> None:
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
     try:
         dataset.to_netcdf(path, engine="h5netcdf", encoding=compressed)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", path) from error
+    except (OSError, RuntimeError) as error:  # HDF5 has its own words for a full disk
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise InputError(f"cannot be written: {reason}", path) from error
 
 
 def _coordinate(values: list[Any]) -> Any:

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
+from homeward.drives.files import is_there
 from homeward.drives.settings import read_tree, validated
 from homeward.errors import InputError
 from homeward.registry import ESTIMATORS
@@ -105,7 +106,7 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
         For a file that cannot be read, a key that does not exist, or a value out of range.
     """
     file = shipped().get(source, Path(source))
-    if not file.exists():
+    if not is_there(file):
         raise InputError(f"neither a file nor one of the studies {', '.join(shipped())}", file)
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
@@ -113,7 +114,7 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     if not isinstance(study.scenario, str):
         return study
     beside = file.parent / study.scenario
-    named = study.scenario in PRESETS or not beside.exists()
+    named = study.scenario in PRESETS or not is_there(beside)
     scenario = load_scenario(study.scenario if named else str(beside))
     whole = scenario.model_dump(mode="json", exclude_none=True, exclude={"seed", "estimator"})
     return study.model_copy(update={"scenario": whole})
