@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import enum
 import functools
+import inspect
 import math
 import numbers
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
@@ -122,25 +122,19 @@ class Counts:
             self.rejected[reason] = self.rejected.get(reason, 0) + number
 
 
-class Turn:
-    """Lets one thread in at a time; a copy of what holds it has its own."""
-
-    def __init__(self) -> None:
-        self.lock = threading.RLock()
-
-    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
-        return Turn, ()
+NO_TIME_S = 1e75
+"""No clock says that; it counts as not finite, as what is computed of its powers would be [s]."""
 
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def in_turn(method: Method) -> Method:
-    """Let one thread at a time into a method of an estimator, which holds a `Turn` as ``_turn``."""
+    """Let one thread at a time into a method of an estimator, which has a lock ``_turn``."""
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:
-        with self._turn.lock:
+        with self._turn:
             return method(self, *values, **named)
 
     return cast(Method, inside)
@@ -151,36 +145,50 @@ def guarded(method: Method) -> Method:
 
     Anything else raises `InputError` before anything is changed.
     """
-    turn = in_turn(method)
+    turn, parameters = in_turn(method), inspect.signature(method).parameters
+    doors = {name: _DOORS[p.annotation] for name, p in parameters.items() if name != "self"}
+    if "t" in doors:
+        doors["t"] = _time
+    in_order = tuple(doors.values())
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:
-        named = {name: _numbers(value) for name, value in named.items()}
-        return turn(self, *map(_numbers, values), **named)
+        checked = [door(value) for door, value in zip(in_order, values, strict=False)]
+        named = {name: doors[name](v) if name in doors else v for name, v in named.items()}
+        return turn(self, *checked, *values[len(checked) :], **named)
 
     return cast(Method, inside)
 
 
-def _numbers(value: Any) -> Any:
-    """Return a real number as a float, and a mapping with its values so; None stays."""
-    if value is None:
-        return None
-    if isinstance(value, Mapping):
-        return {name: _real(number) for name, number in value.items()}
-    return _real(value)
-
-
 def _real(value: Any) -> float:
-    if type(value) is float:
-        return value
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.reshape(())[()]
-    if not isinstance(value, numbers.Real):
-        raise InputError(f"{str(value)[:40]!r} is a {type(value).__name__}, not a real number")
+    if type(value) is not float:
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.reshape(())[()]
+        if not isinstance(value, numbers.Real):
+            raise InputError(f"{str(value)[:40]!r} is a {type(value).__name__}, not a real number")
     try:
         return float(value)
     except OverflowError:
         return math.inf
+
+
+def _time(value: Any) -> float:
+    t = _real(value)
+    return t if abs(t) < NO_TIME_S else math.nan
+
+
+def _reals(values: Any) -> dict[str, float]:
+    if not isinstance(values, Mapping):
+        raise InputError(f"a {type(values).__name__}, where ids to bearings or sigmas are due")
+    return {name: _real(value) for name, value in values.items()}
+
+
+_DOORS: dict[str, Callable[[Any], Any]] = {
+    "float": _real,
+    "Mapping[str, float]": _reals,
+    "Mapping[str, float] | None": lambda values: None if values is None else _reals(values),
+}
+"""By annotation."""
 
 
 class Estimator(Protocol):

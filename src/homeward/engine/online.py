@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,6 @@ from homeward.estimator import (
     Innovation,
     LandmarkEstimate,
     Status,
-    Turn,
     guarded,
 )
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -72,7 +72,7 @@ class OnlineFilter:
     ) -> None:
         self._runner = FilterRunner(kind, tuning, engine, samples)
         self.name, self.notes, self.counts = name, notes + self._runner.notes, Counts()
-        self._turn = Turn()
+        self._turn = threading.RLock()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
@@ -134,6 +134,7 @@ class OnlineFilter:
         """Predict to `t` [s] and change nothing."""
         if math.isnan(self._t):
             return Estimate(t, Status.WAITING, "no odometry and no bearings yet")
+        t = t if math.isfinite(t) else self._t
         return self._estimate(t, self._predicted(t), ())
 
     @guarded

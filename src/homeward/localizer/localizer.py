@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import threading
 from collections.abc import Mapping
 
 from homeward.drives.clock import LATE_S, Clock
@@ -20,7 +21,6 @@ from homeward.estimator import (
     Innovation,
     LandmarkEstimate,
     Status,
-    Turn,
     guarded,
 )
 from homeward.frames import Pose
@@ -63,7 +63,7 @@ class Localizer:
         drive: DriveSettings | None = None,
         settings: LocalizerSettings | None = None,
     ) -> None:
-        self.counts, self._turn = Counts(), Turn()
+        self.counts, self._turn = Counts(), threading.RLock()
         self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = settings or LocalizerSettings()
         self._drive = drive or DriveSettings()

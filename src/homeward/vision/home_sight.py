@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections import deque
 from collections.abc import Mapping
 
@@ -28,7 +29,6 @@ from homeward.estimator import (
     FindsMount,
     LandmarkEstimate,
     Status,
-    Turn,
     guarded,
     in_turn,
 )
@@ -82,7 +82,7 @@ class HomeSight:
     """
 
     def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
-        self._inner, self._turn = estimator, Turn()
+        self._inner, self._turn = estimator, threading.RLock()
         self.name, self.counts = estimator.name, estimator.counts
         settings = drive or DriveSettings()
         self._told = settings

@@ -49,7 +49,7 @@ class Sqlite:
                 yield from self._messages()
             except sqlite3.Error as error:
                 reason = f"not a bag that sqlite can read: {in_short(error)}"
-                if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
+                if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
                     reason = "takes more steps to read than a bag of its size can"
                 raise InputError(reason, self.path) from error
 
