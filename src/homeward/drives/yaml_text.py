@@ -9,8 +9,8 @@ import yaml
 
 from homeward.errors import InputError
 
-MOST_VALUES = 100_000
-"""Keys count, and an alias as all that it stands for. So many take some seconds."""
+MOST_VALUES = 50_000
+"""Keys count, and an alias as all that it stands for. So many take seconds."""
 DEEPEST = 50
 """Values within each other."""
 TOO_DEEP = f"more than {DEEPEST} values within each other"

@@ -35,7 +35,7 @@ LEAST_TOTAL = 256 * 2**20
 """A log may always unpack to this much in all [byte]."""
 LARGEST_GROWTH = 100
 """And beyond it to this many times the size of its file."""
-LEAST_RECORDS = 2_000_000
+LEAST_RECORDS = 1_000_000
 """A log may always have so many records, and one for each byte of its file: some seconds' work."""
 
 

@@ -1,0 +1,251 @@
+"""Logs that ask for more work than a log is worth: told in one line, long before it is done."""
+
+import sqlite3
+import struct
+
+import pytest
+from drives.ros import crafted
+from drives.ros.crafted import bag, cdr_odometry, chunk, mcap, mcap_messages, record
+from drives.ros.test_hostile import FIVE_CDR, IN_BAG, refusal
+
+from homeward.drives.opening import open_drive
+from homeward.drives.ros import container, decoding
+from homeward.drives.ros.container import Channel
+from homeward.drives.ros.decoding import Decoder
+from homeward.drives.ros.messages import ODOMETRY
+from homeward.drives.ros.sqlite import _only_reading
+from homeward.errors import InputError
+
+LINE = "=" * 80 + "\nMSG: "
+MODULES = "module homeward_msgs { module msg { %s }; };"
+STRUCT = "struct Odometry { double x; };"
+
+
+def nested(kind, levels=18, fields=100):
+    """A definition whose types hold so many of the next each."""
+    text = "std_msgs/Header header\np/T0 a\n"
+    for level in range(levels):
+        text += LINE + f"p/T{level}\n"
+        text += "".join(f"p/T{level + 1}{kind} a{i}\n" for i in range(fields))
+    return (
+        text
+        + LINE
+        + f"p/T{levels}\nfloat64 x\n"
+        + crafted.HEADER_TEXT.format(seq="")
+        + (crafted.TIME_TEXT)
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("[0]", "array of 0"), ("", "larger"), ("[]", "larger"), ("[2]", "larger")]
+)
+def test_types_that_hold_each_other_many_times(tmp_path, kind, words):
+    path = tmp_path / "nested.mcap"
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=nested(kind))))
+    assert path.stat().st_size < 54_000
+    assert words in refusal(path)
+
+
+def test_types_that_hold_each_other_within_reason_are_read():
+    """Each part is looked at once, however many others hold it."""
+    text = nested("[]", levels=8, fields=3)
+    payload = cdr_odometry(0)[:16] + bytes(4000)
+    with pytest.raises(InputError, match="size mismatch"):
+        Decoder().decode(Channel("/t", ODOMETRY, "cdr", text), payload)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (crafted.DEFINITION.replace("float64 v ", "float64 v\nfloat64 v ", 1), "conflicting"),
+        (crafted.DEFINITION.replace("float64 v ", "float64 __init__ ", 1), "cannot be read"),
+        ("float64 x\n" * 20_000, "200,000 characters, too many"),
+    ],
+)
+def test_definitions_that_no_code_can_be_made_of(tmp_path, text, words):
+    path = tmp_path / "odd.mcap"
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=text)))
+    assert words in refusal(path)
+
+
+IDL = {
+    "brackets": "const long A = " + "(" * 60 + "1" + ")" * 60 + "; " + STRUCT,
+    "brackets that do not close": "const long A = " + "(" * 60 + "1; " + STRUCT,
+    "shifts": "const long A = 1 << 99999999999; " + STRUCT,
+    "products": "const long a = 9; "
+    + "".join(f"const long a{'a' * i} = {'a' * i} * {'a' * i}; " for i in range(1, 60))
+    + STRUCT,
+    "sequences": "struct Odometry { " + "sequence<" * 40 + "double" + ">" * 40 + " x; };",
+    "annotations": "@a(" + ",".join(["x=1"] * 9000) + ") " + STRUCT,
+    "constants": "".join(f"const long a{i} = a{max(i - 1, 0)}; " for i in range(2000)) + STRUCT,
+    "modules": "module m {" * 4000,
+    "names": "struct Odometry { " + "a::" * 15_000 + "b x; };",
+    "comments": "/*" * 30_000,
+    "arrays": "struct Odometry { double x[99999999999999999999]; };",
+}
+
+
+@pytest.mark.parametrize("name", IDL)
+def test_idl_that_would_be_parsed_for_ever(name):
+    channel = Channel("/t", ODOMETRY, "cdr", MODULES % IDL[name], "idl")
+    with pytest.raises(InputError) as caught:
+        Decoder().decode(channel, FIVE_CDR[0])
+    assert str(caught.value).startswith("/t: ")
+
+
+def test_idl_as_it_is_generated_is_still_understood():
+    text = MODULES % (
+        'module Odometry_Constants { const long A = -3; const string B = "x" "y"; }; '
+        "typedef double double__3[3]; "
+        '@verbatim (language="comment", text="a twist" "of the robot") '
+        'struct Odometry { @unit (value="m/s") double v; double__3 more; };'
+    )
+    payload = b"\x00\x01\x00\x00" + struct.pack("<4d", 0.5, 1.0, 2.0, 3.0)
+    told = Decoder().decode(Channel("/t", ODOMETRY, "cdr", text, "idl"), payload)
+    assert (told.v, told.more.tolist()) == (0.5, [1.0, 2.0, 3.0])
+
+
+def test_many_definitions_of_one_topic_are_too_many(monkeypatch):
+    monkeypatch.setattr(decoding, "LARGEST_DEFINITIONS", len(crafted.DEFINITION) + 100)
+    decoder = Decoder()
+    texts = [crafted.DEFINITION + f"# {i}\n" for i in range(2)]
+    first, second = (Channel("/t", ODOMETRY, "cdr", text) for text in texts)
+    for _ in range(3):
+        decoder.decode(first, FIVE_CDR[0])
+    with pytest.raises(InputError, match="more message definitions"):
+        decoder.decode(second, FIVE_CDR[0])
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_very_many_records_in_a_small_chunk(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(container, "LEAST_RECORDS", 50_000)
+    path, count = tmp_path / f"many.{kind}", 300_000
+    if kind == "mcap":
+        path.write_bytes(mcap(chunk(record(15, b"") * count, "zstd")))
+    else:
+        nobodys = crafted.fields(op=b"\x63") + crafted.u32(0)
+        path.write_bytes(bag(nobodys * count, 0, "lz4"))
+    assert path.stat().st_size < 100_000
+    assert "more records than a log may hold" in refusal(path)
+
+
+def test_a_packed_file_is_worth_no_more_than_a_packed_chunk(tmp_path):
+    save = tmp_path / "bag"
+    save.mkdir()
+    (save / "x.mcap").write_bytes(crafted.packed_zeros("zstd", 400))
+    with pytest.raises(InputError, match="more than a log may hold"):
+        open_drive(save)
+
+
+COUNT = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+DATABASES = {
+    "endless view": (
+        crafted.TOPICS,
+        crafted.ODOM,
+        f"CREATE VIEW messages AS {COUNT} SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS "
+        "data FROM n",
+    ),
+    "endless topics": (
+        crafted.MESSAGES,
+        f"CREATE VIEW topics AS {COUNT} SELECT i AS id, '/odom' AS name, 'x' AS type, 'cdr' AS "
+        "serialization_format FROM n",
+    ),
+    "computed column": (
+        crafted.TOPICS,
+        crafted.ODOM,
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB "
+        "GENERATED ALWAYS AS (hex(zeroblob(999))))",
+        "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DATABASES)
+def test_databases_that_compute(tmp_path, name):
+    path = tmp_path / "log.db3"
+    crafted.database(path, *DATABASES[name])
+    told = refusal(path)
+    assert "without a table" in told or "computed columns" in told
+
+
+def test_a_database_whose_pages_point_at_each_other(tmp_path):
+    """Every page above the rows names one page many times, which sqlite reads each time anew."""
+    path = tmp_path / "log.db3"
+    rows = [("INSERT INTO messages VALUES (?, 1, ?, ?)", (i, i, bytes(2000))) for i in range(9000)]
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, *rows)
+    data, page = bytearray(path.read_bytes()), 4096
+    pages = [data[at : at + page] for at in range(0, len(data), page)]
+    inner = [k for k, p in enumerate(pages) if k and p[0] == 5]
+    parents = {k: struct.unpack(">I", pages[k][8:12])[0] for k in inner}
+    top = next(k for k in inner if any(child - 1 in inner for child in _children(pages[k])))
+    low = next(child for child in _children(pages[top]) if child - 1 in inner)
+    leaf = _children(pages[low - 1])[0]
+    for k, child in ((top, low), *((k, leaf) for k in inner if k != top)):
+        for at in _pointers(pages[k]):
+            data[k * page + at : k * page + at + 4] = struct.pack(">I", child)
+    assert parents
+    path.write_bytes(data)
+    refusal(path)
+
+
+def _pointers(page):
+    """Where an interior page of a table names its children."""
+    (cells,) = struct.unpack(">H", page[3:5])
+    return [8, *struct.unpack(f">{cells}H", page[12 : 12 + 2 * cells])]
+
+
+def _children(page):
+    return [struct.unpack(">I", page[at : at + 4])[0] for at in _pointers(page)]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        (1, None, ODOMETRY, "cdr"),
+        (1, "/odom", None, "cdr"),
+        (1, "/odom", ODOMETRY, None),
+        (1, b"/odom", ODOMETRY, "cdr"),
+        (1, 7, ODOMETRY, "cdr"),
+        (1, "/odom", 1.5, "cdr"),
+    ],
+)
+def test_cells_of_another_type(tmp_path, row):
+    path = tmp_path / "log.db3"
+    topics = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)"
+    topic = ("INSERT INTO topics VALUES (?, ?, ?, ?)", row)
+    message = ("INSERT INTO messages VALUES (1, 1, 1, ?)", (FIVE_CDR[0],))
+    crafted.database(path, topics, topic, crafted.MESSAGES, message)
+    assert "not text" in refusal(path)
+
+
+def test_text_in_a_database_that_is_no_utf8(tmp_path):
+    path = tmp_path / "log.db3"
+    topic = "INSERT INTO topics VALUES (1, CAST(x'ff' AS TEXT), 'x', 'cdr')"
+    crafted.database(path, crafted.TOPICS, topic, crafted.MESSAGES)
+    assert "sqlite" in refusal(path)
+
+
+def test_reading_changes_nothing_and_runs_no_trigger(tmp_path):
+    path = tmp_path / "log.db3"
+    message = ("INSERT INTO messages VALUES (1, 1, 1, ?)", (FIVE_CDR[0],))
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, message)
+    before = path.read_bytes()
+    with pytest.raises(sqlite3.DatabaseError, match=r"prohibited|authorized"):
+        _as_we_read(path, "SELECT load_extension('x')")
+    open_drive(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["log.db3"]
+
+
+def _as_we_read(path, statement):
+    database = sqlite3.connect(path)
+    database.set_authorizer(_only_reading)
+    try:
+        database.execute(statement)
+    finally:
+        database.close()
+
+
+def test_whole_bags_are_still_read(tmp_path):
+    (path := tmp_path / "x.bag").write_bytes(bag(IN_BAG, 5))
+    assert open_drive(path).odometry.t.size == 5
