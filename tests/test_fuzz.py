@@ -1,6 +1,7 @@
 """The fuzzer of `benchmarks.fuzz` in short: every reader, fed with a few spoilt files."""
 
 import pytest
+
 from benchmarks.fuzz import ONCE_FAILED, PARTS, spoilt, try_case, valid
 
 CASES = 20

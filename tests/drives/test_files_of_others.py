@@ -142,7 +142,7 @@ SECRET = "warden:Sesame:0:0 open up"
 @pytest.mark.parametrize("name", ["odometry.csv", "bearings.csv", "home.csv", "truth.csv"])
 def test_the_first_line_of_a_table_is_never_told(tmp_path, name):
     folder = put(tmp_path / "drive")
-    (secret := tmp_path / "secret").write_text(f"{SECRET}\nmore, of it\n")
+    (secret := tmp_path / "elsewhere").write_text(f"{SECRET}\nmore, of it\n")
     (folder / name).unlink()
     (folder / name).symlink_to(secret)
     told = refusal(read_folder, folder)
@@ -153,7 +153,8 @@ def test_the_first_line_of_a_table_is_never_told(tmp_path, name):
 def test_nor_is_that_of_a_file_without_a_header(tmp_path):
     (tmp_path / "Barcodes.dat").write_text("1 5\n")
     (tmp_path / "Robot1_Odometry.dat").write_text("0 0 0\n")
-    (tmp_path / "Landmark_Groundtruth.dat").write_text("token Sesame 0 0 0\n")
+    (secret := tmp_path / "secret").write_text("token Sesame 0 0 0\n")
+    (tmp_path / "Landmark_Groundtruth.dat").symlink_to(secret)
     told = refusal(read_mrclam, tmp_path, 1, Pose(0.0, 0.0, 0.0))
     assert "subject is not a finite number" in told
     assert "token" not in told.replace(str(tmp_path), "")

@@ -143,7 +143,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
             if line.strip() and not line.lstrip().startswith("#")
         )
         return _collect(
-            records, len(names), {name: (i, _bare_numbers) for i, name in enumerate(names)}, path
+            records, len(names), {name: (i, numbers) for i, name in enumerate(names)}, path
         )
 
 
@@ -156,16 +156,10 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
     except ValueError:
         pass
     i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
-    trouble = "is empty" if not cells[i].strip() else f"is {quoted(cells[i])}, not a finite number"
+    told = _shown(cells[i], path)
+    trouble = f"is{told}, not a finite number" if told else "is not a finite number"
+    trouble = trouble if cells[i].strip() else "is empty"
     raise InputError(f"{name} {trouble}", path, rows[i])
-
-
-def _bare_numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    """Parse finite numbers of a file without a header, which may be quite another: none is told."""
-    try:
-        return numbers(name, cells, rows, path)
-    except InputError as error:
-        raise InputError(f"{name} is not a finite number", path, error.row) from None
 
 
 def numbers_or_nothing(
@@ -183,7 +177,7 @@ def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path
     clean = {cell: sys.intern(cell.strip()) for cell in set(cells)}
     for cell, text in clean.items():
         if not is_identifier(text):
-            trouble = f"is {quoted(text)}, with unprintable characters" if text else "is empty"
+            trouble = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
             raise InputError(f"{name} {trouble}", path, rows[cells.index(cell)])
     # Objects, not fixed-width text: one long id must not widen every row.
     values = np.empty(len(cells), object)
@@ -194,6 +188,14 @@ def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path
 def is_identifier(text: str) -> bool:
     """Whether `text` can stand as an id in a file: printable, no white space around it."""
     return bool(text) and text.isprintable() and text == text.strip()
+
+
+def _shown(text: str, path: Path) -> str:
+    """Return what stands in a file, quoted; of a link nothing: it may lead to a file that is secret.
+
+    A drive that somebody sent must not make this machine print its own files.
+    """
+    return "" if path.is_symlink() else f" {quoted(text)}"
 
 
 def quoted(text: str) -> str:
@@ -253,8 +255,8 @@ def _places(
     """Find the wanted columns in the header."""
     missing = [name for name in required if name not in header]
     if missing:
-        # What stands there is not told: a link may lead to a file that is nobody's business.
-        raise InputError(f"no column {', '.join(missing)} in the header", path, row)
+        found = _shown(",".join(header), path)
+        raise InputError(f"no column {', '.join(missing)} in the header{found}", path, row)
     for name in wanted:
         if header.count(name) > 1:
             raise InputError(f"column {name} stands twice in the header", path, row)

@@ -113,7 +113,9 @@ def _parsed(channel: Channel) -> dict[str, Any]:
     """Return the types that a channel's definition holds."""
     text = channel.definition
     if len(text) > LARGEST_DEFINITION:
-        raise InputError(f"{channel.topic}: a definition of {len(text):,} characters, too many")
+        raise InputError(
+            f"{channel.topic}: a definition of {len(text):,} characters is larger than any"
+        )
     if not _NAME.fullmatch(channel.type):
         raise InputError(f"{channel.topic}: its type {quoted(channel.type)} cannot be read")
     try:

@@ -65,7 +65,8 @@ def finish(
         return
     if where.scheduler is None:
         # Pipes alone: a scheduler of our own would listen to whoever else works on this machine.
-        results: Generator[tuple[str, Arrays]] = on_processes(function, missing, where.workers)
+        count = () if where.workers is None else (where.workers,)
+        results: Generator[tuple[str, Arrays]] = on_processes(function, missing, *count)
     else:
         results = on_cluster(function, missing, where.scheduler)
     with closing(results):
