@@ -136,7 +136,7 @@ def test_a_link_that_leads_nowhere_is_not_taken_for_absent(tmp_path, name):
     assert "symbolic links" in told
 
 
-SECRET = "warden:Sesame:0:0 open up"
+SECRET = "warden:Sesame:0:0 magpie"
 
 
 @pytest.mark.parametrize("name", ["odometry.csv", "bearings.csv", "home.csv", "truth.csv"])
@@ -147,6 +147,7 @@ def test_the_first_line_of_a_table_is_never_told(tmp_path, name):
     (folder / name).symlink_to(secret)
     told = refusal(read_folder, folder)
     assert "no column" in told
+    assert told.endswith("in the header")
     assert not any(word in told for word in SECRET.replace(":", " ").split() if len(word) > 2)
 
 

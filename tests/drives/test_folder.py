@@ -187,7 +187,7 @@ HOSTILE = [
     ("drive.yaml", b"start: {R: 1, theta: 0}\n", "drive.yaml: start.alpha: is needed"),
     ("drive.yaml", b"\"a\\nb\": 1\n", "drive.yaml: 'a\\nb': there is no such key"),
     ("drive.yaml", b"sensor: \xff\n", "drive.yaml: not YAML: "),
-    ("drive.yaml", b"[" * 5000, "drive.yaml: not YAML: "),
+    ("drive.yaml", b"[" * 5000, "drive.yaml: more than 50 values within each other"),
 ]  # fmt: skip
 
 
@@ -216,7 +216,7 @@ def test_refuses_what_is_no_drive(tmp_path):
     assert refusal(folder) == "odometry.csv: not a regular file"
     folder = put(tmp_path / "yaml", drive_yaml=None)
     (folder / "drive.yaml").mkdir()
-    assert refusal(folder).startswith("drive.yaml: cannot be read: ")
+    assert refusal(folder) == "drive.yaml: not a regular file"
 
 
 def test_a_yaml_key_without_a_value_counts_as_absent(tmp_path):

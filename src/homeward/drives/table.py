@@ -191,9 +191,9 @@ def is_identifier(text: str) -> bool:
 
 
 def _shown(text: str, path: Path) -> str:
-    """Return what stands in a file, quoted; of a link nothing: it may lead to a file that is secret.
+    """Return what stands in a file, quoted; nothing where the file is a link.
 
-    A drive that somebody sent must not make this machine print its own files.
+    A drive that somebody sent must not make this machine tell what is in its own files.
     """
     return "" if path.is_symlink() else f" {quoted(text)}"
 
