@@ -1,5 +1,7 @@
 """Image files that are empty, grey, turned, truncated, 16-bit, animated, or not images."""
 
+import struct
+
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
@@ -144,3 +146,12 @@ def test_nothing_but_grey_has_nothing_in_common():
         assert "not enough in common" in seen.verdict.reason
         assert np.isnan(seen.heading)
         assert np.isnan(seen.homewards)
+
+
+@pytest.mark.parametrize("entries", [0, 1])
+def test_a_tiff_without_dimensions_is_no_picture(tmp_path, entries):
+    """Pillow raises a KeyError of it."""
+    directory = struct.pack("<H", entries) + struct.pack("<HHII", 259, 3, 1, 1) * entries + bytes(4)
+    (file := tmp_path / "x.tif").write_bytes(b"II*\x00" + struct.pack("<I", 8) + directory)
+    with pytest.raises(InputError, match=r"not a whole image|not an image"):
+        read_grey(file)
