@@ -13,7 +13,7 @@ from homeward.frames import Pose, between, compose, to_polar
 from homeward.vision.approach import Anchors, Direction, _predict, resect
 from homeward.vision.home_sight import DIRECTION_HOLD_S, LATE, POSE_HOLD_S, HomeSight
 
-WIDE = np.diag([10.0, 10.0])
+WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
 
 
 def anchors(points, camera, scale=1.0, share=0.05):
@@ -21,8 +21,9 @@ def anchors(points, camera, scale=1.0, share=0.05):
     home = bearings(points, Pose(0.0, 0.0, 0.0))
     distance = scale * np.hypot(*points.T)
     spread = np.full(len(points), SIGMA)
-    known = np.ones(len(points), bool)
-    return Anchors(home, bearings(points, camera), spread, distance, share * distance, known)
+    known, lean = np.ones(len(points), bool), np.zeros((len(points), 2))
+    now = bearings(points, camera)
+    return Anchors(home, now, spread, distance, share * distance, known, lean)
 
 
 def guess(camera, covariance=WIDE):
@@ -34,16 +35,18 @@ def guess(camera, covariance=WIDE):
 def test_exact_bearings_give_the_pose_back(seed):
     rng = np.random.default_rng(seed)
     camera = Pose(*rng.uniform(-0.6, 0.6, 2).tolist(), rng.uniform(-3, 3))
-    found = resect(anchors(scene(seed=seed), camera), guess(camera))
+    found = resect(anchors(scene(seed=seed), camera), guess(camera), LEVEL)
     np.testing.assert_allclose(found.pose, camera, atol=1e-5)
     assert found.agrees.all()
 
 
 def test_the_jacobian_is_the_derivative():
-    seen, x, step = anchors(scene(), Pose(0.5, -0.3, 0.7)), np.array([0.4, -0.2, 0.6]), 1e-6
+    seen, step = anchors(scene(), Pose(0.5, -0.3, 0.7)), 1e-6
+    seen = replace(seen, lean=np.random.default_rng(0).normal(0.0, 0.3, (24, 2)))
+    x = np.array([0.4, -0.2, 0.6, 0.02, -0.03])
     jacobian = _predict(seen, x)[1]
-    for k in range(3):
-        ahead, behind = (_predict(seen, x + s * step * np.eye(3)[k])[0] for s in (1, -1))
+    for k in range(5):
+        ahead, behind = (_predict(seen, x + s * step * np.eye(5)[k])[0] for s in (1, -1))
         # The residual is measured minus predicted.
         np.testing.assert_allclose(-(ahead - behind) / (2 * step), jacobian[:, k], atol=1e-6)
 
@@ -51,9 +54,9 @@ def test_the_jacobian_is_the_derivative():
 def test_at_home_the_map_may_be_wrong_and_away_from_home_it_may_not():
     points = scene()
     at_home, away = Pose(0.0, 0.0, 0.4), Pose(0.8, 0.3, 0.4)
-    found = resect(anchors(points, at_home, scale=1.4), guess(at_home))
+    found = resect(anchors(points, at_home, scale=1.4), guess(at_home), LEVEL)
     np.testing.assert_allclose(found.pose, at_home, atol=1e-6)
-    far = resect(anchors(points, away, scale=1.4, share=0.3), guess(away))
+    far = resect(anchors(points, away, scale=1.4, share=0.3), guess(away), LEVEL)
     error = np.array(far.pose[:2]) - away[:2]
     assert np.hypot(*error) > 0.1
     # The error is the map's scale, and is within what the covariance says of that.
@@ -65,7 +68,7 @@ def test_wrong_matches_are_outvoted_and_told():
     seen = anchors(scene(), camera)
     now = seen.now.copy()
     now[:7] += np.linspace(0.1, 0.9, 7)
-    found = resect(replace(seen, now=now), guess(camera, np.diag([0.01, 0.01]) ** 2))
+    found = resect(replace(seen, now=now), guess(camera, np.diag([0.01, 0.01]) ** 2), LEVEL)
     np.testing.assert_allclose(found.pose[:2], camera[:2], atol=0.01)
     np.testing.assert_array_equal(found.agrees, np.arange(24) >= 7)
 
@@ -88,13 +91,31 @@ def test_someone_close_by_of_whom_no_map_knows_does_not_hold_the_pose_at_home():
     )
     told = guess(camera, np.diag([0.077, 0.0019]) ** 2)
     misled = replace(told, theta=told.theta + 0.4, alpha=told.alpha + 0.011)
-    found = resect(guessed, misled)
+    found = resect(guessed, misled, LEVEL)
     assert math.dist(found.pose[:2], camera[:2]) < 0.005
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_tilt_common_to_all_bearings_is_not_taken_for_independent_errors(told):
+    """NEES of (x, y, heading) is 3 where the tilt is one unknown of the picture, and far beyond
+    where it is left out."""
+    rng, tilt, nees = np.random.default_rng(3), 0.01, []
+    for seed in range(100):
+        points, camera = scene(n=40, seed=seed), Pose(*rng.uniform(-0.2, 0.2, 3))
+        seen = anchors(points, camera, share=0.001)
+        lean = np.tan(rng.uniform(-0.6, 0.6, 40))[:, None]
+        lean = -lean * np.column_stack([np.cos(seen.now), np.sin(seen.now)])
+        off = lean @ rng.normal(0.0, tilt, 2) + SIGMA / 5 * rng.standard_normal(40)
+        shaken = replace(seen, now=seen.now - off, sigma=seen.sigma / 5, lean=lean)
+        found = resect(shaken, guess(camera), tilt**2 * np.eye(2) if told else LEVEL)
+        error = np.array(found.pose) - camera
+        nees.append(error @ np.linalg.solve(found.covariance, error))
+    assert np.mean(nees) < 3.5 if told else np.mean(nees) > 20.0
 
 
 def test_two_landmarks_fix_nothing():
     camera = Pose(0.5, -0.4, 1.0)
-    assert resect(anchors(scene(n=2), camera), guess(camera)) is None
+    assert resect(anchors(scene(n=2), camera), guess(camera), LEVEL) is None
 
 
 def test_guessed_distances_do_not_make_the_pose_unsure():
@@ -103,7 +124,7 @@ def test_guessed_distances_do_not_make_the_pose_unsure():
     seen = anchors(points, camera, share=0.02)
     known = np.arange(40) < 12
     guessed = replace(seen, distance_sigma=np.where(known, seen.distance_sigma, 10.0), mapped=known)
-    spread = resect(guessed, guess(camera)).covariance
+    spread = resect(guessed, guess(camera), LEVEL).covariance
     assert math.sqrt(np.trace(spread[:2, :2])) < 0.05
 
 
@@ -116,7 +137,7 @@ def test_errors_of_one_thing_are_in_the_covariance(together):
         points = points[np.argsort(np.arctan2(points[:, 1], points[:, 0]))]
         seen = anchors(points, camera, share=0.001)
         off = np.repeat(SIGMA * rng.standard_normal(64 // together), together)
-        found = resect(replace(seen, now=seen.now + off), guess(camera))
+        found = resect(replace(seen, now=seen.now + off), guess(camera), LEVEL)
         error = np.array(found.pose) - camera
         nees.append(error @ np.linalg.solve(found.covariance, error))
     assert 1.0 < np.mean(nees) < (3.3 if together == 1 else 6.0)
@@ -226,7 +247,7 @@ def test_a_wrong_direction_near_home_is_outvoted():
     """Two pictures taken a centimetre apart tell a direction, and believe in it too much."""
     camera = Pose(0.01, 0.0, 0.5)
     wrong = Direction(1.0, 0.5, np.diag([math.radians(2.0), math.radians(0.05)]) ** 2)
-    found = resect(anchors(scene(n=80), camera), wrong)
+    found = resect(anchors(scene(n=80), camera), wrong, LEVEL)
     np.testing.assert_allclose(found.pose[:2], camera[:2], atol=4e-3)
 
 

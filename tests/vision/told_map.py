@@ -72,5 +72,6 @@ def compared(points, camera, accepted=True, direction_sigma=0.01):
         np.zeros(n, bool),
         Motion(float(polar.theta), float(polar.alpha)),
         np.diag([direction_sigma, 0.005]) ** 2 if accepted else np.full((2, 2), np.inf),
+        np.diag([0.001, 0.001]) ** 2 if accepted else np.full((2, 2), np.inf),
         parallax=50.0 if direction_sigma < 0.3 else 1.0,
     )

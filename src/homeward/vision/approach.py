@@ -3,7 +3,8 @@
 A feature of the home image lies on the ray along which home saw it; how far away is what a map
 tells, or a guess. The pose follows by resection. Seen from home itself, features lie where home saw
 them, however far away they are: near home the map's errors cancel, which they do not in a pose
-within the map.
+within the map. What is not known of the picture's tilt is common to all its bearings: two unknowns
+beside the pose.
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class Anchors:
     """[m]"""
     mapped: np.ndarray
     """bool, whether a map told the distance, as it did of one at least; else it is a guess."""
+    lean: np.ndarray
+    """(n, 2): how the bearings from here change with roll and pitch of the camera [1]."""
 
     def __len__(self) -> int:
         return self.home.size
@@ -85,11 +88,20 @@ class Resection:
     """(n,) bool, which landmarks agree with that."""
 
 
-def resect(anchors: Anchors, seen: Direction) -> Resection | None:
+def resect(anchors: Anchors, seen: Direction, tilt: np.ndarray) -> Resection | None:
     """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
 
     The latter holds direction and heading where the map is poor; near home it fades away by its
     own covariance.
+
+    Parameters
+    ----------
+    anchors : Anchors
+        The landmarks.
+    seen : Direction
+        What the two pictures alone tell.
+    tilt : ndarray, shape (2, 2)
+        Covariance of what is left of the camera's roll and pitch [rad^2].
 
     Returns
     -------
@@ -100,13 +112,14 @@ def resect(anchors: Anchors, seen: Direction) -> Resection | None:
         return None
     # Guessed distances are worth little afar, much near home: what they hold there, they hold fast.
     of_map = anchors[anchors.mapped]
-    found = _fit(of_map, seen, _begin(of_map, seen))
+    upright = np.linalg.inv(tilt)
+    found = _fit(of_map, seen, upright, _begin(of_map, seen))
     starts = [_begin(anchors, seen), *([] if found is None else [found.x])]
-    fits = [fit for x in starts if (fit := _fit(anchors, seen, x)) is not None]
+    fits = [fit for x in starts if (fit := _fit(anchors, seen, upright, x)) is not None]
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.loss)
-    x, y, heading = best.x.tolist()
+    x, y, heading = best.x[:3].tolist()
     agrees = best.residual**2 <= AGREES**2 * best.variance
     return Resection(Pose(x, y, float(wrap(heading))), _covariance(anchors, best), agrees)
 
@@ -116,9 +129,9 @@ class _Fit:
     """A pose fitted to n landmarks."""
 
     x: np.ndarray
-    """(3,): x [m], y [m], heading [rad]."""
+    """(5,): x [m], y [m], heading, and what is left of roll and pitch [rad]."""
     information: np.ndarray
-    """(3, 3)"""
+    """(5, 5)"""
     weight: np.ndarray
     """(n,): of each landmark [rad^-2]."""
     residual: np.ndarray
@@ -126,14 +139,17 @@ class _Fit:
     variance: np.ndarray
     """(n,): of that [rad^2]."""
     jacobian: np.ndarray
-    """(n, 3): of the bearing."""
+    """(n, 5): of the bearing."""
     loss: float
-    """How unlikely the bearings of mapped landmarks are, and what the two pictures alone tell: of a
-    distance that is guessed nobody knows how likely it is."""
+    """How unlikely the bearings of mapped landmarks are, the tilt, and what the two pictures alone
+    tell: of a distance that is guessed nobody knows how likely it is."""
 
 
-def _fit(anchors: Anchors, seen: Direction, x: np.ndarray) -> _Fit | None:
-    """Fit a pose that begins at `x`, (3,); None where the landmarks do not fix one."""
+def _fit(anchors: Anchors, seen: Direction, upright: np.ndarray, x: np.ndarray) -> _Fit | None:
+    """Fit a pose that begins at `x`, (5,); None where the landmarks do not fix one.
+
+    `upright`, (2, 2), is the information that no roll or pitch is left.
+    """
     across, known = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
     for _ in range(STEPS):
         residual, jacobian, variance = _predict(anchors, x)
@@ -141,8 +157,11 @@ def _fit(anchors: Anchors, seen: Direction, x: np.ndarray) -> _Fit | None:
         weight = _weight(residual**2 / variance) / variance
         told = _weight(off @ known @ off / off.size) * across.T @ known
         information = (jacobian.T * weight) @ jacobian + told @ across
+        information[3:, 3:] += upright
+        slope = (jacobian.T * weight) @ residual + told @ off
+        slope[3:] -= upright @ x[3:]
         try:
-            step = np.linalg.solve(information, (jacobian.T * weight) @ residual + told @ off)
+            step = np.linalg.solve(information, slope)
         except np.linalg.LinAlgError:
             return None
         x = x + step
@@ -153,7 +172,7 @@ def _fit(anchors: Anchors, seen: Direction, x: np.ndarray) -> _Fit | None:
     residual, jacobian, variance = _predict(anchors, x)
     unlike = _loss(residual**2 / variance) + np.log(variance / anchors.sigma**2)
     of_direction = off.size * _loss(off @ known @ off / off.size)
-    loss = float(unlike[anchors.mapped].sum() + of_direction)
+    loss = float(unlike[anchors.mapped].sum() + of_direction + x[3:] @ upright @ x[3:])
     return _Fit(x, information, weight, residual, variance, jacobian, loss)
 
 
@@ -183,23 +202,28 @@ def _covariance(anchors: Anchors, fit: _Fit) -> np.ndarray:
     share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
     scale = float(np.median(share[anchors.mapped]))
     out = scale * np.array([fit.x[0], fit.x[1], 0.0])
-    together = change.T @ change / WINDOW + np.outer(out, out)
-    return np.asarray(np.linalg.inv(fit.information) + together)
+    together = change.T @ change / WINDOW
+    return np.asarray((np.linalg.inv(fit.information) + together)[:3, :3] + np.outer(out, out))
 
 
 def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what takes a pose to (off the line from home [m], heading), and its information."""
-    across = np.array([[-np.sin(seen.theta), np.cos(seen.theta), 0.0], [0.0, 0.0, 1.0]])
+    """Return, (2, 5), what takes `_Fit.x` to (off the line from home [m], heading).
+
+    And the information, (2, 2), of these.
+    """
+    across = np.zeros((2, 5))
+    across[0, :2], across[1, 2] = (-np.sin(seen.theta), np.cos(seen.theta)), 1.0
     lever = np.diag([distance, 1.0])
     return across, np.linalg.inv(lever @ seen.covariance @ lever)
 
 
 def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
-    """Return the best of some places (x, y, heading) in a direction from home."""
+    """Return the best of some places in a direction from home, as of `_Fit.x`."""
     furthest = REACH * float(np.median(anchors.distance))
     R = np.linspace(0.0, furthest, DISTANCES)
     heading = np.full(DISTANCES, seen.alpha)
-    places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading])
+    level = np.zeros((2, DISTANCES))
+    places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading, *level])
     residual, variance, _ = _sighted(anchors, places)
     costs = np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum(axis=1)
     return np.asarray(places[np.argmin(costs)])
@@ -208,21 +232,23 @@ def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
 def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals [rad], derivatives and variances of bearings from `x`.
 
-    Of shapes (n,), (n, 3) and (n,); derivatives are those of the predicted bearings.
+    Of shapes (n,), (n, 5) and (n,); derivatives are those of the predicted bearings.
     """
     residual, variance, per_metre = (a[0] for a in _sighted(anchors, x[None]))
-    return residual, np.column_stack([per_metre, -np.ones(len(anchors))]), variance
+    jacobian = np.column_stack([per_metre, -np.ones(len(anchors)), -anchors.lean])
+    return residual, jacobian, variance
 
 
 def _sighted(anchors: Anchors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (m, n) [rad] of bearings from places (m, 3), and their variances.
+    """Return residuals (m, n) [rad] of bearings from places (m, 5), and their variances.
 
     And the derivatives of the predicted bearings by the place, (m, n, 2) [rad/m].
     """
     ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
     dx, dy = np.moveaxis(anchors.distance[:, None] * ray - places[:, None, :2], -1, 0)
     square = np.maximum(dx**2 + dy**2, LEAST_NEAR**2)
-    residual = wrap(anchors.now + places[:, 2:] - np.arctan2(dy, dx))
+    level = anchors.now + places[:, 2:3] + places[:, 3:] @ anchors.lean.T
+    residual = wrap(level - np.arctan2(dy, dx))
     by_distance = (dx * ray[:, 1] - dy * ray[:, 0]) / square
     variance = anchors.sigma**2 + (by_distance * anchors.distance_sigma) ** 2
     return np.asarray(residual), variance, np.stack([dy / square, -dx / square], axis=-1)

@@ -21,6 +21,7 @@ from homeward.vision.neighbours import neighbours, thinned
 from homeward.vision.refine import SCALE, Fit, descend, refine
 from homeward.vision.repeats import recurring
 from homeward.vision.search import search
+from homeward.vision.tilt import Tilt
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
 """With a larger one [rad] the direction counts as not known ..."""
@@ -67,6 +68,8 @@ class Comparison:
     """None when not even a guess could be made; not to be used unless `accepted`."""
     covariance: np.ndarray
     """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
+    tilt_covariance: np.ndarray
+    """(2, 2): of the motion's (roll, pitch) [rad^2]; infinite where not accepted."""
     parallax: float
     """See `Fit`; zero where there is none."""
 
@@ -74,6 +77,11 @@ class Comparison:
     def accepted(self) -> bool:
         """Whether the motion stands on more than chance."""
         return self.verdict.accepted
+
+    @property
+    def tilt(self) -> Tilt:
+        """How the camera was tilted against home's; where no motion was found, not at all."""
+        return Tilt.of(self.motion or Motion(0.0, 0.0), self.tilt_covariance)
 
     @property
     def heading(self) -> float:
@@ -152,7 +160,7 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
     fit = search(pairs, quality, camera.tilt_sigma)
     verdict = _asked(judge(fit, pairs, heading), fit, pairs, home, i, camera, heading)
     agrees, moved = np.zeros((2, len(pairs)), bool)
-    spread = np.full((2, 2), np.inf)
+    spread = np.full((4, 4), np.inf)
     if fit is not None:
         if verdict.accepted:
             fits = fit.inlier
@@ -168,7 +176,7 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
     if verdict.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
     else:
-        spread = np.full((2, 2), np.inf)
+        spread = np.full((4, 4), np.inf)
     return Comparison(
         verdict=verdict,
         pairs=pairs,
@@ -178,7 +186,8 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
         agrees=agrees,
         moved=moved,
         motion=None if fit is None else fit.motion,
-        covariance=spread,
+        covariance=spread[:2, :2],
+        tilt_covariance=spread[2:, 2:],
         parallax=0.0 if fit is None else fit.parallax,
     )
 
@@ -250,7 +259,7 @@ def _pairs(
 
 
 def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
-    """Fit the motion to what lies beside the matches, too; return also its covariance, (2, 2).
+    """Fit the motion to what lies beside the matches, too; return also its covariance, (4, 4).
 
     What lies beside errs with the match by which it was found: the covariance of matches alone has
     a say, too, and theirs is the parallax. Where they tell no direction, another motion may be the
@@ -262,4 +271,4 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     together = covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
     spread = share * alone + (1.0 - share) * together
-    return replace(found, parallax=fit.parallax), spread[:2, :2]
+    return replace(found, parallax=fit.parallax), spread[:4, :4]

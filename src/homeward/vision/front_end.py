@@ -17,6 +17,7 @@ from homeward.vision.camera import Panorama, sector_of
 from homeward.vision.compare import Comparison, compare
 from homeward.vision.features import View, look
 from homeward.vision.grey import require_like_home
+from homeward.vision.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
 """A keyframe serves while this share of what its first successor shared with it agrees."""
@@ -40,6 +41,8 @@ class Keyframe:
     view: View
     landmark: np.ndarray
     """(n,) int: number of each feature's landmark; `NOBODY` where it has none yet."""
+    tilt: Tilt = AS_HOME
+    """Against home's picture."""
     shared: int = 0
     """The most features that a later frame shared with it."""
 
@@ -49,7 +52,7 @@ class Glance:
     """What one frame showed."""
 
     bearings: dict[str, float]
-    """Landmark to bearing from the camera's axis [rad]."""
+    """Landmark to bearing from the camera's axis [rad], were the camera as level as at home."""
     sigmas: dict[str, float]
     """[rad]"""
     home: Comparison | None
@@ -122,15 +125,26 @@ class FrontEnd:
             compared[k], view = self._compare(k, view, landmark)
         fits = [k for k, seen in compared.items() if seen.accepted]
         self._home_seen = 0 in fits
-        self._keep_chain(view, landmark, bool(fits), compared)
+        tilt = self._tilt(fits, compared)
+        self._keep_chain(view, landmark, tilt, bool(fits), compared)
         chosen = self._choose(view, landmark)
-        home = compared.get(0)
+        names = [self._name(landmark[i]) for i in chosen]
+        bearing, lean = tilt.level(np.column_stack([view.azimuth[chosen], view.elevation[chosen]]))
+        sigma = np.sqrt(view.sigma[chosen] ** 2 + tilt.variance(lean))
         return Glance(
-            bearings={self._name(landmark[i]): float(view.azimuth[i]) for i in chosen},
-            sigmas={self._name(landmark[i]): float(view.sigma[i]) for i in chosen},
-            home=home,
+            bearings=dict(zip(names, bearing.tolist(), strict=True)),
+            sigmas=dict(zip(names, sigma.tolist(), strict=True)),
+            home=compared.get(0),
             reason=self._words(compared, fits),
         )
+
+    def _tilt(self, fits: list[int], compared: dict[int, Comparison]) -> Tilt:
+        """Return the tilt against home, by the keyframe that tells it best, if any does."""
+        told = [Tilt(np.eye(3), 2.0 * self.camera.tilt_sigma**2 * np.eye(2))]
+        for k in fits:
+            if (motion := compared[k].motion) is not None:
+                told.append(self._keyframes[k].tilt.then(motion, compared[k].tilt_covariance))
+        return min(told, key=lambda tilt: float(np.trace(tilt.covariance)))
 
     def _references(self) -> list[int]:
         """Choose the keyframes to compare with: home, the last one, and when lost one more."""
@@ -169,7 +183,12 @@ class FrontEnd:
         return seen, _moved_to(view, mine[free], seen, np.flatnonzero(ours)[free])
 
     def _keep_chain(
-        self, view: View, landmark: np.ndarray, fits: bool, compared: dict[int, Comparison]
+        self,
+        view: View,
+        landmark: np.ndarray,
+        tilt: Tilt,
+        fits: bool,
+        compared: dict[int, Comparison],
     ) -> None:
         """Make the frame a keyframe when the last one goes out of sight."""
         if not fits:
@@ -185,7 +204,7 @@ class FrontEnd:
         if not len(view) or (fits and seen.accepted and shared == last.shared):
             return
         self._lost = 0
-        self._keyframes.append(Keyframe(view, landmark.copy()))
+        self._keyframes.append(Keyframe(view, landmark.copy(), tilt))
         if len(self._keyframes) > MOST_KEYFRAMES:
             del self._keyframes[1]
 

@@ -192,7 +192,7 @@ class HomeSight:
         mapped = anchors.mapped
         if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
             return None
-        found = resect(anchors, _told(seen))
+        found = resect(anchors, _told(seen), seen.tilt_covariance)
         if found is None:
             return None
         there = found.pose, found.covariance
@@ -227,7 +227,8 @@ class HomeSight:
         if mapped.any():
             distance[~mapped] = np.median(distance[mapped])
             sigma[~mapped] = GUESSED * distance[~mapped]
-        return Anchors(pairs.home[:, 0], pairs.now[:, 0], pairs.sigma, distance, sigma, mapped)
+        now, lean = seen.tilt.level(pairs.now)
+        return Anchors(pairs.home[:, 0], now, pairs.sigma, distance, sigma, mapped, lean)
 
     def _mounts(self) -> tuple[Pose, Pose]:
         """Return the camera on the robot, at home and now: as told, or as was found out."""
