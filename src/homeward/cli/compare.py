@@ -25,6 +25,9 @@ def compare(
             "else that turns with the camera, is seen; default: that of images.yaml."
         ),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
+    ] = False,
 ) -> None:
     """Tell how the camera has turned since home, and where home lies.
 
@@ -35,12 +38,15 @@ def compare(
     from homeward.report.output import check_output
     from homeward.vision.compare import compare as compare_views
     from homeward.vision.images import read_view
+    from homeward.vision.panorama import require_panoramas
     from homeward.vision.settings import read_image_settings
     from homeward.vision.turning_along import turning_along
 
     settings = read_image_settings(camera)
     home_image, home_view = read_view(home, settings.camera, mask=mask or settings.mask)
     now_image, now_view = read_view(now, settings.camera, like=home_view)
+    if not (force or settings.force):
+        require_panoramas([home_image, now_image], settings.camera)
     check_output(out, RESULT)
     seen = compare_views(home_view, now_view, settings.camera)
     write_comparison(out, seen, (home_image, now_image), (home_view, now_view))

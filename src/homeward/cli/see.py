@@ -17,6 +17,9 @@ def see(
         Path, typer.Argument(help="With images.csv (t,file), a home image and odometry.csv.")
     ],
     out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
+    ] = False,
 ) -> None:
     """Find landmarks in panoramas, and write their bearings as a drive folder.
 
@@ -33,7 +36,7 @@ def see(
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)
     with progress(f"looking at {folder}") as tell:
-        drive = see_folder(folder, tell, lambda: check_output(out, ODOMETRY))
+        drive = see_folder(folder, tell, lambda: check_output(out, ODOMETRY), force)
         write_folder(drive, out)
     say(describe_sightings(drive))
     for line in drive.remark_lines:

@@ -23,8 +23,10 @@ from homeward.drives.folder import (
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError
+from homeward.vision.camera import Panorama
 from homeward.vision.front_end import FrontEnd, Glance
-from homeward.vision.images import read_view
+from homeward.vision.images import read_grey, read_view
+from homeward.vision.panorama import require_panoramas
 from homeward.vision.recorded import SeenDrive
 from homeward.vision.settings import ImageSettings, read_image_settings
 from homeward.vision.turning_along import TurningAlong, TurnsAlong
@@ -33,6 +35,8 @@ IMAGE_SETTINGS = "images.yaml"
 FEWEST_SIGHTINGS = 8
 """A landmark seen less often tells nothing."""
 HOME_STEM = "home"
+ASKED = 8
+"""So many pictures along the drive, and home's, are asked whether they are panoramas."""
 UNLIKE = "images in which nothing seen before was found"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
@@ -41,6 +45,7 @@ def see_folder(
     path: str | os.PathLike[str],
     progress: Callable[[float], None] | None = None,
     ready: Callable[[], None] | None = None,
+    force: bool = False,
 ) -> SeenDrive:
     """Turn an image folder into a drive.
 
@@ -53,6 +58,8 @@ def see_folder(
         Told the fraction done, in [0, 1].
     ready : callable, optional
         Called when everything but the images along the drive is read: looking at them takes long.
+    force : bool
+        Whether pictures are taken that look like no panoramas; images.yaml may say so, too.
 
     Returns
     -------
@@ -64,8 +71,8 @@ def see_folder(
     Raises
     ------
     InputError
-        When a file is missing or cannot be used, or images and odometry do not overlap; names
-        file, row and what is wrong.
+        When a file is missing or cannot be used, images and odometry do not overlap, or pictures
+        are no panoramas; names file, row and what is wrong.
     """
     folder = Path(path)
     require_folder(folder)
@@ -83,7 +90,9 @@ def see_folder(
     require_overlap(spans, OTHER_CLOCK, folder)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
-    _, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
+    picture, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
+    if not (force or settings.force):
+        _require_panoramas(picture, images.files, settings.camera, folder)
     if ready is not None:
         ready()
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
@@ -125,6 +134,16 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
         what = "no home image" if not found else f"{len(found)} files named home"
         raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
     return file_within(folder, found[0].name, "home", folder)
+
+
+def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, folder: Path) -> None:
+    """Raise InputError when home's panorama and some of the others are none."""
+    some = np.unique(np.linspace(0, len(files) - 1, ASKED).astype(int)).tolist()
+    pictures = [home, *(camera.panorama(read_grey(files[k])) for k in some)]
+    try:
+        require_panoramas(pictures, camera)
+    except InputError as error:
+        raise InputError(error.what, folder) from None
 
 
 def _span(t: np.ndarray) -> tuple[float, float]:

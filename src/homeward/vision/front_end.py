@@ -141,9 +141,11 @@ class FrontEnd:
     def _tilt(self, fits: list[int], compared: dict[int, Comparison]) -> Tilt:
         """Return the tilt against home, by the keyframe that tells it best, if any does."""
         told = [Tilt(np.eye(3), 2.0 * self.camera.tilt_sigma**2 * np.eye(2))]
-        for k in fits:
-            if (motion := compared[k].motion) is not None:
-                told.append(self._keyframes[k].tilt.then(motion, compared[k].tilt_covariance))
+        told += [
+            self._keyframes[k].tilt.then(motion, compared[k].tilt_covariance)
+            for k in fits
+            if (motion := compared[k].motion) is not None
+        ]
         return min(told, key=lambda tilt: float(np.trace(tilt.covariance)))
 
     def _references(self) -> list[int]:

@@ -28,6 +28,8 @@ class ImageSettings(Strict):
     it a path from here, of one from the folder of images.yaml."""
     landmarks: MostLandmarks = 30
     """How many landmarks at most are passed on from one image."""
+    force: bool = False
+    """Whether pictures are taken that look like no panoramas."""
 
     @model_validator(mode="before")
     @classmethod
