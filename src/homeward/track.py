@@ -12,6 +12,7 @@ from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
 from homeward.naming import natural
+from homeward.one_thread import one_thread
 
 GRID_S = 0.1
 """Between bearing stamps an estimate is kept this often [s]."""
@@ -121,6 +122,7 @@ class Track:
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
 
 
+@one_thread()
 def run(
     drive: Drive, estimator: Estimator, progress: Callable[[float], None] | None = None
 ) -> Track:

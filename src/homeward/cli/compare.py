@@ -34,6 +34,7 @@ def compare(
     The folder gets comparison.png with both panoramas and what was matched, matches.csv and
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
+    from homeward.one_thread import one_thread
     from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
     from homeward.report.output import check_output
     from homeward.vision.compare import compare as compare_views
@@ -48,7 +49,8 @@ def compare(
     if not (force or settings.force):
         require_panoramas([home_image, now_image], settings.camera)
     check_output(out, RESULT)
-    seen = compare_views(home_view, now_view, settings.camera)
+    with one_thread():
+        seen = compare_views(home_view, now_view, settings.camera)
     write_comparison(out, seen, (home_image, now_image), (home_view, now_view))
     say(describe(seen))
     if found := turning_along(seen, settings.camera):

@@ -19,12 +19,14 @@ from homeward.localizer.senses import REVERSED
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.standing import Standing
 from homeward.localizer.window import Window
+from homeward.one_thread import one_thread
 from homeward.track import Track, run, track_of
 
 SOLVES = 6
 """The whole drive is solved so often, each time with some Gauss-Newton steps."""
 
 
+@one_thread()
 def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     """Return the best track of a whole drive; not causal.
 

@@ -23,6 +23,7 @@ from homeward.drives.folder import (
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError
+from homeward.one_thread import one_thread
 from homeward.vision.camera import Panorama
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_grey, read_view
@@ -41,6 +42,7 @@ UNLIKE = "images in which nothing seen before was found"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
 
+@one_thread()
 def see_folder(
     path: str | os.PathLike[str],
     progress: Callable[[float], None] | None = None,

@@ -11,6 +11,7 @@ import numpy as np
 from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate
 from homeward.frames import Pose
+from homeward.one_thread import one_thread
 from homeward.simulation.course import Ending, course_settings, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
@@ -80,6 +81,7 @@ class ImageLoop:
             settings=course_settings(self.eye.scenario, None, 2 * math.pi),
         )
 
+    @one_thread()
     def run(
         self,
         estimator: Estimator | None = None,

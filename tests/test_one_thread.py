@@ -1,0 +1,30 @@
+"""BLAS is held to one thread while a drive is worked on, and is as it was before and after."""
+
+import numpy as np
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings
+from homeward.registry import make_estimator
+from homeward.track import run
+
+
+def threads():
+    return {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"}
+
+
+def test_a_run_holds_blas_to_one_thread_and_leaves_the_user_s_setting():
+    ids = np.array(["a", "b", "c"], object)
+    drive = Drive(
+        name="short",
+        odometry=Odometry(np.array([0.0, 1.0]), np.full(2, 0.1), np.zeros(2)),
+        sightings=Sightings(np.full(3, 0.5), ids, np.array([0.1, 1.0, -2.0]), np.full(3, 0.01)),
+        home={name: HomeBearing(0.1, 0.01) for name in ids},
+        settings=DriveSettings(),
+    )
+    seen = []
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        run(drive, make_estimator("robust", drive), lambda _: seen.append(threads()))
+        assert threads() == before == {2}
+    assert seen
+    assert all(inside == {1} for inside in seen)
