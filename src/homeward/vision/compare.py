@@ -18,6 +18,7 @@ from homeward.vision.grey import require_like_home
 from homeward.vision.matching import match
 from homeward.vision.moved import moved_groups
 from homeward.vision.neighbours import neighbours, thinned
+from homeward.vision.one_thing import carrying, costs, words
 from homeward.vision.refine import SCALE, Fit, descend, refine
 from homeward.vision.repeats import recurring
 from homeward.vision.search import search
@@ -172,6 +173,9 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
             verdict = verdict.reconsidered(fit.inlier, pairs)
             verdict = _asked(verdict, fit, pairs, home, i, camera, heading)
+            thing = carrying(fit, pairs, heading)
+            spread = costs(thing, fit) * spread
+            verdict = replace(verdict, reason=words(verdict, thing, pairs))
         agrees = fit.inlier
     if verdict.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
