@@ -13,13 +13,15 @@ cv2 = pytest.importorskip("cv2")
 
 from homeward.cli.main import app  # noqa: E402
 from homeward.errors import InputError  # noqa: E402
-from homeward.vision import Equirectangular  # noqa: E402
+from homeward.vision import Equirectangular, compare, look  # noqa: E402
 from homeward.vision.camera import Cylindrical  # noqa: E402
 from homeward.vision.images import read_grey  # noqa: E402
 from homeward.vision.panorama import LEAST_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
+from homeward.vision.settings_doubt import doubts  # noqa: E402
 
 SEEDS = range(12)
 CAMERA = Equirectangular()
+PLACES = (3.0, 3.0, 0.4), (3.8, 3.4, -0.7)
 
 
 @cache
@@ -139,3 +141,29 @@ def test_compare_refuses_and_takes_them_all_the_same_when_told(tmp_path):
     assert not (tmp_path / "out").exists()
     CliRunner().invoke(app, [*given, "--force"])
     assert (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def pair():
+    greys = [draw(make_room(4), *place, seed=k) for k, place in enumerate(PLACES)]
+    return [g if g.ndim == 2 else cv2.cvtColor(g, cv2.COLOR_BGR2GRAY) for g in greys]
+
+
+def said_against(pictures, camera=CAMERA):
+    views = tuple(look(picture, camera) for picture in pictures)
+    return doubts(compare(*views, camera), tuple(pictures), views, camera)
+
+
+def test_right_settings_are_not_doubted(pair):
+    assert said_against(pair) is None
+
+
+def test_a_mirrored_picture_is_told(pair):
+    home, now = pair
+    assert "mirrored" in said_against([home, np.ascontiguousarray(now[:, ::-1])])
+
+
+def test_a_wrong_horizon_is_told(pair):
+    rows = int(0.62 * len(pair[0]))
+    words = said_against([picture[:rows] for picture in pair])
+    assert "with the horizon at 0.8" in words

@@ -41,6 +41,7 @@ def compare(
     from homeward.vision.images import read_view
     from homeward.vision.panorama import require_panoramas
     from homeward.vision.settings import read_image_settings
+    from homeward.vision.settings_doubt import doubts
     from homeward.vision.turning_along import turning_along
 
     settings = read_image_settings(camera)
@@ -51,8 +52,12 @@ def compare(
     check_output(out, RESULT)
     with one_thread():
         seen = compare_views(home_view, now_view, settings.camera)
-    write_comparison(out, seen, (home_image, now_image), (home_view, now_view))
+        images, views = (home_image, now_image), (home_view, now_view)
+        doubt = doubts(seen, images, views, settings.camera)
+    write_comparison(out, seen, images, views)
     say(describe(seen))
+    if doubt is not None:
+        warn(f"But {doubt}.")
     if found := turning_along(seen, settings.camera):
         warn(f"{found.matches} {found.words} (--mask FILE).")
     say(f"Picture: {out / PICTURE}")
