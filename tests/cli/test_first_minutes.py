@@ -204,7 +204,9 @@ def test_a_study_whose_every_run_fails_is_no_answer(tmp_path):
 @pytest.mark.parametrize("when", [0.05, 1.5])
 def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
     words = ["simulate", "circle", "--set", "trajectory.duration=100000", "--out", tmp_path / "x"]
-    with program(*words, stderr=subprocess.PIPE, text=True) as running:
+    # Tests that run in the background are started with it ignored, and so is what they start.
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    with program(*words, stderr=subprocess.PIPE, text=True, **heard) as running:
         time.sleep(when)
         # While Python itself starts, before a line of ours runs, its own word is a traceback.
         while not Path(f"/proc/{running.pid}/maps").read_text().count("pydantic_core"):
@@ -220,7 +222,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    assert named == {"vision", "view", "scale"} <= set(extras)
+    assert named == {"gpu", "vision", "view", "scale"} <= set(extras)
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()

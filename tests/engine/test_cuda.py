@@ -18,6 +18,7 @@ from homeward.engine.batch.recorded import run_recorded
 from homeward.engine.cuda.device import CudaError, bindings, compiled, gpu
 from homeward.engine.cuda.execution import argument_of, outputs_of
 from homeward.engine.cuda.source import cuda_source
+from homeward.errors import HomewardError
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.model import PolarModel
@@ -28,14 +29,14 @@ HERE = Path(__file__).parent
 def has_gpu() -> bool:
     try:
         return bool(gpu().name)
-    except CudaError:
+    except HomewardError:
         return False
 
 
 def has_nvrtc() -> bool:
     try:
         return bindings() is not None
-    except CudaError:
+    except HomewardError:
         return False
 
 
@@ -197,7 +198,7 @@ def test_what_the_gpu_cannot_do_is_said(monkeypatch):
 
 @pytest.mark.skipif(has_gpu(), reason="there is a GPU")
 def test_without_a_gpu_the_reason_is_one_line():
-    with pytest.raises(CudaError) as told:
+    with pytest.raises(HomewardError) as told:
         run_homing(KINDS["ekf"], loop(KINDS["ekf"]), runs=RUNS, steps=2, engine="cuda")
     assert "\n" not in str(told.value)
 

@@ -12,10 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from homeward.engine.native.cache import Cache, default_folder, key_of
-from homeward.errors import HomewardError
-
-EXTRA = "cuda-bindings and nvidia-cuda-nvrtc are not installed (the extra `gpu`)"
-
+from homeward.errors import HomewardError, needs_extra
 
 FLOATS = ("--ftz=true", "--prec-div=false", "--prec-sqrt=false")
 """How floats are computed; doubles are not concerned."""
@@ -30,13 +27,13 @@ def bindings() -> tuple[ModuleType, ModuleType]:
 
     Raises
     ------
-    CudaError
+    InputError
         When they are not installed.
     """
     try:
         from cuda.bindings import driver, nvrtc
     except ImportError:
-        raise CudaError(EXTRA) from None
+        raise needs_extra("batches on a GPU", "gpu") from None
     return driver, nvrtc
 
 
