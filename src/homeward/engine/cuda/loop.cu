@@ -16,6 +16,8 @@
 #define OWN(i) T(i, 3)
 #define U(i, c) T(i, 4 + (c))
 #define Y(i) T(i, 6)
+#define STORED(i) READ_STORED(i)
+#define ACTIVE(i) ((REAL)BIT(active, i))
 #define BY_STORED(i) T(i, 7)
 #define INNOVATION(i) T(i, 0)
 #define TARGET(i) T(i, 1)

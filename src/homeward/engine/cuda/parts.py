@@ -9,11 +9,9 @@ import numpy as np
 
 from homeward.engine.batch.job import Job
 from homeward.engine.cuda.device import CudaError
-from homeward.engine.cuda.emit import Split, emit_split
+from homeward.engine.split import Split, emit_split, split_step
 from homeward.engine.stages import Separable
-from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.filters.steps import propagate_function
-from homeward.model import POLAR, PolarModel
+from homeward.model import POLAR
 
 
 def parts_of(job: Job, loop: Separable) -> dict[str, list[str]]:
@@ -27,7 +25,7 @@ def parts_of(job: Job, loop: Separable) -> dict[str, list[str]]:
         world = _world(loop.world)
         shared += ["REAL moved[3];", *world.shared]
         own += world.own
-    step = _step(loop.kind)
+    step = split_step(loop.kind, _place)
     observe = [] if loop.score is None else _score(loop.score)
     return {
         "shared": shared + step.shared,
@@ -86,40 +84,6 @@ def _world(function: ca.Function) -> Split:
         return {"control": f"control[{entry}]", "pose": f"moved[{entry}]", "bearings": "Y(i)"}[name]
 
     return emit_split(function, "w", place, own, wanted)
-
-
-def _step(kind: ExtendedKalmanFilter) -> Split:
-    """Return the propagation of the state and its Jacobians, for one landmark."""
-    model = kind.model
-    one = PolarModel(1, (0,) if model.estimated else (), model.guard)
-    function, n = propagate_function(ExtendedKalmanFilter(one, kind.integration)), one.n
-    stored = "READ_STORED(i)"
-    if model.estimated:
-        stored_state = f"(parameter_of[i] < 0 ? {stored} : X(3 + parameter_of[i]))"
-    own = ["BETA(i)", stored, "(REAL)BIT(active, i)"]
-    own += [stored_state] if model.estimated else []
-
-    def place(name: str, entry: int) -> str:
-        if name == "state":
-            return f"x[{entry}]" if entry < POLAR else own[3 * (entry - POLAR)]
-        return {"stored": own[1], "active": own[2]}.get(name) or _place(name, entry)
-
-    def wanted(name: str, entry: int) -> str:
-        row, column = entry % n, entry // n
-        if row < POLAR:
-            if name == "state":
-                return f"ahead[{row}]"
-            return f"{name}[{row + 3 * column}]" if column < POLAR else ""
-        if row > POLAR:
-            return ""
-        if name == "state":
-            return "BETA(i)"
-        return f"U(i, {column})" if name == "by_input" else _OF_LANDMARK[column]
-
-    return emit_split(function, "p", place, own, wanted)
-
-
-_OF_LANDMARK = ("G(i, 0)", "G(i, 1)", "G(i, 2)", "OWN(i)", "BY_STORED(i)")
 
 
 def _place(name: str, entry: int) -> str:

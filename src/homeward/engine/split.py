@@ -1,4 +1,4 @@
-"""CUDA C++ from a symbolic function of one landmark: what all landmarks share, and what each adds.
+"""C from a symbolic function of one landmark: what all landmarks share, and what each adds.
 
 The model is separable: a landmark's row of the step depends on the robot and on that landmark
 alone. So the function of one landmark is split by what it reads: values that no landmark enters are
@@ -13,14 +13,17 @@ from typing import NamedTuple
 import casadi as ca
 
 from homeward.engine.native.emit import CIRCULAR, FORMS, Code, Node
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.steps import propagate_function
+from homeward.model import POLAR, PolarModel
 
 Place = Callable[[str, int], str]
-"""From a variable and the number of its entry to the C++ that holds it."""
+"""From a variable and the number of its entry to the C that holds it."""
 _SUMS = (ca.OP_ADD, ca.OP_SUB)
 
 
 class Split(NamedTuple):
-    """A function of one landmark as lines of C++."""
+    """A function of one landmark as lines of C."""
 
     shared: list[str]
     """Computed once."""
@@ -35,7 +38,7 @@ def emit_split(
     own: Collection[str],
     wanted: Callable[[str, int], str],
 ) -> Split:
-    """Return a function of one landmark as C++.
+    """Return a function of one landmark as C, which CUDA C++ is, too.
 
     Parameters
     ----------
@@ -46,7 +49,7 @@ def emit_split(
     place : callable
         Where an entry of an input is read.
     own : collection of str
-        Which C++ places of `place` belong to one landmark.
+        Which places of `place` belong to one landmark.
     wanted : callable
         Where an entry of an output goes; an empty string where nobody wants it.
     """
@@ -57,6 +60,51 @@ def emit_split(
             stores[writer.value(node)].append(f"{to} = {prefix}{node};")
     # Everything is read before anything is written: an output may stand where an input stood.
     return Split(writer.shared + stores[0], writer.own + stores[1])
+
+
+def split_step(kind: ExtendedKalmanFilter, place: Place) -> Split:
+    """Return the propagation of the state and its Jacobians, for landmark ``i``.
+
+    It reads ``x[3]``, ``control[2]``, ``BETA(i)``, ``STORED(i)`` (where home bearings are states,
+    `STORED_STATE`) and ``ACTIVE(i)``, and writes ``ahead[3]``, ``BETA(i)``, ``by_state[9]`` and
+    ``by_input[6]``, column-major; of the landmark's row ``G(i, 0)`` to ``G(i, 2)`` by the pose,
+    ``OWN(i)`` by its bearing, ``BY_STORED(i)`` by its home bearing, ``U(i, 0)`` and ``U(i, 1)`` by
+    the input.
+
+    Parameters
+    ----------
+    kind : ExtendedKalmanFilter
+        Of any number of landmarks.
+    place : callable
+        Where other inputs are read.
+    """
+    model = kind.model
+    one = PolarModel(1, (0,) if model.estimated else (), model.guard)
+    function, n = propagate_function(ExtendedKalmanFilter(one, kind.integration)), one.n
+    own = ["BETA(i)", "STORED(i)", "ACTIVE(i)"] + ([STORED_STATE] if model.estimated else [])
+
+    def read(name: str, entry: int) -> str:
+        if name == "state":
+            return f"x[{entry}]" if entry < POLAR else own[3 * (entry - POLAR)]
+        return {"stored": own[1], "active": own[2]}.get(name) or place(name, entry)
+
+    def wanted(name: str, entry: int) -> str:
+        row, column = entry % n, entry // n
+        if row < POLAR:
+            if name == "state":
+                return f"ahead[{row}]"
+            return f"{name}[{row + 3 * column}]" if column < POLAR else ""
+        if row > POLAR:
+            return ""
+        if name == "state":
+            return "BETA(i)"
+        return f"U(i, {column})" if name == "by_input" else _OF_LANDMARK[column]
+
+    return emit_split(function, "p", read, own, wanted)
+
+
+STORED_STATE = "(parameter_of[i] < 0 ? STORED(i) : X(3 + parameter_of[i]))"
+_OF_LANDMARK = ("G(i, 0)", "G(i, 1)", "G(i, 2)", "OWN(i)", "BY_STORED(i)")
 
 
 class _Writer:
