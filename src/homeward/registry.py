@@ -18,6 +18,9 @@ from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.filters.settings import (
+    DEFAULT_BEARING_SIGMA,
+    DEFAULT_SPEED_SIGMA,
+    DEFAULT_TURN_SIGMA,
     AugmentedSettings,
     FilterSettings,
     Matrix,
@@ -26,10 +29,6 @@ from homeward.filters.settings import (
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.model import POLAR, PolarModel
-
-DEFAULT_BEARING_SIGMA = 0.02
-DEFAULT_SPEED_SIGMA = 0.05
-DEFAULT_TURN_SIGMA = 0.05
 
 
 def make_robust(drive: Drive, settings: LocalizerSettings) -> Estimator:

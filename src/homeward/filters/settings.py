@@ -13,6 +13,10 @@ from homeward.model import Integration
 Engine = Literal["auto", "interpreter", "native"]
 """What executes a filter. auto: compiled code where that is at hand, or where there is a compiler
 and the run pays for using it; else the interpreter."""
+DEFAULT_BEARING_SIGMA = 0.02
+DEFAULT_SPEED_SIGMA = 0.05
+DEFAULT_TURN_SIGMA = 0.05
+"""Where neither settings nor drive say one; units as in `FilterSettings`."""
 Matrix = tuple[tuple[Finite, ...], ...]
 
 
