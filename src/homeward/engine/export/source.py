@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from importlib.resources import files
+from statistics import NormalDist
 from string import Template
 
 import casadi as ca
 
+from homeward.engine.online import AGREEING
 from homeward.engine.runner import LARGEST, LOST_SIGMA
 from homeward.engine.split import Split, emit_split, split_step
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -20,11 +22,18 @@ from homeward.filters.settings import (
     DEFAULT_TURN_SIGMA,
     FilterSettings,
 )
-from homeward.frames import Polar, from_polar
-from homeward.model import POLAR, PolarModel
+from homeward.frames import Polar, Pose, between, from_polar, to_polar
+from homeward.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
 
-FUNCTIONS = ("sin", "cos", "ceil")
+FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
 """All that is called of libm, before the suffix of floats."""
+STRETCHES = 16
+"""Short stretches of the drive, whose sightings the resection keeps; each a twelfth of the way home
+long, so that they are more than that way together."""
+GATE = 0.999
+"""Share of right home bearings that agree with the right place of home."""
+CHANCE = 0.1
+"""A home bearing counts as evidence where a wrong one agrees with no larger probability."""
 
 
 def filled(name: str, values: Mapping[str, object]) -> str:
@@ -58,11 +67,16 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "largest": LARGEST,
         "shared": _indented(step.shared, 2),
         "own": _indented(step.own, 4),
-        "pose": _indented(pose_lines().shared, 2),
         "defaults": _indented(_defaults(settings), 2),
-        "resection": "",
-        "resection_header": "",
+        "stretches": STRETCHES,
+        "agreeing": AGREEING,
+        "resection_gate": _quantile(GATE) ** 2,
+        "chance": CHANCE,
+        "largest_misfit": math.pi * CHANCE / _quantile(GATE),
+        "largest_determinant": 1e30,
     }
+    blocks = {k: (function(), 4 if k == "restart" else 2) for k, function in BLOCKS.items()}
+    values |= {k: _indented(_plain(k, f), width) for k, (f, width) in blocks.items()}
     return {k: filled(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
 
 
@@ -71,26 +85,108 @@ def step_lines(kind: ExtendedKalmanFilter) -> Split:
     return split_step(kind, lambda name, entry: "dt" if name == "dt" else f"{name}[{entry}]")
 
 
-def pose_lines() -> Split:
+def _pose() -> ca.Function:
     """Return the pose and its covariance to first order, from those of the polar state."""
-    polar, covariance = ca.SX.sym("polar", POLAR), ca.SX.sym("covariance", POLAR, POLAR)
-    pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(polar))))
-    jacobian = ca.jacobian(pose, polar)
-    carried = ca.densify(jacobian @ ca.tril2symm(ca.tril(covariance)) @ jacobian.T)
-    function = ca.Function(
-        "pose", [polar, covariance], [pose, carried], ["polar", "covariance"], ["pose", "carried"]
+    x, covariance = ca.SX.sym("x", POLAR), _symmetric("covariance")
+    pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
+    carried = _carried(pose, x, covariance)
+    return _function(
+        {"x": x, "state_covariance": covariance}, {"pose": pose, "pose_covariance": carried}
     )
 
-    def place(name: str, entry: int) -> str:
-        return f"x[{entry}]" if name == "polar" else f"P({entry % POLAR}U, {entry // POLAR}U)"
 
-    def wanted(name: str, entry: int) -> str:
-        if name == "pose":
-            return "pose->" + ("x", "y", "heading")[entry]
-        row, column = entry % POLAR, entry // POLAR
-        return f"pose->covariance[{row * (row + 1) // 2 + column}]" if column <= row else ""
+def _restart() -> ca.Function:
+    """Return the polar state and its covariance to first order, from those of the pose."""
+    pose, covariance = ca.SX.sym("pose", 3), _symmetric("covariance")
+    polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
+    carried = _carried(polar, pose, covariance)
+    return _function(
+        {"pose": pose, "pose_covariance": covariance}, {"x": polar, "state_covariance": carried}
+    )
 
-    return emit_split(function, "o", place, (), wanted)
+
+def _look() -> ca.Function:
+    pose, mark = ca.SX.sym("pose", 3), ca.SX.sym("mark", 2)
+    seen = true_bearings(pose, mark.T)
+    return _function(
+        {"pose": pose, "mark": mark},
+        {"seen": seen, "by_pose": ca.gradient(seen, pose), "by_mark": ca.gradient(seen, mark)},
+    )
+
+
+def _relative() -> ca.Function:
+    home, place = ca.SX.sym("home", 3), ca.SX.sym("place", 3)
+    pose = ca.vertcat(*between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(place))))
+    return _function(
+        {"home": home, "place": place}, {"pose": pose, "by_home": ca.jacobian(pose, home)}
+    )
+
+
+def _reckon() -> ca.Function:
+    x, control, dt = ca.SX.sym("x", 3), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
+    covariance, density = _symmetric("covariance"), ca.SX.sym("density", INPUTS)
+    step = discretise(unicycle_rates, x, control, dt)
+    carried = step.by_state @ _full(covariance) @ step.by_state.T
+    carried += step.by_input @ ca.diag(density / dt) @ step.by_input.T
+    return _function(
+        {"x": x, "covariance": covariance, "control": control, "density": density, "dt": dt},
+        {"ahead": step.state, "carried": _lower(carried)},
+    )
+
+
+BLOCKS: dict[str, Callable[[], ca.Function]] = {
+    "pose": _pose,
+    "restart": _restart,
+    "look": _look,
+    "relative": _relative,
+    "reckon": _reckon,
+}
+"""Blocks of the template that belong to no landmark; their variables are named as in the C."""
+
+
+def _plain(name: str, function: ca.Function) -> list[str]:
+    """Return a block of C."""
+
+    def entry(variable: str, k: int) -> str:
+        if name in ("pose", "restart") and variable == "pose":
+            return f"pose->{['x', 'y', 'heading'][k]}"
+        named = {"state_covariance": "belief->covariance", "pose_covariance": "pose->covariance"}
+        pointer = {"seen": "*seen", "dt": "dt"}
+        return pointer.get(variable) or f"{named.get(variable, variable)}[{k}]"
+
+    return emit_split(function, "o", entry, (), entry).shared
+
+
+def _function(inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+    dense = [ca.densify(v) for v in outputs.values()]
+    return ca.Function(
+        "block", list(inputs.values()), dense, list(inputs), [f"{k}_out" for k in outputs]
+    )
+
+
+def _symmetric(name: str) -> ca.SX:
+    """Return the lower triangle of a matrix of three rows, row by row."""
+    return ca.SX.sym(name, 6)
+
+
+def _full(lower: ca.SX) -> ca.SX:
+    return ca.blockcat(
+        [[lower[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for j in range(3)] for i in range(3)]
+    )
+
+
+def _lower(full: ca.SX) -> ca.SX:
+    return ca.vertcat(*(full[i, j] for i in range(3) for j in range(i + 1)))
+
+
+def _carried(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
+    """Return a covariance carried through a function, to first order."""
+    jacobian = ca.jacobian(out, by)
+    return _lower(jacobian @ _full(covariance) @ jacobian.T)
+
+
+def _quantile(share: float) -> float:
+    return NormalDist().inv_cdf((1 + share) / 2)
 
 
 def _defaults(settings: FilterSettings) -> list[str]:
@@ -101,6 +197,7 @@ def _defaults(settings: FilterSettings) -> list[str]:
         "bearing_walk": settings.bearing_walk,
         "gate": settings.gate_threshold,
     }
+    values["home_sigma"] = values["bearing_sigma"]
     lines = [f"settings->{k} = {emitted(v)};" for k, v in values.items()]
     return [*lines, f"settings->minimum_visible = {settings.minimum_visible}U;"]
 

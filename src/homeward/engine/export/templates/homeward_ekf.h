@@ -37,6 +37,7 @@ typedef struct {
   homeward_real stored[HOMEWARD_LANDMARKS]; /* home bearings, from the robot's heading at home */
   homeward_real camera_yaw;                 /* of the camera's axis from the robot's heading */
   homeward_real bearing_sigma;              /* of a sighting without one */
+  homeward_real home_sigma;                 /* of a home bearing; the resection's alone */
   homeward_real speed_sigma;                /* white noise [m/s/sqrt(Hz)] */
   homeward_real turn_sigma;                 /* white noise [rad/s/sqrt(Hz)] */
   homeward_real bearing_walk;               /* white noise of the bearing states [rad/sqrt(s)] */
@@ -64,13 +65,18 @@ typedef struct {
 } homeward_belief;
 
 typedef struct {
-  homeward_settings settings;
-  homeward_belief belief;
-  uint32_t accepted; /* bit i: landmark i was used at the last stamp of bearings */
   homeward_time now;
   homeward_time holds; /* how much longer the twist holds */
   homeward_real twist[2];
   bool begun;
+} homeward_clock;
+
+typedef struct {
+  homeward_settings settings;
+  homeward_clock clock;
+  homeward_belief belief;
+  uint32_t trusted;  /* bit i: landmark i may be used */
+  uint32_t accepted; /* bit i: landmark i was used at the last stamp of bearings */
 } homeward_ekf;
 
 /* The settings of the export; start, start_sigma and stored are the caller's to fill in. */
@@ -88,7 +94,51 @@ homeward_status homeward_ekf_bearings(homeward_ekf *ekf, homeward_time t,
 
 /* The pose at the newest sample. */
 void homeward_ekf_pose(const homeward_ekf *ekf, homeward_pose *pose);
-$resection_header
+
+/* Resection with a consistency check. The EKF believes every home bearing; this finds those that do
+ * not agree with one place of home. It dead-reckons from the start prior, averages the directions to
+ * each landmark over short stretches, of which it keeps the newest, triangulates, and looks for the
+ * place of home that most home bearings agree with. Feed it what the EKF is fed, and call
+ * homeward_resection_solve now and then (once a second is plenty). */
+#define HOMEWARD_STRETCHES ${stretches}U
+
+typedef struct {
+  homeward_real direction; /* mean of the sightings, in the frame of dead reckoning */
+  homeward_real x;         /* and of the places they were seen from [m] */
+  homeward_real y;
+  homeward_real weight; /* [1/rad^2]; 0: none */
+} homeward_ray;
+
+typedef struct {
+  homeward_settings settings;
+  homeward_clock clock;
+  homeward_real place[3]; /* x [m], y [m], heading by dead reckoning, in the home frame */
+  homeward_real place_covariance[6];
+  homeward_real spacing;   /* length of a stretch [m] */
+  homeward_real travelled; /* in the newest stretch [m] */
+  homeward_real lasted;    /* all stretches together [s] */
+  uint32_t stretches;      /* begun since dead reckoning was last interrupted */
+  homeward_ray rays[HOMEWARD_STRETCHES][HOMEWARD_LANDMARKS];
+} homeward_resection;
+
+typedef struct {
+  bool decided;        /* at least $agreeing home bearings, and most of those located, agree */
+  uint32_t located;    /* bit i: landmark i has been triangulated */
+  uint32_t consistent; /* bit i: and its home bearing agrees with the pose */
+  homeward_pose pose;  /* of the robot, at the newest sample */
+} homeward_answer;
+
+void homeward_resection_init(homeward_resection *resection, const homeward_settings *settings);
+homeward_status homeward_resection_odometry(homeward_resection *resection, homeward_time t,
+                                            homeward_real v, homeward_real omega);
+homeward_status homeward_resection_bearings(homeward_resection *resection, homeward_time t,
+                                            const homeward_sighting *seen, uint8_t count);
+void homeward_resection_solve(const homeward_resection *resection, homeward_answer *answer);
+
+/* Begin again from a decided answer of the same stamp, with the consistent landmarks alone; an
+ * undecided one changes nothing. */
+void homeward_ekf_restart(homeward_ekf *ekf, const homeward_answer *answer);
+
 #ifdef __cplusplus
 }
 #endif
