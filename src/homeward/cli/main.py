@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 
 from homeward.cli.compare import compare
 from homeward.cli.convert import convert
+from homeward.cli.export import export
 from homeward.cli.info import info
 from homeward.cli.observe import observe
 from homeward.cli.plan import plan
@@ -81,6 +82,7 @@ COMMANDS = (
     plan,
     info,
     convert,
+    export,
     compare,
     see,
     settings,
