@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import shutil
 import subprocess
 import sys
@@ -42,6 +41,15 @@ ARM_GCC = (
 )
 ARM = ("arm-none-eabi-gcc", "qemu-system-arm")
 LANDMARKS = 12
+LIMITS = {
+    "flash of the example [bytes]": 64_000,
+    "RAM: EKF, resection and stack [bytes]": 8_000,
+    "odometry [instructions]": 26_000,
+    "bearings [instructions]": 46_000,
+    "resection [instructions]": 4_000_000,
+}
+"""What is promised of 12 landmarks in floats; a compiler of another version counts a little
+otherwise."""
 
 
 def missing() -> list[str]:
@@ -149,3 +157,119 @@ def replayed(command: Iterable[str | Path], text: str) -> Replayed:
         np.array([row[1:] for row in samples], float),
         np.array([row[1:] for row in rows if row[0] == "s"], float),
     )
+
+
+class EndErrors(NamedTuple):
+    """How far off the position is at the end of each run [m]."""
+
+    errors: dict[str, np.ndarray]
+    """Of the EKF alone, of the resection, of the EKF begun again from it each second; and the
+    Cramer-Rao bound of who knows which landmarks were moved."""
+    right: np.ndarray
+    """(runs,), whether exactly the moved landmarks were left out."""
+
+    def rms(self, name: str) -> float:
+        """Return the root mean square of one."""
+        return float(np.sqrt(np.mean(np.square(self.errors[name]))))
+
+
+def end_errors(folder: Path, q: int, moved: int, seeds: Iterable[int]) -> EndErrors:
+    """Run the exported filter, in floats, and Python's EKF over simulated drives."""
+    export(folder, q, single=True)
+    command = [host_build(folder)]
+    rows, right = [], []
+    for seed in seeds:
+        simulation = scene(q, moved, seed)
+        drive = simulation.drive
+        given = samples(drive, every_s=1.0)
+        found = replayed(command, given.text)
+        truth = np.array([drive.truth.x[-1], drive.truth.y[-1]])
+        pose = slice(3 + q, 5 + q)
+        ends = given.python[-1, pose], found.answers[-1, 5:7], found.numbers[-1, 4:][pose]
+        rows.append([*(np.hypot(*(end - truth)) for end in ends), _bound(simulation)])
+        left_out = {k for i, k in enumerate(drive.home) if not int(found.answers[-1, 4]) >> i & 1}
+        right.append(left_out == set(simulation.world.moved))
+    names = ("ekf", "resection", "exported", "bound")
+    return EndErrors(dict(zip(names, np.array(rows).T, strict=True)), np.array(right))
+
+
+def _bound(simulation: Simulation) -> float:
+    """Return the least standard deviation of the position at the end [m]."""
+    drive, world = simulation.drive, simulation.world
+    start, noise = drive.settings.start, drive.settings.odometry
+    places = dict(zip(world.ids, world.in_home_frame, strict=True))
+    stamps = list(drive.sightings.stamps())
+    t = np.array([s[0] for s in stamps])
+    poses = np.stack(drive.truth.at(t), axis=1)
+    at = np.clip(np.searchsorted(drive.odometry.t, t[:-1], "right") - 1, 0, None)
+    twists = np.stack([drive.odometry.v, drive.odometry.omega], axis=1)[at]
+    c, s = math.cos(start.theta), math.sin(start.theta)
+    jacobian = np.array([[c, -start.R * s, 0.0], [s, start.R * c, 0.0], [0.0, 0.0, 1.0]])
+    sigmas = np.diag(np.square([start.sigma_R, start.sigma_theta, start.sigma_alpha]))
+    bound = posterior_bound(
+        poses,
+        twists,
+        np.diff(t),
+        np.array([places[k] for k in drive.home]),
+        np.array([[k in seen for k in drive.home] for _, seen, _ in stamps]),
+        bearing_sigma=drive.settings.sensor.bearing_sigma,
+        home_sigma=simulation.scenario.noise.home_sigma,
+        speed_sigma=noise.speed_sigma,
+        turn_sigma=noise.turn_sigma,
+        moved=np.array([k in world.moved for k in drive.home]),
+        start_covariance=jacobian @ sigmas @ jacobian.T,
+    )[-1]
+    return math.sqrt(bound[0, 0] + bound[1, 1])
+
+
+def figures(folder: Path) -> dict[str, int]:
+    """Return what `LIMITS` limits, of the emulated processor."""
+    export(folder, LANDMARKS, single=True)
+    example = arm_build(folder, folder / "examples" / "cortex_m4f" / "main.c")
+    size = _output("arm-none-eabi-size", example).splitlines()[1].split()
+    symbols = [line.split() for line in _output("arm-none-eabi-nm", "-S", example).splitlines()]
+    objects = {s[3]: int(s[1], 16) for s in symbols if s[-1] in ("ekf", "resection")}
+    given = samples(scene(LANDMARKS, 2, seed=3).drive, every_s=1.0)
+    image = arm_build(folder, REPLAY)
+    found = replayed(emulation(image), given.text)
+    kinds = np.array(list(found.kinds))
+    deepest = max(found.numbers[:, 1].max(), found.answers[:, 1].max())
+    values = (
+        int(size[0]) + int(size[1]),
+        sum(objects.values()) + int(deepest),
+        *(int(found.numbers[kinds == k, 0].max()) for k in "ob"),
+        int(found.answers[:, 0].max()),
+    )
+    return dict(zip(LIMITS, values, strict=True))
+
+
+def _output(*command: str | Path) -> str:
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moved", action="store_true", help="simulated drives, on this machine")
+    parser.add_argument("--runs", type=int, default=100)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if given.moved:
+            print(
+                "landmarks moved  " + "  ".join(("ekf", "resection", "exported", "bound", "right"))
+            )
+            for q, moved in ((7, 0), (7, 1), (7, 2), (7, 3), (12, 0), (12, 2), (12, 4), (12, 6)):
+                runs = end_errors(folder, q, moved, range(given.runs))
+                errors = "  ".join(f"{runs.rms(k):.4f} m" for k in runs.errors)
+                print(f"{q:9} {moved:5}  {errors}  {runs.right.mean():.0%}", flush=True)
+        elif missing():
+            print(f"skipped: {', '.join(missing())} not installed")
+        else:
+            found = figures(folder)
+            for k, limit in LIMITS.items():
+                print(f"{k:40} {found[k]:>9,}  at most {limit:>9,}")
+            sys.exit(any(found[k] > limit for k, limit in LIMITS.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -75,8 +75,7 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "largest_misfit": math.pi * CHANCE / _quantile(GATE),
         "largest_determinant": 1e30,
     }
-    blocks = {k: (function(), 4 if k == "restart" else 2) for k, function in BLOCKS.items()}
-    values |= {k: _indented(_plain(k, f), width) for k, (f, width) in blocks.items()}
+    values |= {k: _indented(block_lines(k), 4 if k == "restart" else 2) for k in BLOCKS}
     return {k: filled(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
 
 
@@ -144,8 +143,8 @@ BLOCKS: dict[str, Callable[[], ca.Function]] = {
 """Blocks of the template that belong to no landmark; their variables are named as in the C."""
 
 
-def _plain(name: str, function: ca.Function) -> list[str]:
-    """Return a block of C."""
+def block_lines(name: str) -> list[str]:
+    """Return a block of `BLOCKS` as lines of C."""
 
     def entry(variable: str, k: int) -> str:
         if name in ("pose", "restart") and variable == "pose":
@@ -154,7 +153,7 @@ def _plain(name: str, function: ca.Function) -> list[str]:
         pointer = {"seen": "*seen", "dt": "dt"}
         return pointer.get(variable) or f"{named.get(variable, variable)}[{k}]"
 
-    return emit_split(function, "o", entry, (), entry).shared
+    return emit_split(BLOCKS[name](), "o", entry, (), entry).shared
 
 
 def _function(inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
