@@ -5,8 +5,7 @@ extern long arithmetic, functions;
 struct Counting {
   double x;
   Counting(double given = 0) : x(given) {}
-  explicit operator double() const { return x; }
-  explicit operator float() const { return (float)x; }
+  template <class T> explicit operator T() const { return (T)x; }
   Counting &operator+=(Counting b) { return arithmetic++, x += b.x, *this; }
   Counting &operator-=(Counting b) { return arithmetic++, x -= b.x, *this; }
   Counting operator-() const { return -x; }

@@ -1,4 +1,4 @@
-"""The exported C: compiled for this machine and compared with Python; on the emulated Cortex-M4F."""
+"""The exported C, compared with Python: on this machine, and on an emulated Cortex-M4F."""
 
 import shutil
 import subprocess
@@ -107,8 +107,22 @@ def test_the_printed_work_is_what_is_done(tmp_path, q):
     ).replace("stack(void) { return 0; }", "stack(void) { return (uint32_t)functions; }")
     (tmp_path / "replay.cpp").write_text(replay)
     subprocess.run(
-        ["c++", "-std=c++20", "-w", "-O1", "-I", source, "-I", HERE, tmp_path / "replay.cpp"]
-        + ["-x", "c++", source / "homeward_ekf.c", "-o", tmp_path / "replay"],
+        [
+            "c++",
+            "-std=c++20",
+            "-w",
+            "-O1",
+            "-I",
+            source,
+            "-I",
+            HERE,
+            tmp_path / "replay.cpp",
+            "-x",
+            "c++",
+            source / "homeward_ekf.c",
+            "-o",
+            tmp_path / "replay",
+        ],
         check=True,
     )
     drive = scene(q, 0, seed=3).drive
@@ -147,8 +161,19 @@ def test_an_export(tmp_path):
     files = [out / "src" / "homeward_ekf.c", out / "examples" / "cortex_m4f" / "main.c"]
     exe = tmp_path / "main"
     subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-I", out / "src", *files, "-lm"]
-        + ["-o", exe],
+        [
+            "cc",
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-I",
+            out / "src",
+            *files,
+            "-lm",
+            "-o",
+            exe,
+        ],
         check=True,
     )
     assert subprocess.run([exe]).returncode == 0
