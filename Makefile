@@ -25,6 +25,11 @@ plan: install
 test: install
 	$(BIN)/python -m pytest
 
+# On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
+test-mcu: install
+	$(BIN)/python -m pytest -n 0 -rs tests/engine/test_export.py -k CortexM4F
+	$(BIN)/python -m benchmarks.mcu
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -39,6 +44,8 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)
+	$(BIN)/python -m benchmarks.mcu
+	$(BIN)/python -m benchmarks.mcu --moved $(if $(QUICK),--runs 3)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)

@@ -46,12 +46,13 @@ def export(
     The folder is laid out for Arduino and PlatformIO: src/ holds one .c and one .h, which need
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
+    from homeward.drives.settings import validated
     from homeward.engine.export.project import MARKER, project
     from homeward.engine.export.work import work_words
-    from homeward.registry import estimator_settings
+    from homeward.filters.settings import FilterSettings
     from homeward.report.output import check_output, whole_folder
 
-    settings = estimator_settings(estimator.value, key_values(changes or []))
+    settings = validated(FilterSettings, key_values(changes or []))
     files = project(landmarks, settings, precision is Precision.FLOAT)
     check_output(out, MARKER)
     with whole_folder(out, MARKER) as scratch:

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause; copyright: the homeward developers */
 /* See homeward_ekf.h. The blocks between "generated" and "end" come from the symbolic source, split
  * into what all landmarks share and what each adds; what is around them are loops. */
 #include "homeward_ekf.h"

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: BSD-3-Clause; copyright: the homeward developers */
 /* Where a robot is, relative to home, from the bearings of $landmarks landmarks.
  *
  * Made by homeward $version (homeward export ekf --landmarks $landmarks); the model and its
