@@ -122,8 +122,8 @@ def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Sa
             lines.append(f"o {round(t * 1e6)} {float(a)!r} {float(b)!r}")
         else:
             estimator.bearings(t, a, b)
-            seen = " ".join(f"{ids.index(k)} {y!r} {b.get(k, 0.0)!r}" for k, y in a.items())
-            lines.append(f"b {round(t * 1e6)} {len(a)} {seen}")
+            seen = [f"{ids.index(k)} {y!r} {b.get(k, 0.0)!r}" for k, y in a.items() if k in ids]
+            lines.append(f"b {round(t * 1e6)} {len(seen)} {' '.join(seen)}")
             if t - solved >= every_s:
                 solved = t
                 lines.append(f"s {int(restart)}")
