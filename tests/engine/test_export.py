@@ -152,7 +152,7 @@ def test_an_export(tmp_path):
     out = tmp_path / "out"
     answer = call("ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null")
     assert answer.exit_code == 0, answer.output
-    assert "At most" in answer.stdout
+    assert "at most" in answer.stdout
     assert {p.name for p in out.iterdir()} == {
         *("library.json", "library.properties", "src", "examples"),
     }

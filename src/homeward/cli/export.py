@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import key_values
+from homeward.cli.options import Changes, key_values
+from homeward.cli.terminal import say, table
 
 
 class Filter(StrEnum):
@@ -36,10 +37,7 @@ def export(
     out: Annotated[Path, typer.Option(help="The folder to write.")],
     target: Annotated[Target, typer.Option(help="The language.")] = Target.C,
     precision: Annotated[Precision, typer.Option(help="Of its numbers.")] = Precision.FLOAT,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="KEY=VALUE, as in gate=0.99; repeatable."),
-    ] = None,
+    changes: Changes = None,
 ) -> None:
     """Write a filter as a C library for microcontrollers.
 
@@ -48,7 +46,7 @@ def export(
     """
     from homeward.drives.settings import validated
     from homeward.engine.export.project import MARKER, project
-    from homeward.engine.export.work import work_words
+    from homeward.engine.export.work import most_work
     from homeward.filters.settings import FilterSettings
     from homeward.report.output import check_output, whole_folder
 
@@ -59,5 +57,9 @@ def export(
         for name, text in files.items():
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_text(text, encoding="utf-8")
-    typer.echo(f"{estimator.value} of {landmarks} landmarks in {precision.value}s: {out / 'src'}")
-    typer.echo(work_words(landmarks, settings))
+    say(f"{estimator.value} of {landmarks} landmarks in {precision.value}s: {out / 'src'}")
+    rows = [
+        (k, f"{w.arithmetic:,}", f"{w.functions:,}")
+        for k, w in most_work(landmarks, settings).items()
+    ]
+    table([("at most, a call", "+ - * /", "of libm"), *rows], left=1)

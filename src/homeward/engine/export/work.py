@@ -97,14 +97,3 @@ def _solve(q: int) -> Work:
     rounds = 4 * (judged + 4 * refined(q)) + judged
     answer = relative + Work(94, 0) + q * (misfit + Work(1, 0))
     return inverted + q * located + search + rounds + answer
-
-
-def work_words(q: int, settings: FilterSettings) -> str:
-    """Return the work of each function in words."""
-    width = max(map(len, most_work(q, settings)))
-    head = "At most, in operations (+ - * /) and calls of libm:"
-    rows = [
-        f"  {k:{width}}  {w.arithmetic:>11,} {w.functions:>9,}"
-        for k, w in most_work(q, settings).items()
-    ]
-    return "\n".join([head, *rows])
