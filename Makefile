@@ -22,8 +22,9 @@ demo: install
 plan: install
 	$(BIN)/homeward plan warehouse --out out/plan
 
+# FAST=1: without what renders, looks at pictures, drives a browser or many drives.
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(if $(FAST),-m "not slow")
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
 test-mcu: install

@@ -13,6 +13,18 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
+SLOW = ("vision", "consistency", "simulation/test_render", "report/test_page_in_browser")
+"""What renders, looks at pictures, drives a browser or many drives: half of the time of all."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what `make test FAST=1` leaves out."""
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.relative_to(here).as_posix().startswith(SLOW):
+            item.add_marker("slow")
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The shared real data, which is not part of the repository."""
