@@ -20,13 +20,14 @@ from homeward.drives.folder import (
     read_odometry,
     read_truth,
 )
-from homeward.drives.images import IMAGES, file_within, read_images
+from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError
 from homeward.one_thread import one_thread
 from homeward.vision.camera import Panorama
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_grey, read_view
+from homeward.vision.kept import Found, found_once, stamp_of
 from homeward.vision.panorama import require_panoramas
 from homeward.vision.recorded import SeenDrive
 from homeward.vision.settings import ImageSettings, read_image_settings
@@ -92,28 +93,29 @@ def see_folder(
     require_overlap(spans, OTHER_CLOCK, folder)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
-    picture, home = read_view(home_image(folder, settings), settings.camera, mask=settings.mask)
+    place = home_image(folder, settings)
+    picture, home = read_view(place, settings.camera, mask=settings.mask)
     if not (force or settings.force):
         _require_panoramas(picture, images.files, settings.camera, folder)
     if ready is not None:
         ready()
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
     headings = dead_reckoning(odometry, images.t).heading
-    glances, along = _look_at_all(front_end, images.files, headings, progress)
-    if unlike := sum(not glance.bearings for glance in glances):
-        remarks[UNLIKE] = unlike
-    if along is not None:
-        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
-    pictures = zip(images.t.tolist(), (glance.home for glance in glances), strict=True)
+    found = found_once(
+        lambda: stamp_of([place, *images.files], settings, images.t, headings),
+        lambda: _found(front_end, images, headings, progress),
+    )
+    if progress is not None:
+        progress(1.0)
     return SeenDrive(
         name=folder.resolve().name,
         odometry=odometry,
-        sightings=_sightings(images.t, glances, remarks),
-        home=front_end.home_bearings,
+        sightings=found.sightings,
+        home=found.home,
         settings=sensor,
         truth=truth,
-        remarks=remarks,
-        pictures=tuple(pictures),
+        remarks=remarks | found.remarks,
+        pictures=tuple(zip(images.t.tolist(), found.pictures, strict=True)),
     )
 
 
@@ -151,6 +153,24 @@ def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, fo
 def _span(t: np.ndarray) -> tuple[float, float]:
     """Return the first and the last of times in order [s]."""
     return float(t[0]), float(t[-1])
+
+
+def _found(
+    front_end: FrontEnd,
+    images: Images,
+    headings: np.ndarray,
+    progress: Callable[[float], None] | None,
+) -> Found:
+    """Look at all images, and return what they showed; headings are by odometry."""
+    glances, along = _look_at_all(front_end, images.files, headings, progress)
+    remarks: dict[str, int] = {}
+    if unlike := sum(not glance.bearings for glance in glances):
+        remarks[UNLIKE] = unlike
+    if along is not None:
+        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
+    sightings = _sightings(images.t, glances, remarks)
+    compared = tuple(glance.home for glance in glances)
+    return Found(sightings, front_end.home_bearings, compared, remarks)
 
 
 def _look_at_all(

@@ -1,4 +1,4 @@
-"""Where compiled code is kept: a folder that only its owner can read and write.
+"""Where compiled code, and what else took long, is kept: a folder of its owner's alone.
 
 A file's name is the key of what was asked for and the checksum of what is in it, so that one
 rename puts both in place at once, and a file that was cut short or exchanged is never loaded.
@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 class Cache:
-    """A folder of compiled code.
+    """A folder of files of one kind: compiled code, or what was found in pictures.
 
     Parameters
     ----------
@@ -60,22 +60,30 @@ class Cache:
                 file.unlink()
         return None
 
-    def keep(self, key: str, library: Path) -> Path:
-        """Move a library into the folder, in one step, and return where it is.
+    def keep(self, key: str, file: Path) -> Path:
+        """Move a file into the folder, in one step, and return where it is.
 
         Parameters
         ----------
         key : str
             What it is kept under.
-        library : Path
+        file : Path
             On the same file system, as one in `workshop` is.
         """
-        place = self.folder / f"{key}-{_checksum(library)}{self._suffix}"
-        os.replace(library, place)
+        place = self.folder / f"{key}-{_checksum(file)}{self._suffix}"
+        os.replace(file, place)
         return place
 
+    def bound(self, most: int) -> None:
+        """Let the oldest files go until the others have no more than so many bytes."""
+        told = [(file, file.stat()) for file in self.folder.glob(f"*{self._suffix}")]
+        for file, stats in sorted(told, key=lambda each: each[1].st_mtime, reverse=True):
+            most -= stats.st_size
+            if most < 0:
+                file.unlink(missing_ok=True)
+
     def workshop(self) -> tempfile.TemporaryDirectory[str]:
-        """Return a folder to compile in, of this process alone, which goes when it is left."""
+        """Return a folder to work in, of this process alone, which goes when it is left."""
         return tempfile.TemporaryDirectory(prefix="compiling-", dir=self.folder)
 
 
@@ -93,7 +101,7 @@ def default_folder() -> Path:
 
 
 def key_of(*parts: str) -> str:
-    """Return a key for everything that decides what a library is."""
+    """Return a key for everything that decides what a file holds."""
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 
