@@ -151,7 +151,8 @@ def prepare(
         tell=progress,
     )
     if not drive.sightings.t.size:
-        raise InputError("no sightings of landmarks in it", Path(run.drive))
+        why = "; ".join(["no sightings of landmarks in it", *drive.remark_lines])
+        raise InputError(why, Path(run.drive))
     if not drive.home:
         way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
         raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))

@@ -25,12 +25,14 @@ from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError
 from homeward.one_thread import one_thread
 from homeward.vision.camera import Panorama
+from homeward.vision.compare import Comparison
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.images import read_grey, read_view
 from homeward.vision.kept import Found, found_once, stamp_of
 from homeward.vision.panorama import require_panoramas
 from homeward.vision.recorded import SeenDrive
 from homeward.vision.settings import ImageSettings, read_image_settings
+from homeward.vision.settings_doubt import doubts
 from homeward.vision.turning_along import TurningAlong, TurnsAlong
 
 IMAGE_SETTINGS = "images.yaml"
@@ -39,6 +41,8 @@ FEWEST_SIGHTINGS = 8
 HOME_STEM = "home"
 ASKED = 8
 """So many pictures along the drive, and home's, are asked whether they are panoramas."""
+DOUBTED = 3
+"""Where none is like home, so many are asked whether other settings suit them."""
 UNLIKE = "images in which nothing seen before was found"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
@@ -103,7 +107,7 @@ def see_folder(
     headings = dead_reckoning(odometry, images.t).heading
     found = found_once(
         lambda: stamp_of([place, *images.files], settings, images.t, headings),
-        lambda: _found(front_end, images, headings, progress),
+        lambda: _found(picture, front_end, images, headings, progress),
     )
     if progress is not None:
         progress(1.0)
@@ -156,12 +160,16 @@ def _span(t: np.ndarray) -> tuple[float, float]:
 
 
 def _found(
+    home: np.ndarray,
     front_end: FrontEnd,
     images: Images,
     headings: np.ndarray,
     progress: Callable[[float], None] | None,
 ) -> Found:
-    """Look at all images, and return what they showed; headings are by odometry."""
+    """Look at all images, and return what they showed; headings are by odometry.
+
+    `home` is home's panorama.
+    """
     glances, along = _look_at_all(front_end, images.files, headings, progress)
     remarks: dict[str, int] = {}
     if unlike := sum(not glance.bearings for glance in glances):
@@ -170,7 +178,29 @@ def _found(
         remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
     sightings = _sightings(images.t, glances, remarks)
     compared = tuple(glance.home for glance in glances)
+    remarks |= _settings_doubts(home, front_end, images.files, compared)
     return Found(sightings, front_end.home_bearings, compared, remarks)
+
+
+def _settings_doubts(
+    home: np.ndarray,
+    front_end: FrontEnd,
+    files: list[Path],
+    compared: tuple[Comparison | None, ...],
+) -> dict[str, int]:
+    """Return a remark where another setting suits home and the first picture like it far better.
+
+    Of several along the drive, where none is like home.
+    """
+    tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
+    like = [pair for pair in tried if pair[1].accepted][:1]
+    some = np.unique(np.linspace(0, len(tried) - 1, DOUBTED).astype(int)).tolist()
+    for file, seen in like or [tried[k] for k in some]:
+        picture, view = read_view(file, front_end.camera, like=front_end.home)
+        views = front_end.home, view
+        if words := doubts(seen, (home, picture), views, front_end.camera):
+            return {f"pair of pictures was looked at closely, home and {file.name}: {words}": 1}
+    return {}
 
 
 def _look_at_all(
