@@ -35,6 +35,8 @@ from homeward.vision.settings import ImageSettings
 SUFFIX = ".npz"
 MOST_BYTES = 500_000_000
 """All that is kept: some 200 bytes a match, 20 MB for a thousand pictures of a room [bytes]."""
+BLOCK = 1 << 20
+"""Files are read by so many bytes."""
 OF_MATCHES = "home_row", "now_row", "place", "agrees", "moved"
 OF_PICTURES = "covariance", "tilt_covariance", "parallax"
 
@@ -97,7 +99,7 @@ def stamp_of(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.nda
     masks = [] if settings.mask is None else [settings.mask]
     told = [settings.camera.model_dump_json(), str(settings.landmarks), str(len(masks))]
     contents = [_content(path) for path in (*masks, *pictures)]
-    rest = [hashlib.sha256(np.ascontiguousarray(a)).hexdigest() for a in numbers]
+    rest = [hashlib.sha256(a.tobytes()).hexdigest() for a in numbers]
     return key_of(_algorithm(), *told, *contents, *rest)
 
 
@@ -118,8 +120,11 @@ def _algorithm() -> str:
 
 
 def _content(path: Path) -> str:
+    whole = hashlib.sha256()
     with naming(path, "cannot be read"), opened(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+        while block := stream.read(BLOCK):
+            whole.update(block)
+    return whole.hexdigest()
 
 
 def _read(file: Path) -> Found | None:
