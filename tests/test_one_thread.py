@@ -4,6 +4,7 @@ import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings
+from homeward.one_thread import one_thread
 from homeward.registry import make_estimator
 from homeward.track import run
 
@@ -28,3 +29,15 @@ def test_a_run_holds_blas_to_one_thread_and_leaves_the_user_s_setting():
         assert threads() == before == {2}
     assert seen
     assert all(inside == {1} for inside in seen)
+
+
+def test_blocks_that_overlap_leave_the_user_s_setting_too():
+    """As two threads that follow a drive each: the first to enter is the first to leave."""
+    with threadpool_limits(limits=2, user_api="blas"):
+        first, second = one_thread(), one_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert threads() == {1}
+        second.__exit__(None, None, None)
+        assert threads() == {2}
