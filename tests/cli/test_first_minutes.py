@@ -16,6 +16,7 @@ import yaml
 from typer.testing import CliRunner
 
 import homeward
+from homeward.cli import terminal
 from homeward.cli.main import COMMANDS, app
 from homeward.cli.settings import _models
 from homeward.drives.keys import ANY, keys
@@ -23,6 +24,7 @@ from homeward.drives.opening import sample_drive
 from homeward.drives.settings import nested, validated
 from homeward.errors import InputError, needs_extra
 from homeward.registry import ESTIMATORS
+from homeward.studies import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [command.__name__ for command in COMMANDS]
@@ -127,6 +129,18 @@ def test_a_table_too_wide_for_the_terminal_becomes_a_list(short):
     assert all(len(line) <= 40 or " " not in line.strip() for line in shown.splitlines())
 
 
+def test_a_row_of_a_list_stands_apart_and_begins_with_what_it_has(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "_width", lambda stream: 30)
+    head = ["scenario", "estimator", "RMSE [m]", "heading [deg]"]
+    terminal.table([head, ["wide hall", "ekf", "0.1", "2"], ["", "robust", "", "1"]])
+    assert capsys.readouterr().out.splitlines() == [
+        "wide hall: estimator ekf, RMSE",
+        "  [m] 0.1, heading [deg] 2",
+        "estimator robust, heading",
+        "  [deg] 1",
+    ]
+
+
 def test_shell_completion_can_be_shown():
     told = CliRunner().invoke(app, ["--show-completion"], env={"SHELL": "/bin/bash"})
     assert "complete" in told.output
@@ -178,6 +192,16 @@ def test_inputs_are_checked_before_outputs(short, tmp_path, monkeypatch, words, 
     out = ["full"] if words[0] == "convert" else ["--out", "full"]
     assert fragment in refused(call(*words, *out))
     assert [file.name for file in Path("full").iterdir()] == ["thesis.tex"]
+
+
+def test_where_nothing_can_be_written_a_run_does_not_begin(short, tmp_path, monkeypatch):
+    monkeypatch.setattr(single_run, "follow", None)  # would fail
+    (tmp_path / "notes").touch()
+    assert "is not a folder" in refused(call("run", short, "--out", tmp_path / "notes" / "out"))
+    assert "is not a folder" in refused(call("run", short, "--out", tmp_path / "notes"))
+    monkeypatch.setattr(os, "access", lambda path, how: path != tmp_path)  # root may write anywhere
+    assert "may not be written into" in refused(call("run", short, "--out", tmp_path / "a" / "b"))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["notes", "short"]
 
 
 def test_no_pose_is_no_answer(short, tmp_path):

@@ -93,6 +93,16 @@ def test_a_log_without_home_names_the_way_out(tmp_path):
     assert "home.csv has no rows" in refused(call("run", folder, "--out", tmp_path / "out"))
 
 
+def test_a_log_without_bearings_names_the_way_out(tmp_path):
+    folder = tmp_path / "blind"
+    shutil.copytree(sample_drive(), folder)
+    (folder / "bearings.csv").write_text("t,landmark,bearing\n")
+    log = tmp_path / "blind.mcap"
+    assert call("convert", folder, log).exit_code == 0
+    line = refused(call("run", log, "--out", tmp_path / "out"))
+    assert "name its topics under bearings in a topics file" in line
+
+
 def test_info_says_why_a_drive_would_be_refused(tmp_path):
     """In the words with which it is; what is there, is told all the same."""
     folder = tmp_path / "drive"

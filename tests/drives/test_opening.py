@@ -60,7 +60,8 @@ def test_opens_an_mrclam_folder(mrclam_folder):
 
 def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):
     for choices in ({}, {"robot": 1}, {"home": HOME}):
-        assert refusal(mrclam_folder, **choices) == "an MRCLAM folder needs a robot and a home pose"
+        told = refusal(mrclam_folder, **choices)
+        assert told == "an MRCLAM folder needs a robot and a home pose: --robot and --home"
 
 
 def test_a_drive_folder_brings_its_own_home(drive_folder):

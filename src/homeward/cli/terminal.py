@@ -56,8 +56,9 @@ def table(rows: Iterable[Iterable[str]], left: int = 2) -> None:
     widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
     if (width := _width(sys.stdout)) is not None and sum(widths) + 2 * len(widths) > width:
         for row in body:
-            named = zip(head[1:], row[1:], strict=True)
-            say(f"{row[0]}: " + ", ".join(f"{name} {cell}" for name, cell in named if cell))
+            first, *others = zip(head, row, strict=True)
+            named = ", ".join(f"{name} {cell}" for name, cell in others if cell)
+            say(": ".join(filter(None, (first[1], named))), indent="  ")
         return
     for row in (head, *body):
         cells = [

@@ -126,7 +126,7 @@ def reader_of(place: Path) -> Reader:
 
 def _open_mrclam(path: Path, choices: Choices) -> Drive:
     if choices.robot is None or choices.home is None:
-        raise InputError("an MRCLAM folder needs a robot and a home pose", path)
+        raise InputError("an MRCLAM folder needs a robot and a home pose: --robot and --home", path)
     choices.refuse_topics("MRCLAM folder", path)
     return read_mrclam(path, choices.robot, choices.home, choices.home_noise, choices.seed)
 

@@ -27,12 +27,16 @@ def check_output(directory: Path, marker: str) -> None:
     Raises
     ------
     InputError
-        When it holds files without that one among them, or is no folder.
+        When it holds files without that one among them, is no folder, or cannot be written: what
+        takes minutes should not end with that.
     """
-    if not is_there(directory):
+    there = next(p for p in (directory, *directory.absolute().parents) if is_there(p))
+    if not there.is_dir():
+        raise InputError("is not a folder; choose another output folder", there)
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError("may not be written into; choose another output folder", there)
+    if there != directory:
         return
-    if not directory.is_dir():
-        raise InputError("is not a folder; choose another output folder", directory)
     names = {p.name for p in directory.iterdir() if not p.name.startswith(SCRATCH)}
     if names and marker not in names:
         raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,12 +12,12 @@ from pydantic import Field
 
 from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
 from homeward.drives.folder import HOME
-from homeward.drives.opening import SAMPLE, open_drive, sample_drive
+from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.bag_folder import is_log
-from homeward.drives.ros.settings import NAME_HOME
+from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
 from homeward.drives.settings import read_tree, validated
 from homeward.engine.online import OnlineFilter
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
 from homeward.localizer.settings import LocalizerSettings
@@ -135,8 +135,10 @@ def prepare(
     Raises
     ------
     InputError
-        When the drive cannot be read or saw nothing, the settings do not fit, or the estimator
-        cannot smooth.
+        When the drive cannot be read or has no sightings, the settings do not fit, or the
+        estimator cannot smooth.
+    HomewardError
+        When no landmark was found in a folder of images.
     """
     settings = estimator_settings(run.estimator, run.settings)
     if run.smooth and not isinstance(settings, LocalizerSettings):
@@ -151,8 +153,7 @@ def prepare(
         tell=progress,
     )
     if not drive.sightings.t.size:
-        why = "; ".join(["no sightings of landmarks in it", *drive.remark_lines])
-        raise InputError(why, Path(run.drive))
+        raise _saw_nothing(drive_path(run), drive.remark_lines)
     if not drive.home:
         way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
         raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
@@ -168,6 +169,14 @@ def prepare(
     update = {"start": start, "settings": spelt}
     complete = run.model_copy(update=update)
     return drive, estimator, complete
+
+
+def _saw_nothing(path: Path, remarks: Iterable[str]) -> HomewardError:
+    """Return the error of a drive without sightings; good pictures may show nothing of home."""
+    if is_image_folder(path):
+        return HomewardError("; ".join([f"{path}: no landmark was found in its images", *remarks]))
+    way = f": {NAME_BEARINGS}" if is_log(path) else ""
+    return InputError("; ".join([f"no sightings of landmarks in it{way}", *remarks]), path)
 
 
 def drive_path(run: RunSettings) -> Path:

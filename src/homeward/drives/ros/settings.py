@@ -44,6 +44,8 @@ class BearingsTopic(Strict):
     """Standard deviation of a bearing that has none of its own [rad]."""
 
 
+NAME_BEARINGS = "name its topics under bearings in a topics file; homeward info lists them"
+"""The way out where no topic of a log is known to tell bearings."""
 NAME_HOME = "name it under home in a topics file (csv, topic, or during: [from, until])"
 """The way out where nothing in a log tells what the camera saw at home."""
 
