@@ -178,6 +178,7 @@ def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
     (folder / name).write_text(f"{header}\n")
     assert words in refused(call("run", folder, "--out", tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+    assert f"homeward run refuses it: {name} has no rows." in call("info", folder).stdout
 
 
 def test_the_sample_is_converted_by_its_name(tmp_path):

@@ -129,6 +129,10 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
 
 def _judged(drive: Drive, path: Path) -> Iterator[str]:
     """Yield what looked wrong with a drive, and why it is refused where it would run."""
+    if not drive.sightings.t.size:
+        yield REFUSED.format(f"{BEARINGS} has no rows")
+    if not drive.home:
+        yield REFUSED.format(f"{HOME} has no rows")
     try:
         yield from on_one_clock(drive, path).remark_lines
     except InputError as error:
