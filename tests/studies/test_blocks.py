@@ -1,6 +1,13 @@
 """Blocks: kept whole, resumed, spread over processes and over Dask, nothing lost or twice."""
 
 import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,3 +105,26 @@ def test_a_pool_that_is_left_ends_its_workers():
     next(results)
     results.close()
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no such signals")
+def test_ctrl_c_while_workers_begin_is_told_once(tmp_path):
+    """A terminal sends it to all processes at once, also to those that still import."""
+    words = ["-m", "homeward", "study", "pi-ekf-tuning", "--workers", "2", "--out", tmp_path / "o"]
+    with subprocess.Popen(
+        [sys.executable, *words], stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as running:
+        children = f"/proc/{running.pid}/task/{running.pid}/children"
+        while not any("spawn_main" in line for line in _command_lines(children)):
+            time.sleep(0.01)
+        time.sleep(0.2)  # Python itself has begun
+        os.killpg(running.pid, signal.SIGINT)
+        (line,) = running.stderr.read().splitlines()
+        assert running.wait(60) == 130
+    assert line.startswith("homeward: stopped")
+
+
+def _command_lines(children):
+    with suppress(OSError), open(children) as file:
+        for child in file.read().split():
+            yield Path("/proc", child, "cmdline").read_text()

@@ -116,7 +116,7 @@ def test_a_full_disk_leaves_no_half_of_a_drive(tmp_path, name):
     assert open_drive(tmp_path / name).odometry.t.size == 3604
 
 
-@pytest.mark.parametrize("size", [300, 20_000])
+@pytest.mark.parametrize("size", [300, 20_000, 41_000])
 def test_a_study_goes_on_when_there_is_room_again(tmp_path, size):
     """Whatever was to be written when there was none left: marker, manifest, block or results."""
     file, out = written(tmp_path, runs=1, grid={}, estimators=["ekf"]), tmp_path / "out"

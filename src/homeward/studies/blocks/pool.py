@@ -83,7 +83,8 @@ def _round(
         try:
             while True:
                 while len(running) < AHEAD * processes and (item := next(left, None)):
-                    running[pool.submit(function, item[1])] = item[0]
+                    with _interrupt_held_back():
+                        running[pool.submit(function, item[1])] = item[0]
                 if not running:
                     return
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -93,6 +94,22 @@ def _round(
             if running:
                 ours.close()
             pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupt_held_back() -> Iterator[None]:
+    """Take Ctrl-C at the end of a block; processes that begin in it never do.
+
+    They import for a second or more before `_begin_worker` could say so.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin_worker(lifeline: Connection) -> None:

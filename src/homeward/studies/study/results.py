@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from homeward.drives.files import naming
 from homeward.errors import InputError, needs_extra
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import BlockStore, our_version
@@ -162,11 +163,10 @@ def write_netcdf(results: Results, path: Path) -> None:
     """
     dataset = to_dataset(results)
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
-    try:
-        dataset.to_netcdf(path, engine="h5netcdf", encoding=compressed)
-    except (OSError, RuntimeError) as error:  # HDF5 has its own words for a full disk
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise InputError(f"cannot be written: {reason}", path) from error
+    # In memory first: on a disk that is full, HDF5 may end the whole process.
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
+    with naming(path, "cannot be written"):
+        path.write_bytes(content)
 
 
 def _coordinate(values: list[Any]) -> Any:
