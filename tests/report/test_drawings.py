@@ -10,6 +10,7 @@ from homeward.report.canvas import legend_below, new_figure, style, svg, svg_fil
 from homeward.report.plan_figures import draw_accuracy, draw_begin, draw_hidden
 from homeward.report.study_figures import draw_nees, draw_overview, draw_rmse
 from homeward.report.study_maps import draw_maps, grids
+from homeward.report.study_page import PAGE, write_study
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import Plan
 from homeward.studies.study.summary import table
@@ -36,6 +37,14 @@ def test_no_label_of_a_map_over_settings_collides_or_is_cut(tmp_path):
     results = made_up_study(tmp_path, 3.0, estimators=entries, grid={})
     (found,) = grids(results)
     assert faults(draw_maps(results, found)) == []
+
+
+def test_a_page_explains_the_figures_that_it_has_alone(tmp_path):
+    many = {"estimator": "a-ekf", "grid": {"parameter_sigma": [0.01 * k for k in range(1, 26)]}}
+    for name, estimators, there in (("few", ["ekf"], True), ("many", ["ekf", many], False)):
+        write_study(tmp_path / name, made_up_study(tmp_path, estimators=estimators, grid={}))
+        page = (tmp_path / name / PAGE).read_text()
+        assert ("a dashed line is the bound" in page) == there
 
 
 def test_crowded_ticks_are_left_out_and_others_stay():

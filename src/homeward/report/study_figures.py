@@ -22,6 +22,8 @@ from homeward.studies.study.results import Results
 from homeward.studies.study.summary import Line, lines, over_time
 
 COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
+OVERVIEW, OVER_TIME = "overview", "rmse_over_time"
+"""Names of figures that not every study has."""
 MOST_ROWS = 80
 """Of the overview."""
 MOST_CONTENDERS = 24
@@ -41,10 +43,10 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
         yield f"map_{grid.name}", grid.caption, draw_maps(results, grid)
     if len(results.plan.contenders) <= MOST_CONTENDERS:
         words = "Errors, homecoming and consistency, over all runs"
-        yield "overview", words, draw_overview(results)
+        yield OVERVIEW, words, draw_overview(results)
     if len(results.plan.contenders) <= len(COLOURS):
         yield (
-            "rmse_over_time",
+            OVER_TIME,
             "RMSE of the position over time, and the Cramér-Rao bound",
             draw_rmse(results),
         )

@@ -10,7 +10,14 @@ from markupsafe import Markup
 from homeward.report.below_bound import note_below
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
-from homeward.report.study_figures import MOST_PANELS, MOST_ROWS, below, figures
+from homeward.report.study_figures import (
+    MOST_PANELS,
+    MOST_ROWS,
+    OVER_TIME,
+    OVERVIEW,
+    below,
+    figures,
+)
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, listing
@@ -30,7 +37,7 @@ def write_study(directory: Path, results: Results) -> None:
     """
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
-            drawn(scratch, _file(name), caption, figure)
+            (name, *drawn(scratch, _file(name), caption, figure))
             for name, caption, figure in figures(results)
         ]
         write_netcdf(results, scratch / DATA)
@@ -49,12 +56,13 @@ def headline(results: Results) -> str:
     )
 
 
-def _page(results: Results, pictures: list[tuple[str, Markup]]) -> str:
+def _page(results: Results, pictures: list[tuple[str, str, Markup]]) -> str:
     plan, rows = results.plan, table(results)
+    names = [name for name, _, _ in pictures]
     cut = []
-    if len(plan.cases) > MOST_PANELS:
+    if OVER_TIME in names and len(plan.cases) > MOST_PANELS:
         cut.append(f"figures over time show the first {MOST_PANELS} scenarios")
-    if len(plan.cases) * len(plan.contenders) > MOST_ROWS:
+    if OVERVIEW in names and len(plan.cases) * len(plan.contenders) > MOST_ROWS:
         cut.append(f"the overview shows the first {MOST_ROWS} rows of the table")
     settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
     return render(
@@ -66,6 +74,7 @@ def _page(results: Results, pictures: list[tuple[str, Markup]]) -> str:
         head=rows[0],
         rows=rows[1:],
         figures=pictures,
+        over_time=OVER_TIME in names,
         cut=listing(cut) if cut else "",
         below=note_below(below(results)),
         failures=failures(results),
