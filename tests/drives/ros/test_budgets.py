@@ -218,6 +218,28 @@ def test_cells_of_another_type(tmp_path, row):
     assert "not text" in refusal(path)
 
 
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ((1, 1, "noon", b""), "message 1 came at 'noon', which is no time"),
+        ((1, 1, 1, "text"), "message 1 holds str, not bytes"),
+        ((1, 7, 1, b""), "it refers to 7, which is not in it"),
+    ],
+)
+def test_messages_that_are_none_are_told_for_what_they_are(tmp_path, row, words):
+    path = tmp_path / "log.db3"
+    message = ("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, message)
+    assert words in refusal(path)
+
+
+def test_a_message_of_no_channel_is_told_of(tmp_path):
+    path = tmp_path / "log.mcap"
+    stray = record(5, struct.pack("<HIQQ", 9, 0, 1, 1) + FIVE_CDR[0])
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR) + stray))
+    assert "it refers to 9, which is not in it" in refusal(path)
+
+
 def test_text_in_a_database_that_is_no_utf8(tmp_path):
     path = tmp_path / "log.db3"
     topic = "INSERT INTO topics VALUES (1, CAST(x'ff' AS TEXT), 'x', 'cdr')"

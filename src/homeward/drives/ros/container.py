@@ -222,7 +222,11 @@ def walking(path: Path) -> Iterator[None]:
     try:
         with naming(path, "cannot be read"):
             yield
-    except (struct.error, ValueError, KeyError, IndexError, OverflowError) as error:
+    except KeyError as error:  # as of a message whose channel was not told
+        raise InputError(
+            f"damaged: it refers to {in_short(error)}, which is not in it", path
+        ) from error
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"damaged: {in_short(error)}", path) from error
 
 

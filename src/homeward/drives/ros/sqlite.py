@@ -83,7 +83,9 @@ class Sqlite:
             last = max(self._last(database), 1)
             rows = database.execute("SELECT id, topic_id, timestamp, data FROM messages")
             for number, topic, receive, data in rows:
-                if not (isinstance(receive, int) and isinstance(data, bytes)):
+                if not isinstance(receive, int):
+                    raise ValueError(f"message {number} came at {receive!r}, which is no time")
+                if not isinstance(data, bytes):
                     raise ValueError(f"message {number} holds {type(data).__name__}, not bytes")
                 budget.record()
                 budget.unpacked(len(data))
