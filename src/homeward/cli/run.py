@@ -69,6 +69,7 @@ def run(
     is 1.
     """
     from homeward.drives.settings import nested
+    from homeward.registry import NEED_START
 
     own = nested(key_values(changes or []))
     if engine is not None:
@@ -85,7 +86,10 @@ def run(
         "settings": own or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    _run(run_settings(drive, given), out)
+    settings = run_settings(drive, given)
+    if engine is not None and settings.estimator not in NEED_START:
+        raise InputError(f"--engine is for {', '.join(NEED_START)}, not {settings.estimator}")
+    _run(settings, out)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.files import naming
 from homeward.errors import InputError, needs_extra
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import BlockStore, our_version
@@ -158,15 +157,14 @@ def write_netcdf(results: Results, path: Path) -> None:
 
     Raises
     ------
-    InputError
+    OSError
         When it cannot be written.
     """
     dataset = to_dataset(results)
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
     # In memory first: on a disk that is full, HDF5 may end the whole process.
     content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
-    with naming(path, "cannot be written"):
-        path.write_bytes(content)
+    path.write_bytes(content)
 
 
 def _coordinate(values: list[Any]) -> Any:
