@@ -1,5 +1,6 @@
 """What a new user types first: help, versions, defaults, exit statuses, and mistakes."""
 
+import dataclasses
 import os
 import pty
 import re
@@ -11,6 +12,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -19,6 +21,7 @@ import homeward
 from homeward.cli import terminal
 from homeward.cli.main import COMMANDS, app
 from homeward.cli.settings import _models
+from homeward.drives.drive import Sightings
 from homeward.drives.keys import ANY, keys
 from homeward.drives.opening import sample_drive
 from homeward.drives.settings import nested, validated
@@ -215,6 +218,16 @@ def test_no_pose_is_no_answer(short, tmp_path):
     result = call("observe", short, "--out", tmp_path / "o")
     assert "found no pose" in result.stderr
     assert result.exit_code == 1
+
+
+def test_pictures_in_which_nothing_is_found_are_no_answer(short, tmp_path, monkeypatch):
+    blind = dataclasses.replace(homeward.open_drive(short), sightings=Sightings(*[np.empty(0)] * 4))
+    monkeypatch.setattr(single_run, "open_drive", lambda *place, **choices: blind)
+    (tmp_path / "images.csv").touch()
+    result = call("run", tmp_path, "--out", tmp_path / "out")
+    assert "no landmark was found in its images" in result.stderr
+    assert result.exit_code == 1
+    assert "no sightings of landmarks in it" in refused(call("run", short))
 
 
 def test_a_study_whose_every_run_fails_is_no_answer(tmp_path):
