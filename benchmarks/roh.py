@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.mrclam import data
 from homeward.angles import wrap
-from homeward.localizer.answer import centre
-from homeward.localizer.moved import Hypotheses, search
-from homeward.localizer.problem import HEAD, HomeProblem
+from homeward.localizer.home.hypotheses import Hypotheses, search
+from homeward.localizer.home.problem import HEAD, HomeProblem
+from homeward.localizer.output.pose import centre
 from homeward.localizer.settings import LocalizerSettings
 
 CHI_SQUARE_MEDIAN = 0.455

@@ -8,8 +8,8 @@ from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Estimate, Status
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.odometry import Odometry
-from homeward.localizer.preintegration import CALIBRATION
+from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.preintegration import CALIBRATION
 
 NOTHING = np.zeros(len(CALIBRATION))
 

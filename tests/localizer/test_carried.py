@@ -10,8 +10,8 @@ from test_found_out import Logged
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Innovation, Status
 from homeward.frames import Pose
-from homeward.localizer.carried import Displaced, carried_at, moved_together
-from homeward.localizer.elsewhere import Elsewhere
+from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
+from homeward.localizer.recovery.scene_change import Elsewhere
 from homeward.localizer.smoothing import smooth
 
 

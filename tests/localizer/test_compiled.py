@@ -9,18 +9,20 @@ import pytest
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.engine.native.program import Array
-from homeward.localizer import chain, fitting, sightings
-from homeward.localizer.answer import in_home_frame
 from homeward.localizer.compiled import compiled
-from homeward.localizer.fitting import fit, solved
-from homeward.localizer.gate import agreeing
-from homeward.localizer.linear import linearised
-from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.home import gauss_newton as fitting
+from homeward.localizer.home.gauss_newton import fit, solved
+from homeward.localizer.home.linearisation import linearised
+from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.preintegration import Motion, integrate
-from homeward.localizer.problem import HomeProblem
-from homeward.localizer.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.map import elimination as chain
+from homeward.localizer.map import sightings
+from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.map.gating import agreeing
+from homeward.localizer.map.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import Motion, integrate
+from homeward.localizer.output.pose import in_home_frame
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 

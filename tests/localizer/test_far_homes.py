@@ -10,13 +10,13 @@ from test_parts import problem
 from homeward.angles import wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing
-from homeward.localizer.answer import unchecked
-from homeward.localizer.fitting import fit
-from homeward.localizer.linear import expected
-from homeward.localizer.moved import Hypotheses, follow, search
-from homeward.localizer.problem import HomeProblem
+from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.hypotheses import Hypotheses, follow, search
+from homeward.localizer.home.linearisation import expected
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.output.pose import unchecked
+from homeward.localizer.output.status import Standing
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.standing import Standing
 
 NEAR, FAR = Pose(0.5, 0.6, -0.4), Pose(-18.0, -4.0, 0.2)
 

@@ -10,13 +10,13 @@ from rig import BEARING_SIGMA, Rig, another_room, ring
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
 from homeward.estimator import Status
 from homeward.frames import Pose
+from homeward.localizer.home.observation import StoredHome
+from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
-from homeward.localizer.noise import BearingNoise
 from homeward.localizer.reasons import REPLACED
-from homeward.localizer.senses import REVERSED
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.localizer.stored import StoredHome
 
 
 class Logged(Rig):

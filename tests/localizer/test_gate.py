@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.localizer import gate
+from homeward.localizer.map import gating as gate
 
 
 def agreeing(residual, spread, most, likely=None):

@@ -11,8 +11,12 @@ from test_parts import problem
 from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, between
-from homeward.localizer import moved
-from homeward.localizer.answer import (
+from homeward.localizer.home import hypotheses as moved
+from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.hypotheses import Hypotheses, renamed, search
+from homeward.localizer.home.outliers import log_odds, log_right, log_wrong
+from homeward.localizer.map.range_mixture import glimpse
+from homeward.localizer.output.pose import (
     NEAR,
     answer_of,
     centre,
@@ -20,12 +24,8 @@ from homeward.localizer.answer import (
     landmark_distance,
     others_of,
 )
-from homeward.localizer.faults import log_odds, log_right, log_wrong
-from homeward.localizer.fitting import fit
-from homeward.localizer.glimpses import glimpse
-from homeward.localizer.moved import Hypotheses, renamed, search
+from homeward.localizer.output.status import Standing
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.standing import Standing
 
 CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 

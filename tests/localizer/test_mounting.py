@@ -10,9 +10,9 @@ from homeward.drives.drive import DriveSettings, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.mounting import ANYWHERE, DENIED, Mounting
-from homeward.localizer.preintegration import MOUNT
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.extrinsics import ANYWHERE, DENIED, Mounting
+from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
 

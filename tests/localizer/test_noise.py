@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from homeward.localizer.noise import BearingNoise, deviation
-from homeward.localizer.sightings import COLUMNS, OWN, SIGMA, widen
+from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
+from homeward.localizer.map.sightings import COLUMNS, OWN, SIGMA, widen
 
 
 def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):

@@ -11,18 +11,18 @@ from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Innovation
 from homeward.frames import Pose, bearing, between, compose
-from homeward.localizer import chain
-from homeward.localizer.fitting import fit
-from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.lost import Shoved
-from homeward.localizer.moved import search
-from homeward.localizer.odometry import Odometry
-from homeward.localizer.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
-from homeward.localizer.problem import HomeProblem
-from homeward.localizer.relocation import SightLines, relocate
-from homeward.localizer.resection import poses_from_triples
-from homeward.localizer.sightings import NC, Look, bearing_residuals, sighting_rows
-from homeward.localizer.triangulation import triangulate
+from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.hypotheses import search
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.resection import poses_from_triples
+from homeward.localizer.map import elimination as chain
+from homeward.localizer.map.landmarks import Landmark, Landmarks
+from homeward.localizer.map.sightings import NC, Look, bearing_residuals, sighting_rows
+from homeward.localizer.map.triangulation import triangulate
+from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
+from homeward.localizer.recovery.detectors import Shoved
+from homeward.localizer.recovery.relocalise import SightLines, relocate
 
 NOTHING = np.zeros(len(CALIBRATION))
 

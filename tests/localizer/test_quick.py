@@ -8,11 +8,11 @@ from rig import Rig, ring
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.landmarks import MOST_FROM_HOME
-from homeward.localizer.odometry import Odometry
-from homeward.localizer.sightings import LANDMARK, NC, Look, sighting_rows
+from homeward.localizer.map.landmarks import MOST_FROM_HOME
+from homeward.localizer.map.sightings import LANDMARK, NC, Look, sighting_rows
+from homeward.localizer.map.smoother import Window
+from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.smoothing import _bridged
-from homeward.localizer.window import Window
 
 SIGMAS = np.array([0.02, 0.002, 0.02, 0.05])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])

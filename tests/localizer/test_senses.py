@@ -8,8 +8,8 @@ from rig import Rig, eight, ring, still
 
 from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
+from homeward.localizer.inputs.sign_check import ENOUGH, REVERSED, Senses
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.senses import ENOUGH, REVERSED, Senses
 
 
 def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):

@@ -11,9 +11,9 @@ from homeward.control import Twist
 from homeward.drives.drive import DriveSettings, HomeBearing, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose
+from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
-from homeward.localizer.moved import Hypotheses
-from homeward.localizer.preintegration import TURN_SLIP
+from homeward.localizer.motion.preintegration import TURN_SLIP
 
 
 def spin(_):

@@ -11,12 +11,7 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.localizer.arrivals import Glance
-from homeward.localizer.inventory import Inventory
-from homeward.localizer.lost import DOUBTFUL_SHARE, PROVEN_SHARE
-from homeward.localizer.mapper import Mapper
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.moved import (
+from homeward.localizer.home.hypotheses import (
     PROBABLE,
     Hypotheses,
     Start,
@@ -27,12 +22,17 @@ from homeward.localizer.moved import (
     search,
     starts,
 )
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.problem import HomeProblem
+from homeward.localizer.home.observation import StoredHome
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.inputs.reorder import Glance
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.mapper import Mapper
+from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.output.landmark_report import Inventory
+from homeward.localizer.output.status import Standing
 from homeward.localizer.reasons import why_home_is_not_found
+from homeward.localizer.recovery.detectors import DOUBTFUL_SHARE, PROVEN_SHARE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.standing import Standing
-from homeward.localizer.stored import StoredHome
 
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""

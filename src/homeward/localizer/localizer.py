@@ -24,16 +24,16 @@ from homeward.estimator import (
     guarded,
 )
 from homeward.frames import Pose
-from homeward.localizer.arrivals import Arrivals, Glance
 from homeward.localizer.chart import Chart
 from homeward.localizer.compiled import why_not
+from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.inputs.bearing_noise import deviation
+from homeward.localizer.inputs.reorder import Arrivals, Glance
+from homeward.localizer.inputs.sign_check import REVERSED, Senses
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.mapper import Mapper
-from homeward.localizer.marginal import Marginal
-from homeward.localizer.moved import Hypotheses
-from homeward.localizer.noise import deviation
-from homeward.localizer.odometry import lag_words
-from homeward.localizer.problem import HomeProblem
-from homeward.localizer.senses import REVERSED, Senses
+from homeward.localizer.motion.odometry import lag_words
 from homeward.localizer.settings import LocalizerSettings
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."

@@ -11,20 +11,28 @@ from homeward.drives.drive import DriveSettings
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
 from homeward.frames import Pose, compose
-from homeward.localizer.blur import blurred
-from homeward.localizer.elsewhere import Elsewhere
-from homeward.localizer.gate import judge
-from homeward.localizer.landmarks import Landmark, Landmarks
-from homeward.localizer.lost import LOST_AGAIN_RAD, LOST_RAD, Lost, Search, Shoved, hopeless, leap
-from homeward.localizer.marginal import Marginal, Prediction
-from homeward.localizer.mounting import Mounting
-from homeward.localizer.noise import BearingNoise
-from homeward.localizer.odometry import Odometry, calibration_sigmas
-from homeward.localizer.preintegration import Motion
+from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.gating import judge
+from homeward.localizer.map.inflation import blurred
+from homeward.localizer.map.landmarks import Landmark, Landmarks
+from homeward.localizer.map.sightings import LANDMARK, SIGMA, Look, sighting_rows
+from homeward.localizer.map.smoother import NEAR_M, Window
+from homeward.localizer.map.state import Marginal, Prediction
+from homeward.localizer.motion.extrinsics import Mounting
+from homeward.localizer.motion.odometry import Odometry, calibration_sigmas
+from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST, REPLACED
+from homeward.localizer.recovery.detectors import (
+    LOST_AGAIN_RAD,
+    LOST_RAD,
+    Lost,
+    Search,
+    Shoved,
+    hopeless,
+    leap,
+)
+from homeward.localizer.recovery.scene_change import Elsewhere
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.sightings import LANDMARK, SIGMA, Look, sighting_rows
-from homeward.localizer.window import NEAR_M, Window
 
 MOST_PER_KEYFRAME = 12
 """Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from homeward.localizer.problem import FEWEST
+from homeward.localizer.home.problem import FEWEST
 
 if TYPE_CHECKING:
     from homeward.localizer.mapper import Mapper

@@ -11,14 +11,14 @@ from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Estimate
 from homeward.frames import Pose, between
+from homeward.localizer.home.hypotheses import Hypotheses, posed
+from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.moved import Hypotheses, posed
-from homeward.localizer.odometry import LONGEST_LAG, Odometry
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.senses import REVERSED
+from homeward.localizer.map.smoother import Window
+from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
+from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.output.status import Standing
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.standing import Standing
-from homeward.localizer.window import Window
 from homeward.one_thread import one_thread
 from homeward.track import Track, run, track_of
 

@@ -19,9 +19,9 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose, bearing, between, compose
+from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.localizer.triangulation import triangulate
 from homeward.model import POLAR
 from homeward.naming import natural
 from homeward.observability.ranks import rank

@@ -17,10 +17,10 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose, compose, inverse
-from homeward.localizer.fitting import carried, fit, solved
-from homeward.localizer.home import HomeFit
-from homeward.localizer.problem import HomeProblem
-from homeward.localizer.resection import mixture_scores, poses_from_triples
+from homeward.localizer.home.estimate import HomeFit
+from homeward.localizer.home.gauss_newton import carried, fit, solved
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.resection import mixture_scores, poses_from_triples
 
 Start = tuple[np.ndarray, np.ndarray]
 """A home, shape (3,), and a set of right home bearings, shape (q,), to climb from."""

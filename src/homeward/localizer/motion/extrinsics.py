@@ -11,8 +11,8 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
-from homeward.localizer.marginal import Marginal
-from homeward.localizer.preintegration import MOUNT
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
 DENIAL = (

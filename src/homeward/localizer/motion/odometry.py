@@ -12,9 +12,9 @@ import numpy as np
 from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
-from homeward.localizer.preintegration import BEND, BENDS, LAG, Motion, integrate
+from homeward.localizer.motion.dropout import Pace
+from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, integrate
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.silence import Pace
 
 STRAIGHTEST = 0.2
 """So large a share of the path counts as the straightest [1]."""

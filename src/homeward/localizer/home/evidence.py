@@ -13,8 +13,8 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.compiled import compiled
-from homeward.localizer.faults import SCALE, UNIFORM_FROM, log_odds, log_wrong
-from homeward.localizer.linear import Linear
+from homeward.localizer.home.linearisation import Linear
+from homeward.localizer.home.outliers import SCALE, UNIFORM_FROM, log_odds, log_wrong
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.engine.native.program import address
 from homeward.frames import from_polar, inverse, polar_covariance_to_pose
-from homeward.localizer.resection import REACH
+from homeward.localizer.home.resection import REACH
 
 HEAD = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.compiled import compiled
-from homeward.localizer.home import HomeFit
-from homeward.localizer.linear import Linear, linearised
-from homeward.localizer.problem import HomeProblem
+from homeward.localizer.home.estimate import HomeFit
+from homeward.localizer.home.linearisation import Linear, linearised
+from homeward.localizer.home.problem import HomeProblem
 
 STEPS = 6
 SETTLED = 1e-4

@@ -9,7 +9,13 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.compiled import compiled
-from homeward.localizer.preintegration import CALIBRATION, CAMERA_X, CAMERA_Y, CAMERA_YAW, Motion
+from homeward.localizer.motion.preintegration import (
+    CALIBRATION,
+    CAMERA_X,
+    CAMERA_Y,
+    CAMERA_YAW,
+    Motion,
+)
 
 NC = len(CALIBRATION)
 KEYFRAME, LANDMARK, BEARING, SIGMA, OWN, OFFSET = 0, 1, 2, 3, 4, slice(5, 8)

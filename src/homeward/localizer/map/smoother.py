@@ -14,11 +14,9 @@ import math
 
 import numpy as np
 
-from homeward.localizer import chain
-from homeward.localizer.linearise import STEP, add_odometry, add_sightings, step_row
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.preintegration import MOUNT, OF_ODOMETRY, Motion
-from homeward.localizer.sightings import (
+from homeward.localizer.map import elimination as chain
+from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.map.sightings import (
     COLUMNS,
     KEYFRAME,
     LANDMARK,
@@ -27,6 +25,8 @@ from homeward.localizer.sightings import (
     widen,
     without_landmark,
 )
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import MOUNT, OF_ODOMETRY, Motion
 
 FAR_M = 1e3
 """A landmark that was just entered is this uncertain a priori [m]."""

@@ -9,7 +9,10 @@ import numpy as np
 from homeward.drives.drive import OdometryNoise
 from homeward.estimator import Estimate, Innovation, Status
 from homeward.frames import Pose
-from homeward.localizer.answer import (
+from homeward.localizer.home.estimate import HomeFit
+from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.home.problem import FEWEST
+from homeward.localizer.output.pose import (
     Answer,
     Others,
     answer_of,
@@ -17,9 +20,6 @@ from homeward.localizer.answer import (
     others_of,
     unchecked,
 )
-from homeward.localizer.home import HomeFit
-from homeward.localizer.moved import Hypotheses
-from homeward.localizer.problem import FEWEST
 from homeward.localizer.reasons import NOT_FIXED
 from homeward.localizer.settings import LocalizerSettings
 

@@ -11,10 +11,10 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.estimator import LandmarkEstimate
-from homeward.localizer.glimpses import Glimpse
-from homeward.localizer.landmarks import Landmarks
-from homeward.localizer.marginal import Marginal
-from homeward.localizer.moved import Hypotheses
+from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.range_mixture import Glimpse
+from homeward.localizer.map.state import Marginal
 from homeward.naming import natural
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.localizer.marginal import HEAD, Marginal, Prediction
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.sightings import LANDMARK, SIGMA
+from homeward.localizer.map.sightings import LANDMARK, SIGMA
+from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.motion.preintegration import Motion
 
 MOST, MOST_OF_WAY = 0.7, 0.2
 """Sightings are of no use where the way blurs them by more [standard deviations of bearings], or,

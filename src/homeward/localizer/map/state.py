@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.localizer.compiled import compiled
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.sightings import LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.map.sightings import LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.motion.preintegration import Motion
 
 HEAD = 3 + NC
 """The Gaussian begins with the newest pose and the calibration."""

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.localizer.home.problem import HomeProblem, home_from_start
+from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
+from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.mapper import Mapper
-from homeward.localizer.marginal import HEAD, Marginal
-from homeward.localizer.noise import BearingNoise, deviation
-from homeward.localizer.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
-from homeward.localizer.problem import HomeProblem, home_from_start
+from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
 from homeward.localizer.settings import LocalizerSettings
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from homeward.estimator import Innovation
 from homeward.localizer.compiled import compiled
-from homeward.localizer.marginal import HEAD, Marginal, Prediction
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.sightings import LANDMARK
+from homeward.localizer.map.sightings import LANDMARK
+from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.motion.preintegration import Motion
 
 HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.compiled import compiled
-from homeward.localizer.problem import HEAD, YAW, HomeProblem
+from homeward.localizer.home.problem import HEAD, YAW, HomeProblem
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.compiled import compiled
-from homeward.localizer.linear import Linear
-from homeward.localizer.problem import HEAD
+from homeward.localizer.home.linearisation import Linear
+from homeward.localizer.home.problem import HEAD
 
 LEAST_SHARE = 0.002
 """So much of the information on home is left at least when errors of the map are taken out [1]."""

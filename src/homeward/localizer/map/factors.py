@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.localizer.chain import NormalEquations
 from homeward.localizer.compiled import compiled
-from homeward.localizer.marginal import TRUSTED
-from homeward.localizer.preintegration import Motion
-from homeward.localizer.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.map.elimination import NormalEquations
+from homeward.localizer.map.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
+from homeward.localizer.map.state import TRUSTED
+from homeward.localizer.motion.preintegration import Motion
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""

@@ -10,9 +10,9 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import Pose
 from homeward.localizer.compiled import compiled
-from homeward.localizer.faults import SCALE
-from homeward.localizer.home import HomeFit
-from homeward.localizer.moved import Hypotheses
+from homeward.localizer.home.estimate import HomeFit
+from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.home.outliers import SCALE
 
 CENTRE_STEPS = 20
 NEAR = 2.0

@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.doubt import doubt
-from homeward.localizer.faults import SCALE, log_odds
-from homeward.localizer.linear import Linear, expected
-from homeward.localizer.problem import HEAD, YAW, HomeProblem
-from homeward.localizer.verdict import Verdict, judged
+from homeward.localizer.home.evidence import Verdict, judged
+from homeward.localizer.home.linearisation import Linear, expected
+from homeward.localizer.home.outliers import SCALE, log_odds
+from homeward.localizer.home.problem import HEAD, YAW, HomeProblem
+from homeward.localizer.home.spurious_information import doubt
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""

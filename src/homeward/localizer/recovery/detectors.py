@@ -8,12 +8,12 @@ from collections import deque
 import numpy as np
 
 from homeward.estimator import Innovation
-from homeward.localizer.landmarks import Landmarks
-from homeward.localizer.marginal import Marginal
-from homeward.localizer.preintegration import Motion
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST
-from homeward.localizer.relocation import SightLines, relocate
-from homeward.localizer.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
+from homeward.localizer.recovery.relocalise import SightLines, relocate
 
 RECENT, LIFTED_SHARE = 10, 0.75
 """When so large a share of the last sightings does not fit, the robot was lifted and put down."""

@@ -20,8 +20,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S
-from homeward.localizer.sightings import OWN, SIGMA
-from homeward.localizer.window import Window
+from homeward.localizer.map.sightings import OWN, SIGMA
+from homeward.localizer.map.smoother import Window
 
 LEAST = 1.0
 """It is not believed to be less than this share of its default [1]."""

@@ -11,11 +11,8 @@ from heapq import nlargest
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.carried import FEWEST as FEWEST_CARRIED
-from homeward.localizer.carried import Displaced, carried_at
-from homeward.localizer.glimpses import Glimpse, glimpse
-from homeward.localizer.marginal import Marginal
-from homeward.localizer.sightings import (
+from homeward.localizer.map.range_mixture import Glimpse, glimpse
+from homeward.localizer.map.sightings import (
     BEARING,
     KEYFRAME,
     LANDMARK,
@@ -24,8 +21,11 @@ from homeward.localizer.sightings import (
     directions,
     widen,
 )
-from homeward.localizer.triangulation import AGREES, SHARE, triangulate
-from homeward.localizer.window import Window
+from homeward.localizer.map.smoother import Window
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.triangulation import AGREES, SHARE, triangulate
+from homeward.localizer.recovery.common_motion import FEWEST as FEWEST_CARRIED
+from homeward.localizer.recovery.common_motion import Displaced, carried_at
 
 BASE = 5.0
 """Landmarks start from a base so many times longer than odometry's uncertainty about it."""

@@ -1,0 +1,1 @@
+"""Home in the map: resection from home bearings of which some are wrong."""

@@ -1,0 +1,1 @@
+"""What arrives, in which order, and how noisy it is."""

@@ -1,0 +1,1 @@
+"""Whether the robot is where the map says, and where it is if not."""
