@@ -10,7 +10,7 @@ from homeward.drives.drive import DriveSettings, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.sightings import NC
 from homeward.localizer.motion.extrinsics import ANYWHERE, DENIED, Mounting
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
@@ -69,17 +69,15 @@ def test_what_was_told_is_not_doubted():
     assert np.abs(rig.localizer.mapper.window.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
     wrong = Mounting(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
-    assert not wrong.denies(told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
+    assert not wrong.denies(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
 
 
 def told_by_map(off, information, sigmas):
-    """A Gaussian that has the camera off (3,), by so much information beside the prior's."""
-    covariance = np.eye(HEAD)
-    mean = np.zeros(HEAD)
-    at = np.arange(3, HEAD)[MOUNT]
+    """A calibration with the camera off (3,), and its variances: so much is told beside the prior."""
+    mean, variances = np.zeros(NC), np.ones(NC)
     both = information + sigmas**-2.0
-    mean[at], covariance[at, at] = off * information / both, 1.0 / both
-    return Marginal(mean, covariance)
+    mean[MOUNT], variances[MOUNT] = off * information / both, 1.0 / both
+    return mean, variances
 
 
 def test_it_is_denied_by_what_the_map_says_on_its_own():
@@ -87,11 +85,11 @@ def test_it_is_denied_by_what_the_map_says_on_its_own():
     for sigma, denied in ((0.1 / DENIED * 0.9, True), (0.1 / DENIED * 1.1, False)):
         mounting = Mounting(DriveSettings(), LocalizerSettings())
         now = told_by_map(off, sigma**-2.0, mounting.sigmas)
-        assert mounting.denies(now) is denied
+        assert mounting.denies(*now) is denied
         assert mounting.denied is denied
-        assert not mounting.denies(now)  # a second time
+        assert not mounting.denies(*now)  # a second time
         assert np.array_equal(mounting.sigmas, ANYWHERE) is denied
     vague = Mounting(DriveSettings(), LocalizerSettings())
-    assert not vague.denies(told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
-    assert not vague.denies(told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
+    assert not vague.denies(*told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
+    assert not vague.denies(*told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
     assert math.isfinite(vague.sigmas.sum())

@@ -68,43 +68,43 @@ class Left:
         self.sightings[:, SIGMA] = self.sightings[:, OWN] = 0.01
         self._off = 0.01 * scale * np.random.default_rng(0).normal(size=count)
 
-    def residuals(self):
-        """Of its sightings."""
-        return self._off
+    def told_to(self, noise):
+        """Let the noise follow what is left."""
+        return noise.follow(self._off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
 
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     noise = BearingNoise(0.01, 0.02)
     assert (noise.settled, noise.doubt) == (False, 1.0)
-    assert noise.follow(Left(1.2), 1) == 1.0
+    assert Left(1.2).told_to(noise) == 1.0
     assert (noise.settled, noise.doubt) == (True, 1.0)
     bad = Left(5.0)
-    widen(bad.sightings, noise.follow(bad, 1))
+    widen(bad.sightings, bad.told_to(noise))
     assert not noise.settled  # what was made of them has been too sure
     assert noise.doubt == pytest.approx(5.0, rel=0.2)
     assert noise.sigma == pytest.approx(0.01 * noise.doubt)
     assert bad.sightings[0, OWN] == pytest.approx(0.01 * noise.doubt)
-    noise.follow(bad, 1)
+    bad.told_to(noise)
     assert noise.settled
     better = Left(0.2)
     widen(better.sightings, noise.doubt)
-    widen(better.sightings, noise.follow(better, 1))
+    widen(better.sightings, better.told_to(noise))
     assert noise.doubt == 1.0
     assert better.sightings[0, OWN] == pytest.approx(0.01)
 
 
 def test_a_camera_that_becomes_worse_on_the_way_is_doubted():
     noise, worse = BearingNoise(0.01, 0.02), Left(1.0, 3000)
-    noise.follow(worse, 1)
+    worse.told_to(noise)
     assert noise.doubt == 1.0
     worse._off[-400:] *= 4.0
-    noise.follow(worse, 1)
+    worse.told_to(noise)
     assert noise.doubt == pytest.approx(4.0, rel=0.2)
 
 
 def test_few_sightings_and_blurred_ones_doubt_nothing():
     noise, blurred = BearingNoise(0.01, 0.02), Left(5.0)
     blurred.sightings[:, SIGMA] *= 2.0
-    noise.follow(Left(5.0, 20), 1)
-    noise.follow(blurred, 1)
+    Left(5.0, 20).told_to(noise)
+    blurred.told_to(noise)
     assert (noise.settled, noise.doubt) == (False, 1.0)

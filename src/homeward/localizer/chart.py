@@ -29,8 +29,7 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.landmark_report import Inventory
-from homeward.localizer.output.status import Standing
-from homeward.localizer.reasons import why_home_is_not_found
+from homeward.localizer.output.status import Standing, why_home_is_not_found
 from homeward.localizer.recovery.detectors import DOUBTFUL_SHARE, PROVEN_SHARE
 from homeward.localizer.settings import LocalizerSettings
 

@@ -15,13 +15,14 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.gating import judge
 from homeward.localizer.map.inflation import blurred
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import LANDMARK, SIGMA, Look, sighting_rows
+from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, Look, sighting_rows
 from homeward.localizer.map.smoother import NEAR_M, Window
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Mounting
 from homeward.localizer.motion.odometry import Odometry, calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST, REPLACED
+from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.detectors import (
     LOST_AGAIN_RAD,
     LOST_RAD,
@@ -292,12 +293,13 @@ class Mapper:
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
         self._forget()
-        wider = self.noise.follow(self.window, since)
+        own, whole = self.window.sightings[:, OWN], self.window.sightings[:, SIGMA]
+        wider = self.noise.follow(self.window.residuals(), own, whole, since)
         if wider != 1.0:
             self.window.widen(wider)
             self.landmarks.widen(wider)
-        sound = self.window.settled and self.noise.settled
-        if sound and self.mounting.denies(self.marginal):
+        sound, now = self.window.settled and self.noise.settled, self.marginal
+        if sound and self.mounting.denies(now.calibration, now.calibration_variances):
             self.window.mount_sigmas = self.mounting.sigmas
             self._solve()
 
@@ -317,7 +319,7 @@ class Mapper:
 
     def _was_carried(self) -> bool:
         """Return whether landmarks moved together; then the map is again what it was before."""
-        when = self.landmarks.carried_at(self.marginal)
+        when = carried_since(self.landmarks, self.marginal)
         if when is None:
             return False
         self.landmarks.go_back(self.window, when)

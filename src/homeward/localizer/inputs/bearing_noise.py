@@ -20,8 +20,6 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S
-from homeward.localizer.map.sightings import OWN, SIGMA
-from homeward.localizer.map.smoother import Window
 
 LEAST = 1.0
 """It is not believed to be less than this share of its default [1]."""
@@ -116,26 +114,39 @@ class BearingNoise:
         if len(self._differences) >= DIFFERENCES[0]:
             self._by_differences = _scale(np.array(self._differences))
 
-    def follow(self, window: Window, keyframes: int) -> float:
-        """Follow the residuals of a window after so many keyframes.
+    def follow(
+        self, residuals: np.ndarray, own: np.ndarray, whole: np.ndarray, keyframes: int
+    ) -> float:
+        """Follow what the map leaves of bearings, after so many keyframes more.
 
-        Returned is by how much deviations that were given, in what is kept, are to be widened.
+        Parameters
+        ----------
+        residuals : ndarray, shape (m,)
+            Measured minus expected [rad].
+        own, whole : ndarray, shape (m,)
+            Standard deviations without, and with, what the way from the keyframe adds [rad].
+        keyframes : int
+            Since the last time.
+
+        Returns
+        -------
+        float
+            By how much deviations that were given, in what is kept, are to be widened [1].
         """
-        if len(window.sightings) < RESIDUALS:
+        if len(residuals) < RESIDUALS:
             return 1.0
-        off = np.abs(window.residuals())
+        off = np.abs(residuals)
         if self._told:
-            return self._judge(window, off)
+            return self._judge(off, own, whole)
         self.settled = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, LEAST * self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
         return 1.0
 
-    def _judge(self, window: Window, off: np.ndarray) -> float:
-        """Doubt what was given as much as residuals of a window, by size (m,) [rad], tell."""
-        own = window.sightings[:, OWN]
-        clear = window.sightings[:, SIGMA] <= CLEAR * own
+    def _judge(self, off: np.ndarray, own: np.ndarray, whole: np.ndarray) -> float:
+        """Doubt what was given as much as the sizes of residuals, (m,) [rad], tell."""
+        clear = whole <= CLEAR * own
         if clear.sum() < RESIDUALS:
             return 1.0
         latest = (off / own)[clear][-LATEST:]

@@ -22,10 +22,7 @@ from homeward.localizer.map.sightings import (
     widen,
 )
 from homeward.localizer.map.smoother import Window
-from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.triangulation import AGREES, SHARE, triangulate
-from homeward.localizer.recovery.common_motion import FEWEST as FEWEST_CARRIED
-from homeward.localizer.recovery.common_motion import Displaced, carried_at
 
 BASE = 5.0
 """Landmarks start from a base so many times longer than odometry's uncertainty about it."""
@@ -264,29 +261,6 @@ class Landmarks:
                 self._drop(window, name)
                 started = True
         return started
-
-    def carried_at(self, marginal: Marginal) -> int | None:
-        """Return the keyframe after which the robot was carried, by landmarks that seem to move.
-
-        None where it was not; see `carried`.
-        """
-        pairs = [(was, self.mapped[n]) for n, was in self.former.items() if n in self.mapped]
-        if len(pairs) < FEWEST_CARRIED:
-            return None
-        (before, spread), (now, more) = (
-            marginal.places(np.array([pair[side].number for pair in pairs])) for side in (0, 1)
-        )
-        displaced = Displaced(
-            before,
-            now,
-            np.linalg.eigvalsh(spread + more)[:, -1],
-            np.array([was.last for was, _ in pairs]),
-            np.array([is_.first for _, is_ in pairs]),
-        )
-        stayed = [m for n, m in self.mapped.items() if n not in self.former]
-        return carried_at(
-            displaced, np.array([m.first for m in stayed]), np.array([m.last for m in stayed])
-        )
 
     def go_back(self, window: Window, keyframe: int) -> None:
         """Drop what entered after a keyframe; what is said to have moved since did not."""

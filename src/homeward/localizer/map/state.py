@@ -56,6 +56,16 @@ class Marginal:
     """(3 + 7 + 2 n, 3 + 7 + 2 n)"""
 
     @property
+    def calibration(self) -> np.ndarray:
+        """Of odometry and camera, shape (7,)."""
+        return self.mean[3:HEAD]
+
+    @property
+    def calibration_variances(self) -> np.ndarray:
+        """(7,): of each part of the calibration."""
+        return self.covariance.diagonal()[3:HEAD]
+
+    @property
     def positions(self) -> np.ndarray:
         """(n, 2), of the landmarks in the odometry frame [m]."""
         return self.mean[HEAD:].reshape(-1, 2)

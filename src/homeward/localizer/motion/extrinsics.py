@@ -11,7 +11,6 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
-from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
@@ -67,16 +66,20 @@ class Mounting:
         right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
         return (DENIAL.format(" or ".join(names), right),)
 
-    def denies(self, now: Marginal) -> bool:
+    def denies(self, calibration: np.ndarray, variances: np.ndarray) -> bool:
         """Return whether the map denies for the first time what was taken for granted.
 
         What it would say on its own follows from what it says with the prior, whose information is
         known.
+
+        Parameters
+        ----------
+        calibration, variances : ndarray, shape (7,)
+            As the map has it, and how certain it is of each part.
         """
         if self.denied or not self._untold.any():
             return False
-        at = np.arange(3, now.mean.size)[MOUNT]
-        mean, precision = now.mean[at], 1.0 / now.covariance[at, at]
+        mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         own = precision - self.sigmas**-2.0
         tells = self._untold & (own > ANYWHERE**-2.0)
         own[~tells] = np.inf

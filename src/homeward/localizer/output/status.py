@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from homeward.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.problem import FEWEST
+from homeward.localizer.mapper import Mapper
 from homeward.localizer.output.pose import (
     Answer,
     Others,
@@ -29,6 +31,31 @@ ELSEWHERE = 3.0
 """Hypotheses count as rivals when their homes are this many standard deviations apart."""
 CHECKED = 4
 """Home bearings that must agree before one of them could have been contradicted by the others."""
+
+
+def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collection[str]) -> str:
+    """Return why home was not found.
+
+    Parameters
+    ----------
+    mapper : Mapper
+        The map.
+    home : collection of str
+        Landmarks that home saw.
+    used : collection of str
+        Those of them that are mapped.
+    """
+    if len(home) < FEWEST:
+        return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
+    if not mapper.feels:
+        return "no odometry has come yet; without it no landmark can be mapped"
+    mapped = mapper.landmarks.mapped
+    if not mapped:
+        return "no landmark is mapped yet; drive an arc to see them from other places"
+    if not used and len(mapped) >= FEWEST:
+        return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
+    needed = f"{FEWEST} are needed; drive an arc"
+    return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 
 
 class Standing:

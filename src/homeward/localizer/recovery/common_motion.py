@@ -13,6 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.state import Marginal
 
 FEWEST = 3
 """So many landmarks must have moved together: two always do, but for the distance between them."""
@@ -36,6 +38,30 @@ class Displaced:
     """(k,): the last keyframe from which they were seen where they stood."""
     first: np.ndarray
     """(k,): the first one from which they were seen where they stand now."""
+
+
+def carried_since(landmarks: Landmarks, marginal: Marginal) -> int | None:
+    """Return the keyframe after which the robot was carried, by landmarks that seem to move.
+
+    None where it was not.
+    """
+    mapped, former = landmarks.mapped, landmarks.former
+    pairs = [(was, mapped[n]) for n, was in former.items() if n in mapped]
+    if len(pairs) < FEWEST:
+        return None
+    (before, spread), (now, more) = (
+        marginal.places(np.array([pair[side].number for pair in pairs])) for side in (0, 1)
+    )
+    displaced = Displaced(
+        before,
+        now,
+        np.linalg.eigvalsh(spread + more)[:, -1],
+        np.array([was.last for was, _ in pairs]),
+        np.array([is_.first for _, is_ in pairs]),
+    )
+    stayed = [m for n, m in mapped.items() if n not in former]
+    entered, last = np.array([m.first for m in stayed]), np.array([m.last for m in stayed])
+    return carried_at(displaced, entered, last)
 
 
 def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> int | None:
