@@ -11,7 +11,7 @@ from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Innovation, Status
 from homeward.frames import Pose
 from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
-from homeward.localizer.recovery.scene_change import Elsewhere
+from homeward.localizer.recovery.scene_change import SceneChangeDetector
 from homeward.localizer.smoothing import smooth
 
 
@@ -102,16 +102,16 @@ def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
     marks, here = np.array(list(ring(12).values())), np.zeros(3)
     old, new = [f"a{i}" for i in range(6)], [f"b{i}" for i in range(6)]
     for turned, mapped, expected in ((0.0, [], True), (1.0, [], False), (0.0, new, False)):
-        elsewhere = Elsewhere()
-        assert not elsewhere.replaced(new, [], here, marks)  # nothing was known before
-        assert not elsewhere.replaced(old, innovations(old, True), here, marks)
+        scene = SceneChangeDetector()
+        assert not scene.has_changed(new, [], here, marks)  # nothing was known before
+        assert not scene.has_changed(old, innovations(old, True), here, marks)
         there = np.array([0.1, 0.0, turned])
-        said = elsewhere.replaced(new, innovations(mapped, True), there, marks)
+        said = scene.has_changed(new, innovations(mapped, True), there, marks)
         assert said is expected
     # One that was known, and does not fit any more, changes nothing.
-    elsewhere = Elsewhere()
-    elsewhere.replaced(old, innovations(old, True), here, marks)
-    assert elsewhere.replaced([*new, "a0"], innovations(["a0"], False), here, marks)
+    scene = SceneChangeDetector()
+    scene.has_changed(old, innovations(old, True), here, marks)
+    assert scene.has_changed([*new, "a0"], innovations(["a0"], False), here, marks)
 
 
 def mix_up(rig, seconds):

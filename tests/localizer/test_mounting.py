@@ -73,7 +73,7 @@ def test_what_was_told_is_not_doubted():
 
 
 def told_by_map(off, information, sigmas):
-    """A calibration with the camera off (3,), and its variances: so much is told beside the prior."""
+    """A calibration that has the camera off (3,), by so much information, and its variances."""
     mean, variances = np.zeros(NC), np.ones(NC)
     both = information + sigmas**-2.0
     mean[MOUNT], variances[MOUNT] = off * information / both, 1.0 / both

@@ -21,8 +21,8 @@ from homeward.localizer.map.sightings import NC, Look, bearing_residuals, sighti
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
-from homeward.localizer.recovery.detectors import Shoved
-from homeward.localizer.recovery.relocalise import SightLines, relocate
+from homeward.localizer.recovery.detectors import SlipDetector
+from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
 NOTHING = np.zeros(len(CALIBRATION))
 
@@ -242,9 +242,9 @@ def test_a_lost_robot_is_found_in_its_map():
         marks[names],
         np.tile(1e-4 * np.eye(2), (12, 1, 1)),
     )
-    found = relocate(lines)
+    found = relocalise(lines)
     assert found is not None
-    assert relocate(lines, fewest=13) is None
+    assert relocalise(lines, fewest=13) is None
     off = between(lost, Pose(*found[0]))
     assert math.hypot(off.x, off.y) < 0.05
     assert abs(off.heading) < 0.03
@@ -256,12 +256,12 @@ def sighted(*fits):
 
 
 def test_more_must_fit_from_elsewhere_than_from_here():
-    shoved = Shoved()
-    assert shoved.suspicion(sighted(True, True, False), Motion.none()) is None
-    suspicion = shoved.suspicion(sighted(True, False, False, False), Motion.none())
+    slip = SlipDetector()
+    assert slip.suspicion(sighted(True, True, False), Motion.none()) is None
+    suspicion = slip.suspicion(sighted(True, False, False, False), Motion.none())
     assert suspicion is not None
     assert suspicion[1] == 1 + 5
-    assert shoved.suspicion(sighted(True, True, True, True, True), Motion.none()) is None
+    assert slip.suspicion(sighted(True, True, True, True, True), Motion.none()) is None
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():

@@ -167,7 +167,7 @@ class Localizer:
     @property
     def spells_lost(self) -> list[tuple[float, float]]:
         """From when until when the map that home is found in knows nothing of the robot [s]."""
-        lost = self.mapper.lost
+        lost = self.mapper.kidnapping
         now = [(lost.since, math.inf)] if lost.since is not None else []
         return [(-math.inf, self.mapper.begun), *lost.spells, *now]
 
@@ -215,7 +215,7 @@ class Localizer:
             innovations = self._chart.sight(glance, self._t)
             if self._beside is not None:
                 innovations = self._see_beside(self._beside, glance, innovations)
-            elif self._chart.is_doubtful:
+            elif self._chart.fits_badly:
                 self._begin_beside(glance.t)
         return () if self._arrivals.waits else tuple(innovations)
 
@@ -243,7 +243,7 @@ class Localizer:
         self._lead = max(0, self._lead + gained)
         if self._lead >= CLEARLY and self._is_sure(beside):
             self._chart, self.counts, self._beside = beside, beside.counts, None
-        elif self._chart.is_proven and self._is_sure(self._chart):
+        elif self._chart.fits_well and self._is_sure(self._chart):
             self._beside = None
         elif beside.is_lost:
             self._begin_beside(glance.t)

@@ -24,15 +24,15 @@ from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST, REPLACED
 from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.detectors import (
-    LOST_AGAIN_RAD,
     LOST_RAD,
-    Lost,
-    Search,
-    Shoved,
-    hopeless,
-    leap,
+    RELOCALISABLE_RAD,
+    KidnapDetector,
+    RelocalisationBuffer,
+    SlipDetector,
+    odometry_lost,
+    pose_reset,
 )
-from homeward.localizer.recovery.scene_change import Elsewhere
+from homeward.localizer.recovery.scene_change import SceneChangeDetector
 from homeward.localizer.settings import LocalizerSettings
 
 MOST_PER_KEYFRAME = 12
@@ -81,7 +81,11 @@ class Mapper:
         self.window: Window = self._new_window(self.mounting.sigmas)
         if self._keeps:
             self.window.keep_closed()
-        self.lost, self._shoved, self._elsewhere = Lost(), Shoved(), Elsewhere()
+        self.kidnapping, self._slip, self._scene = (
+            KidnapDetector(),
+            SlipDetector(),
+            SceneChangeDetector(),
+        )
         self.landmarks = Landmarks(self._settings.parallax)
         self._taken: dict[str, int] = {}
         self.begin(t)
@@ -154,14 +158,14 @@ class Mapper:
         bearings = np.array([sightings[n] for n in names])
         look = Look(t, names, bearings, self.noise.sigmas(names, sigmas))
         motion = self._odometry.advance(t, self.window.calibration)
-        gone = self.lost.since is None and hopeless(motion, self.marginal)
+        gone = self.kidnapping.since is None and odometry_lost(motion, self.marginal)
         anew = not self.landmarks.mapped and (gone or self._lost_its_origin())
         if anew:
             motion = self._begin_anew(t)
         elif gone:
-            self._lose(t)
-        if self.lost.since is not None:
-            return [], self._look_around(look)
+            self._begin_relocalisation(t)
+        if self.kidnapping.since is not None:
+            return [], self._relocalise(look)
         fresh = self._wants_keyframe(t, motion)
         if fresh:
             self._add_keyframe(t, motion)
@@ -169,17 +173,17 @@ class Mapper:
         rows = self._rows(since, look)
         told = self.marginal, motion, fresh, names, rows, self._settings.gate
         innovations, prediction = judge(*told)
-        if self.lost.was_lifted(innovations):
-            self._lose(t)
-            return innovations, self._look_around(look)
+        if self.kidnapping.was_kidnapped(innovations):
+            self._begin_relocalisation(t)
+            return innovations, self._relocalise(look)
         place = np.array(
             compose(Pose(*self.marginal.mean[:3].tolist()), Pose(*since.delta.tolist()))
         )
-        if self._elsewhere.replaced(names, innovations, place, self.marginal.positions):
-            self._lose(t, REPLACED)
-            return innovations, self._look_around(look)
-        suspicion = self._shoved.suspicion(innovations, since)
-        if suspicion and self._relocated(*suspicion, since, look):
+        if self._scene.has_changed(names, innovations, place, self.marginal.positions):
+            self._begin_relocalisation(t, REPLACED)
+            return innovations, self._relocalise(look)
+        suspicion = self._slip.suspicion(innovations, since)
+        if suspicion and self._reset_pose(*suspicion, since, look):
             return innovations, True
         fits = {i.landmark: i.accepted for i in innovations}
         if not fresh:
@@ -190,12 +194,14 @@ class Mapper:
             rows[:, SIGMA] = widened
         refused = self.landmarks.refused(fits)
         kept = self._keep(t, names, rows, fits)
-        changed = self.lost.others_fit(refused) and self.landmarks.restart(self.window, refused)
+        changed = self.kidnapping.others_fit(refused) and self.landmarks.restart(
+            self.window, refused
+        )
         if fresh or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
         if changed and self._was_carried():
-            self._lose(t)
-            return innovations, self._look_around(look)
+            self._begin_relocalisation(t)
+            return innovations, self._relocalise(look)
         return innovations, fresh or changed or anew
 
     def _lost_its_origin(self) -> bool:
@@ -223,7 +229,7 @@ class Mapper:
             self._due = not self._take(self.marginal.corrected(seen))
         self.marginal = self.marginal.after(motion, linearised)
         self.window.adopt(self.marginal)
-        self._shoved.add_keyframe(motion)
+        self._slip.add_keyframe(motion)
         self._odometry.restart(t)
         self._taken.clear()
         self._between = []
@@ -327,33 +333,35 @@ class Mapper:
         self._correct(None)
         return True
 
-    def _lose(self, t: float, why: str = LOST) -> None:
+    def _begin_relocalisation(self, t: float, why: str = LOST) -> None:
         """Begin to look for the robot in its map, from where it is at `t` [s]."""
         self._odometry.restart(t)
-        self.lost.begin(t, why)
-        self._shoved.clear()
+        self.kidnapping.begin(t, why)
+        self._slip.clear()
 
-    def _look_around(self, look: Look) -> bool:
+    def _relocalise(self, look: Look) -> bool:
         """Gather sight lines of a lost robot; return whether they tell where it is."""
         motion = self.motion(look.t)
-        if motion.covariance[2, 2] > LOST_AGAIN_RAD**2:
-            self._lose(look.t)
+        if motion.covariance[2, 2] > RELOCALISABLE_RAD**2:
+            self._begin_relocalisation(look.t)
             motion = Motion.none()
-        if self._relocated(self.lost.search, 0, motion, look):
+        if self._reset_pose(self.kidnapping.search, 0, motion, look):
             return True
         self._counts.reject("the robot is lost in its map", len(look.names))
         return False
 
-    def _relocated(self, search: Search, fewest: int, motion: Motion, look: Look) -> bool:
+    def _reset_pose(
+        self, search: RelocalisationBuffer, fewest: int, motion: Motion, look: Look
+    ) -> bool:
         """Look from where in the map so many sightings fit; move the robot there if it is told."""
-        way = search.way(motion)
-        search.see(look.names, self._rows(way, look))
+        way = search.motion_since(motion)
+        search.add_sightings(look.names, self._rows(way, look))
         found = search.find(self.landmarks, self.marginal, self.window.calibration, fewest)
         if found is None:
             return False
-        self._add_keyframe(look.t, leap(self.window.poses[-1], *found).then(way))
-        self.lost.end(look.t)
-        self._shoved.clear()
+        self._add_keyframe(look.t, pose_reset(self.window.poses[-1], *found).then(way))
+        self.kidnapping.end(look.t)
+        self._slip.clear()
         self._keep(look.t, look.names, self._rows(Motion.none(), look), {})
         self._correct(None)
         return True

@@ -20,7 +20,7 @@ BESIDE = 0.1
 """A camera so near to a place, against how far the cameras lie apart, may see it anywhere [1]."""
 MARGIN = 1.5
 """A place explains so many more than any other: one that is right by chance does not do."""
-ELSEWHERE = 0.67
+RIVAL_SHARE = 0.67
 """Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
 FAR = 100.0
 """A place so many times as far stands for one at infinity [1]."""
@@ -80,7 +80,7 @@ def triangulate(
         far = FAR * (distance + np.hypot(*np.ptp(cameras[:, :2], axis=0)))
         ends = cameras[chosen, :2] + far * _along(lines[chosen])
         middle = cameras[agree, :2].mean(axis=0)
-        rivals = _elsewhere(np.concatenate([points, ends]), position, middle)
+        rivals = _rivals(np.concatenate([points, ends]), position, middle)
         costs = _costs(np.concatenate([position[None], rivals]), cameras, lines, sigmas)
         if (costs[1:] < costs[0] + MARGIN).any():
             return None
@@ -99,10 +99,10 @@ def _is_beside(position: np.ndarray, cameras: np.ndarray) -> bool:
     return bool(np.hypot(*(cameras[:, :2] - position).T).min() < BESIDE * apart)
 
 
-def _elsewhere(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:
+def _rivals(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """Return those of points (k, 2) that are another place, seen from `eye`, than `position`."""
     off, distance = np.hypot(*(points - position).T), np.hypot(*(points - eye).T)
-    return np.asarray(points[off > ELSEWHERE * distance])
+    return np.asarray(points[off > RIVAL_SHARE * distance])
 
 
 def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:

@@ -27,7 +27,7 @@ from homeward.localizer.settings import LocalizerSettings
 
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
-ELSEWHERE = 3.0
+RIVAL_SIGMAS = 3.0
 """Hypotheses count as rivals when their homes are this many standard deviations apart."""
 CHECKED = 4
 """Home bearings that must agree before one of them could have been contradicted by the others."""
@@ -115,7 +115,7 @@ class Standing:
         if firm or not self.fixed:
             at_rest = self.fixed or (now.best.settled and now.unrest < 0.5)
             self.fixed = at_rest and self._is_fixed(now.best)
-            self._rivals = now.rivals(ELSEWHERE)
+            self._rivals = now.rivals(RIVAL_SIGMAS)
         faults = unchecked(now.best, self._checked)
         if faults is not None:
             self._answer = answer_of(now.best, self._others, faults)

@@ -1,4 +1,4 @@
-"""Landmarks that moved together: then it was the robot that was carried.
+"""Common-motion test: landmarks that all moved by one rigid motion say that the robot was carried.
 
 Where several landmarks moved by one rigid motion, and hardly anything that was seen before is still
 where it was, the odometry frame itself moved: the robot was lifted and put down where little of its

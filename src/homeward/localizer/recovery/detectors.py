@@ -1,4 +1,8 @@
-"""A robot that was lifted or shoved, or whose odometry was gone: where is it in its map."""
+"""Kidnapping and slip detection, and the bearings from which the robot is found in its map again.
+
+A robot may be lifted, pushed or slip, and its odometry may drop out. Then its map still stands, but
+the robot is not where the map has it.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,9 @@ from homeward.localizer.map.sightings import BEARING, LANDMARK, NC, OFFSET, OFFS
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST
-from homeward.localizer.recovery.relocalise import SightLines, relocate
+from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
-RECENT, LIFTED_SHARE = 10, 0.75
+RECENT, KIDNAPPED_SHARE = 10, 0.75
 """When so large a share of the last sightings does not fit, the robot was lifted and put down."""
 FITTING_SHARE = 0.6
 """With such a share of sightings that fit, those which do not are their landmarks' fault."""
@@ -23,19 +27,19 @@ LOST_RAD, LOST_SHARE = 0.7, 1.0
 """A motion less certain than this, against the landmarks' distance [1], tells nothing."""
 NOTHING_M = 0.01
 """So little is nothing among any landmarks [m]."""
-DOUBTFUL_SHARE, PROVEN_SHARE = 0.6, 0.9
+BAD_FIT_SHARE, GOOD_FIT_SHARE = 0.6, 0.9
 """With a smaller share that fit the map is doubted, until such a share does."""
 FITS, SUSPECT_SHARE = 3.0, 0.5
 """When such a share of a stamp's sightings is off by more [standard deviations], the robot may have
 been shoved ..."""
 GAIN = 5
 """... and was, if from elsewhere so many more fit: three always can, by chance."""
-LOST_AGAIN_RAD = 0.3
+RELOCALISABLE_RAD = 0.3
 """Sight lines of a lost robot hold together while their headings are better known than this."""
 
 
-class Search:
-    """A search for the robot in its map, by what it sees along its way.
+class RelocalisationBuffer:
+    """Relocalisation buffer: the last bearings, tied by odometry to where the search began.
 
     Parameters
     ----------
@@ -44,18 +48,18 @@ class Search:
     """
 
     def __init__(self, begin: Motion | None = None) -> None:
-        self._to_keyframe = Motion.none() if begin is None else begin.back()
+        self._to_newest = Motion.none() if begin is None else begin.back()
         self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=RECENT)
 
-    def way(self, motion: Motion) -> Motion:
+    def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, from that since the newest keyframe."""
-        return self._to_keyframe.then(motion)
+        return self._to_newest.then(motion)
 
     def add_keyframe(self, motion: Motion) -> None:
         """Let there be another keyframe, reached by a motion."""
-        self._to_keyframe = self.way(motion)
+        self._to_newest = self.motion_since(motion)
 
-    def see(self, names: list[str], rows: np.ndarray) -> None:
+    def add_sightings(self, names: list[str], rows: np.ndarray) -> None:
         """Keep sightings of mapped landmarks, rows of the table from where the search began."""
         pairs = zip(names, rows, strict=True)
         self._seen.extend((n, row) for n, row in pairs if row[LANDMARK] >= 0)
@@ -82,11 +86,11 @@ class Search:
             positions=positions,
             covariances=covariances,
         )
-        return relocate(lines, fewest)
+        return relocalise(lines, fewest)
 
 
-class Lost:
-    """What tells that the robot is lost, and the search for it."""
+class KidnapDetector:
+    """Kidnapped-robot detector: the share of recent bearings that the map rejects."""
 
     def __init__(self) -> None:
         self.since: float | None = None
@@ -95,14 +99,14 @@ class Lost:
         """... and how that shows, in words."""
         self.spells: list[tuple[float, float]] = []
         """From when until when it was lost before [s]."""
-        self.search = Search()
+        self.search = RelocalisationBuffer()
         self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
 
     def begin(self, t: float, why: str = LOST) -> None:
         """Be lost from `t` [s] on, or look for the robot anew if it is."""
         if self.since is None:
             self.since, self.why = t, why
-        self.search = Search()
+        self.search = RelocalisationBuffer()
         self._recent.clear()
 
     def end(self, t: float) -> None:
@@ -112,13 +116,13 @@ class Lost:
         self.since = None
         self._recent.clear()
 
-    def was_lifted(self, innovations: list[Innovation]) -> bool:
+    def was_kidnapped(self, innovations: list[Innovation]) -> bool:
         """Return whether hardly anything fits the map any more, these innovations included."""
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
         return (
             len(self._recent) == RECENT
-            and len(wrong) >= LIFTED_SHARE * RECENT
+            and len(wrong) >= KIDNAPPED_SHARE * RECENT
             and len(set(wrong)) >= 2
         )
 
@@ -134,8 +138,8 @@ class Lost:
         return bool(others) and sum(others) >= FITTING_SHARE * len(others)
 
 
-class Shoved:
-    """What tells that the robot was shoved, or its wheels slipped: it sees its map from elsewhere.
+class SlipDetector:
+    """Slip detector: too many large innovations, and a pose from which far more bearings fit.
 
     The gate bears with odometry that is worse than its noise says; so a robot that was carried a
     little way may go on unawares, and bend its map. Where too much is off, another place is looked
@@ -143,7 +147,7 @@ class Shoved:
     """
 
     def __init__(self) -> None:
-        self._search: Search | None = None
+        self._search: RelocalisationBuffer | None = None
         self._fits: deque[bool] = deque(maxlen=RECENT)
 
     def clear(self) -> None:
@@ -156,7 +160,9 @@ class Shoved:
         if self._search is not None:
             self._search.add_keyframe(motion)
 
-    def suspicion(self, innovations: list[Innovation], motion: Motion) -> tuple[Search, int] | None:
+    def suspicion(
+        self, innovations: list[Innovation], motion: Motion
+    ) -> tuple[RelocalisationBuffer, int] | None:
         """Return a search for the robot, and how many sightings must agree for it to be moved.
 
         Parameters
@@ -175,17 +181,17 @@ class Shoved:
         if self._search is None:
             if not fits or sum(fits) > SUSPECT_SHARE * len(fits):
                 return None
-            self._search = Search(motion)
+            self._search = RelocalisationBuffer(motion)
         self._fits.extend(fits)
-        held = self._search.way(motion).covariance[2, 2] < LOST_AGAIN_RAD**2
+        held = self._search.motion_since(motion).covariance[2, 2] < RELOCALISABLE_RAD**2
         if not held or sum(self._fits) >= FITTING_SHARE * len(self._fits):
             self.clear()
             return None
         return self._search, sum(self._fits) + GAIN
 
 
-def hopeless(motion: Motion, marginal: Marginal) -> bool:
-    """Return whether odometry knows so little of a motion that the robot counts as lost.
+def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
+    """Return whether the odometry is lost: its covariance is too large to predict bearings with.
 
     Parameters
     ----------
@@ -203,8 +209,8 @@ def hopeless(motion: Motion, marginal: Marginal) -> bool:
     return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)
 
 
-def leap(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
-    """Return the motion from a keyframe to where a lost robot was found, in the map both.
+def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
+    """Pose reset: return the motion from a keyframe to where the robot was found, in the map both.
 
     The landmarks' errors are in that pose too, so its covariance is doubled.
     """

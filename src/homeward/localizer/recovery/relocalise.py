@@ -1,4 +1,4 @@
-"""Finding a lost robot in its own map: a pose from bearings that were taken along a short way.
+"""Relocalisation: the pose of a lost robot in its own map, by resection along a short way.
 
 Unlike home's bearings these come from several places, which odometry ties together. For a fixed
 heading every sight line is a line for the position too, and two of them meet in one point; so the
@@ -49,7 +49,7 @@ class SightLines:
     """(m, 2, 2)"""
 
 
-def relocate(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
+def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
     """Return where the robot was lost, in the map, and the covariance of that.
 
     Parameters

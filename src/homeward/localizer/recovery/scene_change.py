@@ -1,4 +1,4 @@
-"""What tells that a robot was carried to where nothing of its map is in sight.
+"""Scene-change detection, for a robot that was kidnapped to where nothing of its map is in sight.
 
 Bearings that do not fit the map tell that it was lifted. Where most are of landmarks that are not
 mapped yet, little contradicts the map, and odometry knows nothing of the way. But a robot that
@@ -20,8 +20,8 @@ HARDLY_RAD, HARDLY_SHARE = 0.3, 0.3
 """A robot has hardly moved that turned by less [rad] and drove less [distance of landmarks]."""
 
 
-class Elsewhere:
-    """Watches for all that is in sight being replaced at once."""
+class SceneChangeDetector:
+    """Scene-change detector: all that is in sight was replaced at once."""
 
     def __init__(self) -> None:
         self._seen: frozenset[str] = frozenset()
@@ -29,7 +29,7 @@ class Elsewhere:
         self._from = np.zeros(3)
         """... and from where, (3,), in the odometry frame."""
 
-    def replaced(
+    def has_changed(
         self,
         names: Collection[str],
         innovations: Collection[Innovation],
