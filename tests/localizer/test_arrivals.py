@@ -93,7 +93,7 @@ def motion(order, ahead=()):
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     odometry.restart(0.0)
     for k in order:
-        assert odometry.reaches(k / 10)
+        assert odometry.accepts(k / 10)
         odometry.add(k / 10, 0.2 + 0.01 * k, 0.1 * k)
         if k in ahead:
             odometry.run_ahead(k / 10, NOTHING)
@@ -108,8 +108,8 @@ def test_twists_may_come_in_any_order_until_a_sighting_is_taken():
     _, expected = motion(range(20))
     np.testing.assert_allclose(mixed.delta, expected.delta)
     np.testing.assert_allclose(mixed.covariance, expected.covariance, rtol=2e-2, atol=1e-9)
-    assert odometry.reaches(2.0)
-    assert not odometry.reaches(1.99)
+    assert odometry.accepts(2.0)
+    assert not odometry.accepts(1.99)
 
 
 def test_what_ran_ahead_is_forgotten_when_it_is_long_past():
@@ -118,5 +118,5 @@ def test_what_ran_ahead_is_forgotten_when_it_is_long_past():
     for k in range(100):
         odometry.add(k / 10, 0.2, 0.1)
         odometry.run_ahead(k / 10, NOTHING)
-    assert odometry.reaches(8.9)
-    assert not odometry.reaches(8.0)
+    assert odometry.accepts(8.9)
+    assert not odometry.accepts(8.0)

@@ -18,7 +18,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import elimination as chain
 from homeward.localizer.map import sightings
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
-from homeward.localizer.map.gating import agreeing
+from homeward.localizer.map.gating import consistent_subset
 from homeward.localizer.map.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import Motion, integrate
@@ -100,13 +100,13 @@ def test_the_gaussian_moves_predicts_and_is_corrected(both):
     rng = np.random.default_rng(2)
     gaussian, rows = a_gaussian(rng)
     motion = Motion(rng.normal(size=3), np.diag([0.1, 0.2, 0.3]), rng.normal(size=(3, NC)))
-    predicted = both(gaussian.predict, rows)
+    predicted = both(gaussian.predict_bearings, rows)
     for field in ("residual", "jacobian", "correlated", "spread"):
         assert np.allclose(*(getattr(p, field) for p in predicted)), field
     for native, plain in (
-        both(gaussian.after, motion, 0.1 * rng.normal(size=NC)),
-        both(gaussian.corrected, predicted[0]),
-        both(gaussian.corrected, predicted[0].only(np.arange(7) < 3)),
+        both(gaussian.propagate, motion, 0.1 * rng.normal(size=NC)),
+        both(gaussian.update, predicted[0]),
+        both(gaussian.update, predicted[0].only(np.arange(7) < 3)),
     ):
         assert np.allclose(native.mean, plain.mean)
         assert np.allclose(native.covariance, plain.covariance)
@@ -118,7 +118,7 @@ def test_a_landmark_that_is_not_there_is_an_error(number):
     gaussian, rows = a_gaussian(np.random.default_rng(3))
     rows[3, LANDMARK] = number
     with pytest.raises(IndexError):
-        gaussian.predict(rows)
+        gaussian.predict_bearings(rows)
     poses, calibration, positions, rows, _, first = a_map(np.random.default_rng(4))
     rows[3, LANDMARK] = number + 1.0 if number > 0 else number
     e = chain.NormalEquations.zeros(len(poses), NC + positions.size)
@@ -130,12 +130,12 @@ def test_a_landmark_that_is_not_there_is_an_error(number):
 
 def test_sightings_without_spread_are_an_error_and_change_nothing():
     gaussian, rows = a_gaussian(np.random.default_rng(3))
-    seen = gaussian.predict(rows)
+    seen = gaussian.predict_bearings(rows)
     seen.spread[:] = -1.0
     seen.residual[:] = 0.0
     before = gaussian.covariance.copy()
     with pytest.raises(np.linalg.LinAlgError):
-        gaussian.corrected(seen)
+        gaussian.update(seen)
     assert np.array_equal(gaussian.covariance, before)
 
 
@@ -243,10 +243,10 @@ def test_which_residuals_agree(both, m):
     residual = rng.multivariate_normal(np.zeros(m), spread)
     wrong = m // 3 if m > 3 else 0  # three that have three unknowns in common tell nothing
     residual[:wrong] += rng.choice([-0.3, 0.3], wrong)
-    native, plain = both(agreeing, residual, spread, 4.0, np.zeros(m, bool))
+    native, plain = both(consistent_subset, residual, spread, 4.0, np.zeros(m, bool))
     assert native.tolist() == plain.tolist() == (np.arange(m) >= wrong).tolist()
 
 
 def test_where_nothing_can_be_told_all_agree(both):
-    for kept in both(agreeing, np.ones(3), -np.eye(3), 4.0, np.ones(3, bool)):
+    for kept in both(consistent_subset, np.ones(3), -np.eye(3), 4.0, np.ones(3, bool)):
         assert kept.all()

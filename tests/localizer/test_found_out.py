@@ -95,7 +95,7 @@ def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
 
 def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():
     noise = BearingNoise(0.001, 0.02)
-    noise.doubt = 10.0
+    noise.scale = 10.0
     noise.sigmas(["a"], {})
     home = {
         "good": HomeBearing(0.1, 0.005),

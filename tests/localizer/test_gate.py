@@ -8,10 +8,10 @@ import pytest
 from homeward.localizer.map import gating as gate
 
 
-def agreeing(residual, spread, most, likely=None):
+def consistent_subset(residual, spread, most, likely=None):
     """As in `gate`; odometry has none where it is, if not told otherwise."""
     none = np.zeros(residual.size, bool)
-    return gate.agreeing(residual, spread, most, none if likely is None else likely)
+    return gate.consistent_subset(residual, spread, most, none if likely is None else likely)
 
 
 def spread(m, common, noise=0.01):
@@ -20,13 +20,13 @@ def spread(m, common, noise=0.01):
 
 
 def test_what_all_have_in_common_is_no_reason_to_leave_one_out():
-    assert agreeing(np.full(8, 0.3), spread(8, 0.1), 4.0).all()
+    assert consistent_subset(np.full(8, 0.3), spread(8, 0.1), 4.0).all()
 
 
 def test_one_that_differs_is_left_out_though_it_is_within_what_all_may_have_in_common():
     residual = np.full(8, 0.02)
     residual[3] = 0.1
-    assert agreeing(residual, spread(8, 0.1), 4.0).tolist() == [i != 3 for i in range(8)]
+    assert consistent_subset(residual, spread(8, 0.1), 4.0).tolist() == [i != 3 for i in range(8)]
 
 
 @pytest.mark.parametrize("wrong", [[0, 1], [2, 5, 6]])
@@ -34,36 +34,36 @@ def test_several_that_differ_are_left_out_one_by_one(wrong):
     rng = np.random.default_rng(len(wrong))
     residual = 0.05 + 0.01 * rng.normal(size=10)
     residual[wrong] += rng.uniform(0.1, 0.4, len(wrong))
-    left = np.flatnonzero(~agreeing(residual, spread(10, 0.1), 4.0))
+    left = np.flatnonzero(~consistent_subset(residual, spread(10, 0.1), 4.0))
     assert left.tolist() == wrong
 
 
 def test_of_two_nobody_can_tell_which_is_wrong():
-    assert agreeing(np.array([0.0, 0.5]), spread(2, 0.1), 4.0).all()
+    assert consistent_subset(np.array([0.0, 0.5]), spread(2, 0.1), 4.0).all()
 
 
 def test_bearings_without_noise_do_no_harm():
-    assert agreeing(np.zeros(4), np.zeros((4, 4)), 4.0).all()
+    assert consistent_subset(np.zeros(4), np.zeros((4, 4)), 4.0).all()
 
 
 def test_right_ones_are_seldom_left_out():
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(np.zeros(6), spread(6, 0.1), 500)
-    assert np.mean([agreeing(each, spread(6, 0.1), 4.0).all() for each in draws]) > 0.995
+    assert np.mean([consistent_subset(each, spread(6, 0.1), 4.0).all() for each in draws]) > 0.995
 
 
 def test_where_as_many_differ_as_agree_nobody_is_left_out():
     rng = np.random.default_rng(0)
     residual = 0.005 * rng.normal(size=6)
     residual[:3] += 0.2
-    assert agreeing(residual, spread(6, 0.5), 4.0).all()
+    assert consistent_subset(residual, spread(6, 0.5), 4.0).all()
 
 
 @pytest.mark.parametrize(("likely", "left"), [([0, 1, 2], [3, 4, 5]), ([3, 4], [])])
 def test_where_as_many_differ_as_agree_odometry_decides_if_half_are_where_it_has_them(likely, left):
     residual = np.array([0.0, 0.01, -0.005, 0.2, 0.21, 0.2])
     told = np.isin(np.arange(6), likely)
-    assert np.flatnonzero(~agreeing(residual, spread(6, 0.5), 4.0, told)).tolist() == left
+    assert np.flatnonzero(~consistent_subset(residual, spread(6, 0.5), 4.0, told)).tolist() == left
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
@@ -71,11 +71,11 @@ def test_numbers_that_are_none_end_it(value, both):
     residual, wild = np.full(5, 0.01), spread(5, 0.1)
     residual[2] = value
     with np.errstate(all="ignore"):
-        both(agreeing, residual, spread(5, 0.1), 4.0)
+        both(consistent_subset, residual, spread(5, 0.1), 4.0)
         wild[2, 2] = value
-        both(agreeing, np.full(5, 0.01), wild, 4.0)
+        both(consistent_subset, np.full(5, 0.01), wild, 4.0)
 
 
 def test_what_is_lost_in_rounding_is_no_error(both):
-    for kept in both(agreeing, np.full(4, 0.1), np.full((4, 4), 1e8), 4.0):
+    for kept in both(consistent_subset, np.full(4, 0.1), np.full((4, 4), 1e8), 4.0):
         assert kept.all()

@@ -15,7 +15,7 @@ from homeward.localizer.home import hypotheses as moved
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, renamed, search
 from homeward.localizer.home.outliers import log_odds, log_right, log_wrong
-from homeward.localizer.map.range_mixture import glimpse
+from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
     NEAR,
     answer_of,
@@ -216,17 +216,17 @@ def test_a_landmark_driven_straight_at_stands_on_a_ray_at_any_distance():
     rng = np.random.default_rng(0)
     target = np.array([4.0, 3.0])
     sigmas, still = np.full(30, 0.01), np.diag([1e-4, 1e-4, 1e-5])
-    ray = glimpse(*driven(rng, target, True), sigmas, still, 3.0)
+    ray = range_mixture(*driven(rng, target, True), sigmas, still, 3.0)
     lines = np.arctan2(*(ray.places - 2.0 * target / 5.0).T[::-1])
     assert lines == pytest.approx(math.atan2(3.0, 4.0), abs=0.01)
     assert ray.weights.max() < 0.1
-    past = glimpse(*driven(rng, target, False), sigmas, still, 3.0)
+    past = range_mixture(*driven(rng, target, False), sigmas, still, 3.0)
     likely = past.places[np.argmax(past.weights)]
     assert np.hypot(*(likely - target)) < 0.4
     assert past.weights.max() > 0.3
     cameras, bearings = driven(rng, target, True)
-    assert glimpse(cameras, rng.uniform(-3, 3, 30), sigmas, still, 3.0) is None
-    assert glimpse(cameras[:5], bearings[:5], sigmas[:5], still, 3.0) is None
+    assert range_mixture(cameras, rng.uniform(-3, 3, 30), sigmas, still, 3.0) is None
+    assert range_mixture(cameras[:5], bearings[:5], sigmas[:5], still, 3.0) is None
 
 
 @pytest.mark.parametrize("fault", [0.0, 0.3])

@@ -11,7 +11,7 @@ from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import NC
-from homeward.localizer.motion.extrinsics import ANYWHERE, DENIED, Mounting
+from homeward.localizer.motion.extrinsics import ANYWHERE, DENIED, Extrinsics
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
@@ -59,7 +59,7 @@ def test_only_what_nobody_told_is_named():
 def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
     rig.drive(60)
-    assert not rig.localizer.mapper.mounting.denied
+    assert not rig.localizer.mapper.extrinsics.denied
     assert not any("camera" in n for n in rig.localizer.notes)
 
 
@@ -68,7 +68,7 @@ def test_what_was_told_is_not_doubted():
     rig.drive(60)
     assert np.abs(rig.localizer.mapper.window.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
-    wrong = Mounting(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
+    wrong = Extrinsics(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
     assert not wrong.denies(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
 
 
@@ -83,13 +83,13 @@ def told_by_map(off, information, sigmas):
 def test_it_is_denied_by_what_the_map_says_on_its_own():
     off = np.array([0.0, 0.1, 0.0])
     for sigma, denied in ((0.1 / DENIED * 0.9, True), (0.1 / DENIED * 1.1, False)):
-        mounting = Mounting(DriveSettings(), LocalizerSettings())
-        now = told_by_map(off, sigma**-2.0, mounting.sigmas)
-        assert mounting.denies(*now) is denied
-        assert mounting.denied is denied
-        assert not mounting.denies(*now)  # a second time
-        assert np.array_equal(mounting.sigmas, ANYWHERE) is denied
-    vague = Mounting(DriveSettings(), LocalizerSettings())
+        extrinsics = Extrinsics(DriveSettings(), LocalizerSettings())
+        now = told_by_map(off, sigma**-2.0, extrinsics.sigmas)
+        assert extrinsics.denies(*now) is denied
+        assert extrinsics.denied is denied
+        assert not extrinsics.denies(*now)  # a second time
+        assert np.array_equal(extrinsics.sigmas, ANYWHERE) is denied
+    vague = Extrinsics(DriveSettings(), LocalizerSettings())
     assert not vague.denies(*told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
     assert not vague.denies(*told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
     assert math.isfinite(vague.sigmas.sum())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
-from homeward.localizer.map.sightings import COLUMNS, OWN, SIGMA, widen
+from homeward.localizer.map.sightings import COLUMNS, OWN, SIGMA, scale_noise
 
 
 def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
@@ -15,12 +15,12 @@ def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
     marks = rng.uniform(2.0, 4.0, 5) * np.exp(1j * rng.uniform(-math.pi, math.pi, 5))
     noise, speed, omega = BearingNoise(given, 0.02), 0.3, 0.4
     for t in np.arange(0.0, seconds, 1.0 / rate).tolist():
-        noise.turn(t, omega)
+        noise.add_turn_rate(t, omega)
         at = speed / omega * 1j * (1 - np.exp(1j * omega * t))
         bearings = np.angle((marks - at) * np.exp(-1j * omega * t)) + sigma * rng.normal(size=5)
         lost = rng.random(5) < wrong
         bearings[lost] = rng.uniform(-math.pi, math.pi, int(lost.sum()))
-        noise.see(t, {f"L{i}": float(b) for i, b in enumerate(bearings)})
+        noise.add_bearings(t, {f"L{i}": float(b) for i, b in enumerate(bearings)})
     return noise
 
 
@@ -38,16 +38,16 @@ def test_some_wrong_ids_do_not_matter_much(wrong):
 def test_it_is_never_believed_to_be_less_than_the_default_and_differences_doubt_nothing_given():
     assert seen_noise(0.001, 5.0).sigma == 0.02
     assert seen_noise(0.1, 5.0, given=0.03).sigma == 0.03
-    assert seen_noise(0.1, 5.0).usual == pytest.approx(0.1, rel=0.2)
+    assert seen_noise(0.1, 5.0).typical == pytest.approx(0.1, rel=0.2)
 
 
 def test_deviations_of_new_bearings_and_of_most_of_them():
     noise, told = BearingNoise(None, 0.02), {"a": 0.001, "b": 0.004, "c": 0.003}
-    assert noise.usual == 0.02
+    assert noise.typical == 0.02
     assert noise.sigmas(["a", "z"], told).tolist() == [0.001, 0.02]
     noise.sigmas(["a", "b", "c"], told)
     noise.sigmas([], {})
-    assert noise.usual == 0.003
+    assert noise.typical == 0.003
 
 
 def test_sightings_too_rare_to_be_linear_in_time_tell_nothing():
@@ -70,36 +70,36 @@ class Left:
 
     def told_to(self, noise):
         """Let the noise follow what is left."""
-        return noise.follow(self._off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
+        return noise.update(self._off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
 
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     noise = BearingNoise(0.01, 0.02)
-    assert (noise.settled, noise.doubt) == (False, 1.0)
+    assert (noise.settled, noise.scale) == (False, 1.0)
     assert Left(1.2).told_to(noise) == 1.0
-    assert (noise.settled, noise.doubt) == (True, 1.0)
+    assert (noise.settled, noise.scale) == (True, 1.0)
     bad = Left(5.0)
-    widen(bad.sightings, bad.told_to(noise))
+    scale_noise(bad.sightings, bad.told_to(noise))
     assert not noise.settled  # what was made of them has been too sure
-    assert noise.doubt == pytest.approx(5.0, rel=0.2)
-    assert noise.sigma == pytest.approx(0.01 * noise.doubt)
-    assert bad.sightings[0, OWN] == pytest.approx(0.01 * noise.doubt)
+    assert noise.scale == pytest.approx(5.0, rel=0.2)
+    assert noise.sigma == pytest.approx(0.01 * noise.scale)
+    assert bad.sightings[0, OWN] == pytest.approx(0.01 * noise.scale)
     bad.told_to(noise)
     assert noise.settled
     better = Left(0.2)
-    widen(better.sightings, noise.doubt)
-    widen(better.sightings, better.told_to(noise))
-    assert noise.doubt == 1.0
+    scale_noise(better.sightings, noise.scale)
+    scale_noise(better.sightings, better.told_to(noise))
+    assert noise.scale == 1.0
     assert better.sightings[0, OWN] == pytest.approx(0.01)
 
 
 def test_a_camera_that_becomes_worse_on_the_way_is_doubted():
     noise, worse = BearingNoise(0.01, 0.02), Left(1.0, 3000)
     worse.told_to(noise)
-    assert noise.doubt == 1.0
+    assert noise.scale == 1.0
     worse._off[-400:] *= 4.0
     worse.told_to(noise)
-    assert noise.doubt == pytest.approx(4.0, rel=0.2)
+    assert noise.scale == pytest.approx(4.0, rel=0.2)
 
 
 def test_few_sightings_and_blurred_ones_doubt_nothing():
@@ -107,4 +107,4 @@ def test_few_sightings_and_blurred_ones_doubt_nothing():
     blurred.sightings[:, SIGMA] *= 2.0
     Left(5.0, 20).told_to(noise)
     blurred.told_to(noise)
-    assert (noise.settled, noise.doubt) == (False, 1.0)
+    assert (noise.settled, noise.scale) == (False, 1.0)

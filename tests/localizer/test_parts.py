@@ -17,7 +17,7 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.map import elimination as chain
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import NC, Look, bearing_residuals, sighting_rows
+from homeward.localizer.map.sightings import NC, WeighedFrame, bearing_residuals, sighting_rows
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
@@ -134,7 +134,7 @@ def test_bearings_have_the_derivatives_they_say():
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
-    look = Look(1.7, ["a"], 0.4 * one, 0.01 * one)
+    look = WeighedFrame(1.7, ["a"], 0.4 * one, 0.01 * one)
     row = sighting_rows(0, look, motion, mount, calibration)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
@@ -257,11 +257,11 @@ def sighted(*fits):
 
 def test_more_must_fit_from_elsewhere_than_from_here():
     slip = SlipDetector()
-    assert slip.suspicion(sighted(True, True, False), Motion.none()) is None
-    suspicion = slip.suspicion(sighted(True, False, False, False), Motion.none())
+    assert slip.suspicion(sighted(True, True, False), Motion.identity()) is None
+    suspicion = slip.suspicion(sighted(True, False, False, False), Motion.identity())
     assert suspicion is not None
     assert suspicion[1] == 1 + 5
-    assert slip.suspicion(sighted(True, True, True, True, True), Motion.none()) is None
+    assert slip.suspicion(sighted(True, True, True, True, True), Motion.identity()) is None
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():

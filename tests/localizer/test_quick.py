@@ -9,7 +9,7 @@ from rig import Rig, ring
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.map.landmarks import MOST_FROM_HOME
-from homeward.localizer.map.sightings import LANDMARK, NC, Look, sighting_rows
+from homeward.localizer.map.sightings import LANDMARK, NC, WeighedFrame, sighting_rows
 from homeward.localizer.map.smoother import Window
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.smoothing import _bridged
@@ -51,7 +51,7 @@ def seen(rng, window):
     sigmas = np.full(len(POINTS), 0.005)
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     still = odometry.motion(-math.inf, window.calibration)
-    look = Look(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
+    look = WeighedFrame(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
     rows = sighting_rows(window.newest, look, still, MOUNT, window.calibration)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows
@@ -63,10 +63,10 @@ def test_a_quick_correction_is_what_the_whole_window_says_while_that_is_linear()
     marginal = window.solve()
     linearised = window.calibration
     motion = move_on(odometry, window, 13.0)
-    moved = marginal.after(motion, linearised)
+    moved = marginal.propagate(motion, linearised)
     assert moved.mean[:3] == pytest.approx(window.poses[-1], abs=1e-12)
     rows = seen(rng, window)
-    quick = moved.corrected(moved.predict(rows))
+    quick = moved.update(moved.predict_bearings(rows))
     window.add_sightings(rows)
     whole = window.solve()
     deviation = np.sqrt(np.diag(whole.covariance))

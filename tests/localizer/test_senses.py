@@ -8,25 +8,25 @@ from rig import Rig, eight, ring, still
 
 from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
-from homeward.localizer.inputs.sign_check import ENOUGH, REVERSED, Senses
+from homeward.localizer.inputs.sign_check import ENOUGH, REVERSED, SignCheck
 from homeward.localizer.localizer import Localizer
 
 
 def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):
     """Senses after a drive past landmarks, each seen five times a second."""
-    rng, senses = np.random.default_rng(0), Senses(yaw)
+    rng, sign_check = np.random.default_rng(0), SignCheck(yaw)
     x, y, psi = 0.0, 0.0, 0.3
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
-        senses.odometry(t, twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
+        sign_check.odometry(t, twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw + noise * rng.normal(size=len(d))
             seen = {str(i): sign * float(b) for i, b in enumerate(bearings)}
-            senses.bearings(t, seen)
+            sign_check.bearings(t, seen)
         x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
         psi += 0.1 * twist.omega
-    return senses
+    return sign_check
 
 
 NEAR = list(ring(12, 0, 0.5, 1.5).values())
@@ -57,9 +57,9 @@ def test_bearings_that_run_clockwise_are_not(law):
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_noise_of_a_robot_that_stands_is_no_sign(sign):
-    senses = watched(still, FAR, noise=0.05, gyro=0.2, sign=sign)
-    assert len(senses._right) >= ENOUGH
-    assert not senses.reversed
+    sign_check = watched(still, FAR, noise=0.05, gyro=0.2, sign=sign)
+    assert len(sign_check._right) >= ENOUGH
+    assert not sign_check.reversed
 
 
 def test_a_straight_way_tells_nothing():

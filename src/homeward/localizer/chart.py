@@ -24,7 +24,7 @@ from homeward.localizer.home.hypotheses import (
 )
 from homeward.localizer.home.observation import StoredHome
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.inputs.reorder import Glance
+from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.preintegration import Motion
@@ -80,7 +80,7 @@ class Chart:
         if self._home.has_start:
             self._find_home(t)
 
-    def sight(self, glance: Glance, now: float) -> list[Innovation]:
+    def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
         """Take all sightings of one stamp; return their innovations.
 
         Parameters
@@ -90,10 +90,10 @@ class Chart:
         now : float
             The newest stamp of all [s].
         """
-        innovations, fresh = self.mapper.sight(*glance)
+        innovations, new_keyframe = self.mapper.add_bearings(*frame)
         if any(i.accepted for i in innovations):
-            self._last_accepted = glance.t
-        if fresh:
+            self._last_accepted = frame.t
+        if new_keyframe:
             self._find_home(now)
         return innovations
 
@@ -140,7 +140,7 @@ class Chart:
             words = complaint or self.mapper.kidnapping.why
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         motion, moved = self.mapper.motion(t), None
-        if motion is not Motion.none():
+        if motion is not Motion.identity():
             calibration = self.mapper.marginal.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             moved = motion.delta, drift
@@ -191,7 +191,7 @@ class Chart:
 
     def _find_home(self, t: float) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
-        if self.mapper.begun_anew:
+        if self.mapper.map_was_reset:
             self._home.forget_start()
         names = self.mapper.landmarks.seen_from(self._home.bearings)
         problem = self._home.problem(names, self.mapper, self.mapper.marginal)

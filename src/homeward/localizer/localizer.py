@@ -29,8 +29,8 @@ from homeward.localizer.compiled import why_not
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.bearing_noise import deviation
-from homeward.localizer.inputs.reorder import Arrivals, Glance
-from homeward.localizer.inputs.sign_check import REVERSED, Senses
+from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
+from homeward.localizer.inputs.sign_check import REVERSED, SignCheck
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.odometry import lag_words
@@ -74,18 +74,18 @@ class Localizer:
         self._lead = 0
         """So many more sightings fit the other one, since then or since it was the worse one."""
         self._keeps = False
-        self._clock, self._arrivals = Clock(), Arrivals()
-        self._senses = Senses(self._drive.sensor.yaw)
+        self._clock, self._reorder = Clock(), ReorderBuffer()
+        self._sign_check = SignCheck(self._drive.sensor.yaw)
         self._t = -math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and what was found out about the robot; each a sentence."""
-        if self._senses.reversed:
+        if self._sign_check.reversed:
             return (*self._notes, f"{REVERSED[0].upper()}{REVERSED[1:]}.")
-        noisy = (NOISY_NOTE,) if self.mapper.noise.doubt > 1.0 else ()
-        mounting, calibration = self.mapper.mounting, self.mapper.window.calibration
-        return (*self._notes, *noisy, *mounting.words(calibration), *lag_words(calibration))
+        noisy = (NOISY_NOTE,) if self.mapper.noise.scale > 1.0 else ()
+        extrinsics, calibration = self.mapper.extrinsics, self.mapper.window.calibration
+        return (*self._notes, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
@@ -95,14 +95,14 @@ class Localizer:
             self._reject("odometry is not finite, or no robot's")
             return
         late = self._is_too_late(t)
-        self._arrivals.odometry(t, late)
+        self._reorder.odometry(t, late)
         if late:
             self._reject("odometry came late")
             return
         self._advance(t)
         for chart in self._charts:
-            chart.mapper.twist(t, v, omega)
-        self._senses.odometry(t, v, omega)
+            chart.mapper.add_twist(t, v, omega)
+        self._sign_check.odometry(t, v, omega)
         self._see_what_is_due()
 
     @guarded
@@ -114,8 +114,8 @@ class Localizer:
         Where odometry comes late they wait for it, and the answer is without them as yet.
         """
         said, t = t, self._clock.read(t)
-        if not math.isfinite(t) or t < self._arrivals.newest or self._is_too_late(t):
-            self._arrivals.late_bearings()
+        if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
+            self._reorder.late_bearings()
             self._reject("bearings came late", len(sightings))
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
@@ -123,8 +123,8 @@ class Localizer:
         self._advance(t)
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
-        self._arrivals.bearings(Glance(t, usable, good))
-        self._senses.bearings(t, usable)
+        self._reorder.bearings(BearingFrame(t, usable, good))
+        self._sign_check.bearings(t, usable)
         innovations = self._see_what_is_due()
         return dataclasses.replace(self._estimate(t, innovations), t=said)
 
@@ -140,12 +140,12 @@ class Localizer:
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return self.chart.landmarks(judge=not self._senses.reversed)
+        return self.chart.landmarks(judge=not self._sign_check.reversed)
 
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-        return self.mapper.mounting.found(self.mapper.window.calibration)
+        return self.mapper.extrinsics.found(self.mapper.window.calibration)
 
     @property
     def chart(self) -> Chart:
@@ -206,21 +206,21 @@ class Localizer:
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
-        return t < self._t - LATE_S or not all(c.mapper.reaches(t) for c in self._charts)
+        return t < self._t - LATE_S or not all(c.mapper.accepts(t) for c in self._charts)
 
     def _see_what_is_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
-        for glance in self._arrivals.due(self._chart.mapper.felt, self._t):
-            innovations = self._chart.sight(glance, self._t)
+        for frame in self._reorder.due(self._chart.mapper.last_odometry_t, self._t):
+            innovations = self._chart.add_bearings(frame, self._t)
             if self._beside is not None:
-                innovations = self._see_beside(self._beside, glance, innovations)
+                innovations = self._see_beside(self._beside, frame, innovations)
             elif self._chart.fits_badly:
-                self._begin_beside(glance.t)
-        return () if self._arrivals.waits else tuple(innovations)
+                self._begin_beside(frame.t)
+        return () if self._reorder.waits else tuple(innovations)
 
     def _see_beside(
-        self, beside: Chart, glance: Glance, before: list[Innovation]
+        self, beside: Chart, frame: BearingFrame, before: list[Innovation]
     ) -> list[Innovation]:
         """Take a stamp into the other map too, and leave one of them when the other is proven.
 
@@ -238,7 +238,7 @@ class Localizer:
         list of Innovation
             In the map that answers.
         """
-        innovations = beside.sight(glance, self._t)
+        innovations = beside.add_bearings(frame, self._t)
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
         self._lead = max(0, self._lead + gained)
         if self._lead >= CLEARLY and self._is_sure(beside):
@@ -246,7 +246,7 @@ class Localizer:
         elif self._chart.fits_well and self._is_sure(self._chart):
             self._beside = None
         elif beside.is_lost:
-            self._begin_beside(glance.t)
+            self._begin_beside(frame.t)
         return innovations if self.chart is beside else before
 
     def _is_sure(self, chart: Chart) -> bool:
@@ -270,6 +270,6 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
-        if self._senses.reversed:
+        if self._sign_check.reversed:
             return Estimate(t, Status.MAPPING, REVERSED, None, None, innovations)
-        return self.chart.estimate(t, innovations, self._arrivals.complaint())
+        return self.chart.estimate(t, innovations, self._reorder.complaint())

@@ -12,13 +12,13 @@ from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
 from homeward.frames import Pose, compose
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.map.gating import judge
-from homeward.localizer.map.inflation import blurred
+from homeward.localizer.map.gating import gate_bearings
+from homeward.localizer.map.inflation import inflate_by_odometry
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, Look, sighting_rows
+from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, WeighedFrame, sighting_rows
 from homeward.localizer.map.smoother import NEAR_M, Window
 from homeward.localizer.map.state import Marginal, Prediction
-from homeward.localizer.motion.extrinsics import Mounting
+from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import Odometry, calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import LOST, REPLACED
@@ -68,17 +68,17 @@ class Mapper:
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self._odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
         self._start_told = drive.start is not None
-        self.mounting, sigmas = Mounting(drive, settings), calibration_sigmas(drive, settings)
-        drift = DRIFT_SHARE * np.concatenate([sigmas, self.mounting.sigmas])
+        self.extrinsics, sigmas = Extrinsics(drive, settings), calibration_sigmas(drive, settings)
+        drift = DRIFT_SHARE * np.concatenate([sigmas, self.extrinsics.sigmas])
         self._new_window = partial(Window, sigmas, drift**2 / DRIFT_S)
         self._keeps = False
         self._begin_map(0.0)
-        self.begun_anew = False
+        self.map_was_reset = False
         """Whether the first map was thrown away, and the origin with it."""
 
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
-        self.window: Window = self._new_window(self.mounting.sigmas)
+        self.window: Window = self._new_window(self.extrinsics.sigmas)
         if self._keeps:
             self.window.keep_closed()
         self.kidnapping, self._slip, self._scene = (
@@ -98,11 +98,11 @@ class Mapper:
         self._between: list[np.ndarray] = []
         """Sightings from the newest keyframe that `marginal` does not know yet."""
 
-    def _begin_anew(self, t: float) -> Motion:
+    def _reset_map(self, t: float) -> Motion:
         """Throw the map away, begin another at `t` [s], and return the motion since: none."""
         self._begin_map(t)
-        self.begun_anew = True
-        return Motion.none()
+        self.map_was_reset = True
+        return Motion.identity()
 
     def begin(self, t: float) -> None:
         """Let the first keyframe, the origin, be at `t` [s]."""
@@ -115,28 +115,28 @@ class Mapper:
         self._keeps = True
         self.window.keep_closed()
 
-    def twist(self, t: float, v: float, omega: float) -> None:
+    def add_twist(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on."""
-        if not self.feels and not self._start_told:
+        if not self.has_odometry and not self._start_told:
             self.begin(t)  # what may have been driven before is of no interest
         self._odometry.add(t, v, omega)
-        self.noise.turn(t, omega)
+        self.noise.add_turn_rate(t, omega)
         if t - self._odometry.done > ADVANCE_S:
             self._odometry.run_ahead(t, self.window.calibration)
 
-    def reaches(self, t: float) -> bool:
+    def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] is not too late for the map."""
-        return not self.feels or self._odometry.reaches(t)
+        return not self.has_odometry or self._odometry.accepts(t)
 
     @property
-    def felt(self) -> float:
+    def last_odometry_t(self) -> float:
         """Stamp of the newest odometry [s]; minus infinity where there was none."""
         return self._odometry.newest
 
     @property
-    def feels(self) -> bool:
+    def has_odometry(self) -> bool:
         """Whether odometry has come yet; nothing can be mapped before."""
-        return self._odometry.any
+        return self._odometry.has_twists
 
     def motion(self, t: float) -> Motion:
         """Return the motion from the newest keyframe to `t` [s]."""
@@ -146,63 +146,65 @@ class Mapper:
         """Return a landmark where it stood when home was stored, for all the drive knows."""
         return self.landmarks.former.get(name) or self.landmarks.mapped.get(name)
 
-    def sight(
+    def add_bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float]
     ) -> tuple[list[Innovation], bool]:
         """Take sightings; return their innovations, and whether there is a new solution."""
-        if not self.feels:
+        if not self.has_odometry:
             self._counts.reject("no odometry yet", len(sightings))
             return [], False
-        self.noise.see(t, sightings, sigmas)
+        self.noise.add_bearings(t, sightings, sigmas)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        look = Look(t, names, bearings, self.noise.sigmas(names, sigmas))
+        frame = WeighedFrame(t, names, bearings, self.noise.sigmas(names, sigmas))
         motion = self._odometry.advance(t, self.window.calibration)
         gone = self.kidnapping.since is None and odometry_lost(motion, self.marginal)
-        anew = not self.landmarks.mapped and (gone or self._lost_its_origin())
-        if anew:
-            motion = self._begin_anew(t)
+        map_reset = not self.landmarks.mapped and (gone or self._lost_its_origin())
+        if map_reset:
+            motion = self._reset_map(t)
         elif gone:
             self._begin_relocalisation(t)
         if self.kidnapping.since is not None:
-            return [], self._relocalise(look)
-        fresh = self._wants_keyframe(t, motion)
-        if fresh:
+            return [], self._relocalise(frame)
+        new_keyframe = self._wants_keyframe(t, motion)
+        if new_keyframe:
             self._add_keyframe(t, motion)
-        since = Motion.none() if fresh else motion
-        rows = self._rows(since, look)
-        told = self.marginal, motion, fresh, names, rows, self._settings.gate
-        innovations, prediction = judge(*told)
+        since = Motion.identity() if new_keyframe else motion
+        rows = self._rows(since, frame)
+        told = self.marginal, motion, new_keyframe, names, rows, self._settings.gate
+        innovations, prediction = gate_bearings(*told)
         if self.kidnapping.was_kidnapped(innovations):
             self._begin_relocalisation(t)
-            return innovations, self._relocalise(look)
+            return innovations, self._relocalise(frame)
         place = np.array(
             compose(Pose(*self.marginal.mean[:3].tolist()), Pose(*since.delta.tolist()))
         )
         if self._scene.has_changed(names, innovations, place, self.marginal.positions):
             self._begin_relocalisation(t, REPLACED)
-            return innovations, self._relocalise(look)
+            return innovations, self._relocalise(frame)
         suspicion = self._slip.suspicion(innovations, since)
-        if suspicion and self._reset_pose(*suspicion, since, look):
+        if suspicion and self._reset_pose(*suspicion, since, frame):
             return innovations, True
         fits = {i.landmark: i.accepted for i in innovations}
-        if not fresh:
-            widened = blurred(rows, since, len(self._between) + 1, prediction, self.marginal)
+        if not new_keyframe:
+            widened = inflate_by_odometry(
+                rows, since, len(self._between) + 1, prediction, self.marginal
+            )
             if widened is None:
                 self._counts.reject("odometry since the keyframe is too uncertain", len(names))
-                return innovations, anew
+                return innovations, map_reset
             rows[:, SIGMA] = widened
         refused = self.landmarks.refused(fits)
         kept = self._keep(t, names, rows, fits)
-        changed = self.kidnapping.others_fit(refused) and self.landmarks.restart(
+        changed = self.kidnapping.others_fit(refused) and self.landmarks.reinitialise(
             self.window, refused
         )
-        if fresh or changed:
+        if new_keyframe or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
         if changed and self._was_carried():
             self._begin_relocalisation(t)
-            return innovations, self._relocalise(look)
-        return innovations, fresh or changed or anew
+            return innovations, self._relocalise(frame)
+        return innovations, new_keyframe or changed or map_reset
 
     def _lost_its_origin(self) -> bool:
         """Return whether the way from the origin, which nothing else holds, is not known any more.
@@ -225,19 +227,21 @@ class Mapper:
         full = kept >= self._settings.window
         self._due = not full or since * SOLVED_SHARE >= kept or not self.window.settled
         if self._between and not self._due:
-            seen = self.marginal.predict(np.concatenate(self._between))
-            self._due = not self._take(self.marginal.corrected(seen))
-        self.marginal = self.marginal.after(motion, linearised)
+            seen = self.marginal.predict_bearings(np.concatenate(self._between))
+            self._due = not self._take(self.marginal.update(seen))
+        self.marginal = self.marginal.propagate(motion, linearised)
         self.window.adopt(self.marginal)
         self._slip.add_keyframe(motion)
         self._odometry.restart(t)
         self._taken.clear()
         self._between = []
 
-    def _rows(self, motion: Motion, look: Look) -> np.ndarray:
+    def _rows(self, motion: Motion, frame: WeighedFrame) -> np.ndarray:
         """Return sightings as rows of the window's table, seen after a motion since its newest."""
-        rows = sighting_rows(self.window.newest, look, motion, self._mount, self.window.calibration)
-        rows[:, LANDMARK] = self.landmarks.number(look.names)
+        rows = sighting_rows(
+            self.window.newest, frame, motion, self._mount, self.window.calibration
+        )
+        rows[:, LANDMARK] = self.landmarks.number(frame.names)
         return rows
 
     def _keep(
@@ -251,7 +255,7 @@ class Mapper:
                 self._counts.reject("the robot stands and saw this before")
             elif not fits.get(name, True):
                 self._counts.reject("bearing does not fit the map")
-                self.landmarks.doubt(t, name, rows[i])
+                self.landmarks.set_aside(t, name, rows[i])
             else:
                 kept[i] = True
         self._counts.used += int(kept.sum())
@@ -264,28 +268,28 @@ class Mapper:
     def _correct(self, seen: Prediction | None) -> None:
         """Correct pose and map: by the newest sightings alone, or the whole window when due."""
         try:
-            started = self.landmarks.start(self.window, self.marginal.covariance[:3, :3])
+            started = self.landmarks.initialise(self.window, self.marginal.covariance[:3, :3])
             due = started or self._due or seen is None
-            if due or seen is None or not self._take(self.marginal.corrected(seen)):
+            if due or seen is None or not self._take(self.marginal.update(seen)):
                 self._solve()
             else:
                 self.window.adopt(self.marginal)
                 self.solved = False
         except np.linalg.LinAlgError:
             self._counts.reject("the map was thrown away")
-            self._begin_anew(self.window.stamps[-1])
+            self._reset_map(self.window.stamps[-1])
         self._between = []
 
-    def _take(self, corrected: Marginal) -> bool:
+    def _take(self, updated: Marginal) -> bool:
         """Believe a quick correction if it is near enough to linear; return whether it is."""
-        if not (np.isfinite(corrected.mean).all() and (corrected.covariance.diagonal() > 0).all()):
+        if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
             return False
-        turned = abs(corrected.mean[2] - self.marginal.mean[2])
-        moved = corrected.positions - self._solved_positions
-        far = corrected.distances + NEAR_M
+        turned = abs(updated.mean[2] - self.marginal.mean[2])
+        moved = updated.positions - self._solved_positions
+        far = updated.distances + NEAR_M
         if turned > LINEAR_RAD or (np.hypot(*moved.T) > LINEAR_SHARE * far).any():
             return False
-        self.marginal = corrected
+        self.marginal = updated
         return True
 
     def _solve(self) -> None:
@@ -298,18 +302,18 @@ class Mapper:
         since = self.window.newest - self._solved_at
         self.solved = True
         self._solved_at, self._solved_positions = self.window.newest, self.window.positions
-        self._forget()
+        self._marginalise_old()
         own, whole = self.window.sightings[:, OWN], self.window.sightings[:, SIGMA]
-        wider = self.noise.follow(self.window.residuals(), own, whole, since)
+        wider = self.noise.update(self.window.residuals(), own, whole, since)
         if wider != 1.0:
-            self.window.widen(wider)
-            self.landmarks.widen(wider)
+            self.window.scale_noise(wider)
+            self.landmarks.scale_noise(wider)
         sound, now = self.window.settled and self.noise.settled, self.marginal
-        if sound and self.mounting.denies(now.calibration, now.calibration_variances):
-            self.window.mount_sigmas = self.mounting.sigmas
+        if sound and self.extrinsics.denies(now.calibration, now.calibration_variances):
+            self.window.mount_sigmas = self.extrinsics.sigmas
             self._solve()
 
-    def _forget(self) -> None:
+    def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""
         settings, window = self._settings, self.window
         spare = len(window.poses) - settings.window
@@ -320,15 +324,15 @@ class Mapper:
         over = len(window.poses) - settings.longest_window
         count = max(min(spare, needed - window.first), over)
         if count > 0:
-            window.forget(count)
-            self.landmarks.forget(window.first)
+            window.marginalise(count)
+            self.landmarks.drop_rows_before(window.first)
 
     def _was_carried(self) -> bool:
         """Return whether landmarks moved together; then the map is again what it was before."""
         when = carried_since(self.landmarks, self.marginal)
         if when is None:
             return False
-        self.landmarks.go_back(self.window, when)
+        self.landmarks.revert_to(self.window, when)
         self._between = []
         self._correct(None)
         return True
@@ -339,29 +343,29 @@ class Mapper:
         self.kidnapping.begin(t, why)
         self._slip.clear()
 
-    def _relocalise(self, look: Look) -> bool:
+    def _relocalise(self, frame: WeighedFrame) -> bool:
         """Gather sight lines of a lost robot; return whether they tell where it is."""
-        motion = self.motion(look.t)
+        motion = self.motion(frame.t)
         if motion.covariance[2, 2] > RELOCALISABLE_RAD**2:
-            self._begin_relocalisation(look.t)
-            motion = Motion.none()
-        if self._reset_pose(self.kidnapping.search, 0, motion, look):
+            self._begin_relocalisation(frame.t)
+            motion = Motion.identity()
+        if self._reset_pose(self.kidnapping.search, 0, motion, frame):
             return True
-        self._counts.reject("the robot is lost in its map", len(look.names))
+        self._counts.reject("the robot is lost in its map", len(frame.names))
         return False
 
     def _reset_pose(
-        self, search: RelocalisationBuffer, fewest: int, motion: Motion, look: Look
+        self, search: RelocalisationBuffer, fewest: int, motion: Motion, frame: WeighedFrame
     ) -> bool:
         """Look from where in the map so many sightings fit; move the robot there if it is told."""
         way = search.motion_since(motion)
-        search.add_sightings(look.names, self._rows(way, look))
+        search.add_sightings(frame.names, self._rows(way, frame))
         found = search.find(self.landmarks, self.marginal, self.window.calibration, fewest)
         if found is None:
             return False
-        self._add_keyframe(look.t, pose_reset(self.window.poses[-1], *found).then(way))
-        self.kidnapping.end(look.t)
+        self._add_keyframe(frame.t, pose_reset(self.window.poses[-1], *found).compose(way))
+        self.kidnapping.end(frame.t)
         self._slip.clear()
-        self._keep(look.t, look.names, self._rows(Motion.none(), look), {})
+        self._keep(frame.t, frame.names, self._rows(Motion.identity(), frame), {})
         self._correct(None)
         return True

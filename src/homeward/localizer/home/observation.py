@@ -56,7 +56,7 @@ class StoredHome:
 
     def yaw(self, mapper: Mapper) -> float:
         """Return the yaw of the camera on the robot, at home: as told, or as found out [rad]."""
-        found = self._same_camera and mapper.mounting.denied
+        found = self._same_camera and mapper.extrinsics.denied
         return float(self._mount[2] + found * mapper.window.calibration[CAMERA_YAW])
 
     def mount_spread(self, marginal: Marginal) -> np.ndarray:
@@ -101,8 +101,8 @@ class StoredHome:
             self._bearings = np.array([b.bearing for b in stored])
             self._told = np.array([b.sigma for b in stored])
         # One that nobody told is of one sighting as any other.
-        default = self._settings.home_sigma or noise.usual
+        default = self._settings.home_sigma or noise.typical
         sigmas = np.where(np.isfinite(self._told), self._told, default)
         if self._same_camera:  # as doubtful as its other bearings, but no worse than they are
-            sigmas = np.maximum(sigmas, np.minimum(noise.doubt * sigmas, noise.usual))
+            sigmas = np.maximum(sigmas, np.minimum(noise.scale * sigmas, noise.typical))
         return self._bearings, sigmas

@@ -1,4 +1,4 @@
-"""The noise of bearings: as given, or else as the bearings themselves tell it.
+"""Measurement noise of bearings: as given, or estimated from second differences and residuals.
 
 At once by their second differences, which need no map: between a sighting of a landmark and the
 next but one its direction, the odometry's turns taken out, is all but linear in time. Later by what
@@ -40,12 +40,12 @@ CLEAR = 1.1
 """Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
 LATEST = 300
 """So many of the latest are looked at: a camera may become worse on the way."""
-DOUBTFUL = 1.5
+EXCESSIVE = 1.5
 """Given deviations are doubted where the map leaves residuals so many times larger [1]."""
 
 
 class BearingNoise:
-    """The standard deviations of bearings.
+    """Measurement noise: the standard deviations of bearings, estimated where nobody gave them.
 
     Parameters
     ----------
@@ -61,40 +61,40 @@ class BearingNoise:
         self._by_differences = 0.0
         self._told = given is not None
         """Whether the newest bearings came with deviations, or the drive gave one."""
-        self._usual = math.nan
+        self._typical = math.nan
         self.settled = False
         """Whether residuals have been looked at, and bear out what is believed."""
-        self.doubt = 1.0
-        """How many times larger than what was given the deviations are believed to be."""
+        self.scale = 1.0
+        """Noise scale: how many times larger than given the deviations are estimated to be [1]."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
         self._last: dict[str, deque[tuple[float, float]]] = {}
-        self._turned = _Turned()
+        self._heading = _Heading()
 
     @property
     def sigma(self) -> float:
         """Of a bearing that comes without one, as believed now [rad]."""
         if self._given is not None:
-            return self.doubt * self._given
+            return self.scale * self._given
         return max(self._by_map, self._by_differences)
 
     @property
-    def usual(self) -> float:
+    def typical(self) -> float:
         """Of most of the newest bearings [rad]."""
-        return self.sigma if math.isnan(self._usual) else self._usual
+        return self.sigma if math.isnan(self._typical) else self._typical
 
     def sigmas(self, names: list[str], told: Mapping[str, float]) -> np.ndarray:
         """Return the deviations of new bearings, of which some came with one [rad]."""
         untold = self.sigma
-        sigmas = [self.doubt * told[n] if n in told else untold for n in names]
+        sigmas = [self.scale * told[n] if n in told else untold for n in names]
         if sigmas:
-            self._usual = sorted(sigmas)[len(sigmas) // 2]
+            self._typical = sorted(sigmas)[len(sigmas) // 2]
         return np.array(sigmas)
 
-    def turn(self, t: float, omega: float) -> None:
+    def add_turn_rate(self, t: float, omega: float) -> None:
         """Take a turn rate that holds from `t` [s] on [rad/s]."""
-        self._turned.take(t, omega)
+        self._heading.take(t, omega)
 
-    def see(
+    def add_bearings(
         self, t: float, sightings: Mapping[str, float], told: Mapping[str, float] | None = None
     ) -> None:
         """Take the bearings of a stamp `t` [s], and the deviations of some, by landmark [rad]."""
@@ -102,19 +102,19 @@ class BearingNoise:
         self._told = self._given is not None or bool(told)
         if self._given is not None:
             return
-        heading = self._turned.at(t)
+        heading = self._heading.at(t)
         for name, bearing in sightings.items():
             if name in told:
                 continue
             last = self._last.setdefault(name, deque(maxlen=2))
             if len(last) == 2 and last[0][0] < last[1][0] < t <= last[0][0] + SPAN_S:
                 first, middle = last
-                self._differences.append(_off_line(first, middle, (t, heading + bearing)))
+                self._differences.append(_second_difference(first, middle, (t, heading + bearing)))
             last.append((t, heading + bearing))
         if len(self._differences) >= DIFFERENCES[0]:
             self._by_differences = _scale(np.array(self._differences))
 
-    def follow(
+    def update(
         self, residuals: np.ndarray, own: np.ndarray, whole: np.ndarray, keyframes: int
     ) -> float:
         """Follow what the map leaves of bearings, after so many keyframes more.
@@ -137,27 +137,27 @@ class BearingNoise:
             return 1.0
         off = np.abs(residuals)
         if self._told:
-            return self._judge(off, own, whole)
+            return self._rescale(off, own, whole)
         self.settled = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, LEAST * self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
         return 1.0
 
-    def _judge(self, off: np.ndarray, own: np.ndarray, whole: np.ndarray) -> float:
+    def _rescale(self, off: np.ndarray, own: np.ndarray, whole: np.ndarray) -> float:
         """Doubt what was given as much as the sizes of residuals, (m,) [rad], tell."""
         clear = whole <= CLEAR * own
         if clear.sum() < RESIDUALS:
             return 1.0
         latest = (off / own)[clear][-LATEST:]
-        before, excess = self.doubt, MAD_TO_SIGMA * float(np.median(latest))
-        self.settled = excess <= DOUBTFUL
-        if before > 1.0 or excess > DOUBTFUL:
-            self.doubt = max(1.0, before * excess)
-        return self.doubt / before
+        before, excess = self.scale, MAD_TO_SIGMA * float(np.median(latest))
+        self.settled = excess <= EXCESSIVE
+        if before > 1.0 or excess > EXCESSIVE:
+            self.scale = max(1.0, before * excess)
+        return self.scale / before
 
 
-class _Turned:
+class _Heading:
     """The heading as odometry alone has it, now and shortly before."""
 
     def __init__(self) -> None:
@@ -200,7 +200,7 @@ def _scale(off: np.ndarray) -> float:
     return float(rough)
 
 
-def _off_line(
+def _second_difference(
     first: tuple[float, float], middle: tuple[float, float], last: tuple[float, float]
 ) -> float:
     """Return how far a direction is off the line through two others, in their own deviations.

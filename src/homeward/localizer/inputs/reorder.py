@@ -1,4 +1,4 @@
-"""The order in which samples come: bearings that wait for odometry, and what came too late.
+"""Reorder buffer: bearings wait for odometry that comes late; what comes too late is told.
 
 The motion up to some bearings is known once odometry of a later stamp has come. Mostly it has come
 just before, or the bearings themselves are late. Where it is odometry that is late, the bearings
@@ -20,8 +20,8 @@ SEVERAL = 10
 """Of fewer samples nobody says that most come late."""
 
 
-class Glance(NamedTuple):
-    """All sightings of one stamp."""
+class BearingFrame(NamedTuple):
+    """Bearing frame: all sightings of one stamp."""
 
     t: float
     """[s]"""
@@ -31,14 +31,14 @@ class Glance(NamedTuple):
     """Standard deviation [rad] of some of them."""
 
 
-class Arrivals:
-    """Takes note of all samples, and keeps bearings for which odometry has not come yet."""
+class ReorderBuffer:
+    """Reorder buffer: keeps bearings until their odometry has come, and counts late samples."""
 
     def __init__(self) -> None:
         self.newest = -math.inf
         """The last stamp of bearings [s]."""
-        self._waiting: deque[Glance] = deque()
-        self._patient_until = -math.inf
+        self._waiting: deque[BearingFrame] = deque()
+        self._waits_until = -math.inf
         self._came: Counter[str] = Counter()
         self._late: Counter[str] = Counter()
 
@@ -46,19 +46,19 @@ class Arrivals:
         """Take note of a twist of stamp `t` [s], and whether it was too late to be used."""
         self._count("odometry", late)
         if self.newest - LATE_S <= t < self.newest:
-            self._patient_until = t + LATELY_S
+            self._waits_until = t + LATELY_S
 
     def late_bearings(self) -> None:
         """Take note of bearings that were too late to be used."""
         self._count("bearings", True)
 
-    def bearings(self, glance: Glance) -> None:
+    def bearings(self, frame: BearingFrame) -> None:
         """Take bearings; `due` returns them."""
         self._count("bearings", False)
-        self.newest = glance.t
-        self._waiting.append(glance)
+        self.newest = frame.t
+        self._waiting.append(frame)
 
-    def due(self, felt: float, now: float) -> Iterator[Glance]:
+    def due(self, last_odometry_t: float, now: float) -> Iterator[BearingFrame]:
         """Yield the bearings that need not wait any longer, in order of time.
 
         Parameters
@@ -70,7 +70,7 @@ class Arrivals:
         """
         while self._waiting:
             t = self._waiting[0].t
-            if felt < t < self._patient_until and t >= now - LATE_S:
+            if last_odometry_t < t < self._waits_until and t >= now - LATE_S:
                 return
             yield self._waiting.popleft()
 

@@ -1,4 +1,4 @@
-"""Whether bearings and turn rates run the same way round.
+"""Sign-convention check: whether bearings and turn rates run the same way round.
 
 Where the robot turns to the left and drives forward, whatever it sees to its right goes farther to
 the right, however near it is; and the other way round. Where most of it goes the other way, the
@@ -26,8 +26,8 @@ FEW = 1.0 / 3.0
 """Where no more are right, it is no matter of noise [1]."""
 
 
-class Senses:
-    """Watches whether bearings go with the turns of the odometry.
+class SignCheck:
+    """Sign-convention check: counts whether bearings go against the turns of the odometry.
 
     Parameters
     ----------
@@ -41,13 +41,13 @@ class Senses:
         self._heading = 0.0
         self._last: dict[str, tuple[float, float, float]] = {}
         """When a landmark was seen [s], and heading and bearing then [rad]."""
-        self._right: deque[bool] = deque(maxlen=CERTAIN)
+        self._agrees: deque[bool] = deque(maxlen=CERTAIN)
         self._known = False
 
     @property
     def reversed(self) -> bool:
         """Whether most bearings go the wrong way."""
-        return len(self._right) >= ENOUGH and sum(self._right) <= FEW * len(self._right)
+        return len(self._agrees) >= ENOUGH and sum(self._agrees) <= FEW * len(self._agrees)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
@@ -67,8 +67,8 @@ class Senses:
             if abs(turn) >= LEAST_TURN or t - before[0] > LONGEST_S:
                 self._last[name] = now
                 if t - before[0] <= LONGEST_S and _tells(turn, forward, before[2], now[2]):
-                    self._right.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
-        if len(self._right) == CERTAIN and sum(self._right) > (1.0 - FEW) * CERTAIN:
+                    self._agrees.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
+        if len(self._agrees) == CERTAIN and sum(self._agrees) > (1.0 - FEW) * CERTAIN:
             self._known = True
             self._last.clear()
 

@@ -1,4 +1,4 @@
-"""A chain of poses that share other unknowns: its normal equations, and their solution.
+"""Block-tridiagonal elimination (Schur complement) of a chain of poses with shared unknowns.
 
 The Hessian is block tridiagonal in the poses and dense in the shared unknowns. The poses are
 eliminated one after the other, oldest first, which leaves what is known of the newest pose and the

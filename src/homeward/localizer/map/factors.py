@@ -1,4 +1,4 @@
-"""What odometry and sightings say about a chain of poses, linearised: their normal equations."""
+"""Odometry and bearing factors, linearised: their part of the normal equations."""
 
 from __future__ import annotations
 

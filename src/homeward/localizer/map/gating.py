@@ -1,4 +1,4 @@
-"""The gate: which sightings of a stamp fit what the map predicts."""
+"""Innovation gate and data snooping (Baarda, 1968): which sightings fit what the map predicts."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
 
 
-def judge(
+def gate_bearings(
     marginal: Marginal,
     motion: Motion,
-    fresh: bool,
+    new_keyframe: bool,
     names: list[str],
     rows: np.ndarray,
     gate: float,
 ) -> tuple[list[Innovation], Prediction]:
-    """Compare the sightings of mapped landmarks with what the map predicts after a motion.
+    """Gate the innovations: sightings of mapped landmarks against what the map predicts.
 
     Parameters
     ----------
@@ -55,17 +55,21 @@ def judge(
         Both of the mapped landmarks alone.
     """
     known = rows[:, LANDMARK] >= 0
-    prediction = marginal.predict(rows[known])
+    prediction = marginal.predict_bearings(rows[known])
     shift = motion.covariance[0, 0] + motion.covariance[1, 1]
     drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    variance = prediction.spread.diagonal() + (0.0 if fresh else drift)
+    variance = prediction.spread.diagonal() + (0.0 if new_keyframe else drift)
     widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
     if accepted.sum() >= FEWEST:
         among = prediction.only(accepted)
-        by_motion = (HEAVY_TAIL**2 - fresh) * _from_motion(marginal, motion, fresh, among)
+        by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(
+            marginal, motion, new_keyframe, among
+        )
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
-        accepted[accepted] = agreeing(among.residual, among.spread + by_motion, gate, likely)
+        accepted[accepted] = consistent_subset(
+            among.residual, among.spread + by_motion, gate, likely
+        )
     told = zip(
         [n for n, k in zip(names, known.tolist(), strict=True) if k],
         prediction.residual.tolist(),
@@ -76,10 +80,10 @@ def judge(
     return [Innovation(*each) for each in told], prediction
 
 
-def agreeing(
+def consistent_subset(
     residual: np.ndarray, spread: np.ndarray, gate: float, likely: np.ndarray
 ) -> np.ndarray:
-    """Return which residuals agree with each other.
+    """Return the largest consistent subset of residuals, by data snooping.
 
     One after the other, the one is left out that is farthest from what the others let expect
     (data snooping: Baarda, "A testing procedure for use in geodetic networks", 1968).
@@ -107,14 +111,14 @@ def agreeing(
     if native is not None:
         native.agree(m, FEWEST, gate, residual, spread, np.empty((m, m)), np.empty(m), kept)
     else:
-        _leave_out(kept, residual, spread, gate)
+        _data_snooping(kept, residual, spread, gate)
     if (~kept).sum() <= MOST_LEFT_OUT * m:
         return kept
     enough = likely.sum() >= max(FEWEST, LEAST_LIKELY * m)
     return likely if enough else np.ones(m, bool)
 
 
-def _leave_out(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate: float) -> None:
+def _data_snooping(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate: float) -> None:
     """Leave out those that do not agree with the others, in `kept`."""
     try:
         root = np.linalg.inv(np.linalg.cholesky(spread))
@@ -132,10 +136,10 @@ def _leave_out(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate:
 
 
 def _from_motion(
-    marginal: Marginal, motion: Motion, fresh: bool, prediction: Prediction
+    marginal: Marginal, motion: Motion, new_keyframe: bool, prediction: Prediction
 ) -> np.ndarray:
     """Return the covariance of residuals (m, m) that comes from a motion's noise."""
-    heading = marginal.mean[2] - (motion.delta[2] if fresh else 0.0)
+    heading = marginal.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
     c, s = math.cos(heading), math.sin(heading)
     to_map = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     off = prediction.jacobian[:, HEAD:]

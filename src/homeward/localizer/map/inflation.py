@@ -1,4 +1,4 @@
-"""What odometry's noise since the keyframe does to the sightings that hang on it."""
+"""Covariance inflation: what the odometry's noise since the keyframe adds to bearing noise."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ MOST, MOST_OF_WAY = 0.7, 0.2
 while there is no map to tell that, where the way is uncertain by more than such a share of it."""
 
 
-def blurred(
+def inflate_by_odometry(
     rows: np.ndarray, motion: Motion, stamp: int, prediction: Prediction, marginal: Marginal
 ) -> np.ndarray | None:
-    """Return the deviations of bearings, with what the way since the newest keyframe adds.
+    """Inflate the deviations of bearings by the odometry's noise since the newest keyframe.
 
     The table of sightings takes that way for exact and the sightings for independent, while the
     error of the way is in all sightings of a stamp, and goes on in the later stamps'. So the k-th

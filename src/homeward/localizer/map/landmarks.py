@@ -1,4 +1,4 @@
-"""The landmarks of the map, those that wait to enter it, and those that moved."""
+"""Landmark life cycle: candidates, mapped landmarks, and those that moved."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from heapq import nlargest
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.map.range_mixture import Glimpse, glimpse
+from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import (
     BEARING,
     KEYFRAME,
@@ -19,7 +19,7 @@ from homeward.localizer.map.sightings import (
     SIGMA,
     cameras,
     directions,
-    widen,
+    scale_noise,
 )
 from homeward.localizer.map.smoother import Window
 from homeward.localizer.map.triangulation import AGREES, SHARE, triangulate
@@ -84,8 +84,8 @@ class Landmark:
 
 
 @dataclass
-class Waiting:
-    """Sightings of a landmark that is not in the map yet, or not where it was mapped."""
+class Candidate:
+    """Candidate: sightings of a landmark that is not in the map yet, or not where it was mapped."""
 
     since: float
     """When the first of them was seen [s]."""
@@ -110,9 +110,9 @@ class Landmarks:
         """Where landmarks stood that moved during the drive."""
         self.moved_at: dict[str, float] = {}
         """When they moved [s]."""
-        self.glimpsed: dict[str, Glimpse] = {}
+        self.range_mixtures: dict[str, RangeMixture] = {}
         """Rays on which landmarks stand that have no place in the map."""
-        self._waiting: dict[str, Waiting] = {}
+        self._candidates: dict[str, Candidate] = {}
 
     def seen_from(self, home: Collection[str]) -> list[str]:
         """Return the landmarks that home saw and the map has or had, in the order they came."""
@@ -129,25 +129,25 @@ class Landmarks:
         for name, row, line in zip(names, rows, lines, strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
-                self._waiting.setdefault(name, Waiting(t)).rows.append(row)
+                self._candidates.setdefault(name, Candidate(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
                 landmark.last = window.newest
                 if not landmark.refused:
-                    self._waiting.pop(name, None)
+                    self._candidates.pop(name, None)
         window.add_sightings(rows[rows[:, LANDMARK] >= 0])
 
-    def doubt(self, t: float, name: str, row: np.ndarray) -> None:
+    def set_aside(self, t: float, name: str, row: np.ndarray) -> None:
         """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
-        self._waiting.setdefault(name, Waiting(t)).rows.append(row)
+        self._candidates.setdefault(name, Candidate(t)).rows.append(row)
 
-    def widen(self, factor: float) -> None:
+    def scale_noise(self, factor: float) -> None:
         """Let the own deviations of sightings put aside be so many times as large."""
-        for waiting in self._waiting.values():
+        for waiting in self._candidates.values():
             for row in waiting.rows:
-                widen(row[None], factor)
+                scale_noise(row[None], factor)
 
-    def start(self, window: Window, covariance: np.ndarray) -> bool:
+    def initialise(self, window: Window, covariance: np.ndarray) -> bool:
         """Let the landmarks enter whose sight lines agree by now; return whether any did.
 
         Those seen most are tried first: where new ones come faster than they can be tried, many
@@ -160,30 +160,30 @@ class Landmarks:
         covariance : ndarray, shape (3, 3)
             Of the newest pose.
         """
-        waiting = [n for n in self._waiting if n not in self.mapped and self._is_due(n)]
-        due = nlargest(MOST_STARTS, waiting, key=lambda name: len(self._waiting[name].rows))
-        started = [name for name in due if self._start(window, name)]
+        waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
+        due = nlargest(MOST_STARTS, waiting, key=lambda name: len(self._candidates[name].rows))
+        started = [name for name in due if self._initialise(window, name)]
         for name in due:
             if name in started:
-                self.glimpsed.pop(name, None)
+                self.range_mixtures.pop(name, None)
             else:
-                self._glimpse(window, name, covariance)
+                self._fit_range_mixture(window, name, covariance)
         return bool(started)
 
     def _is_due(self, name: str) -> bool:
         """Return whether what is put aside of a landmark is worth a try."""
-        waiting = self._waiting.get(name)
+        waiting = self._candidates.get(name)
         return waiting is not None and len(waiting.rows) >= waiting.due
 
-    def _start(self, window: Window, name: str) -> bool:
+    def _initialise(self, window: Window, name: str) -> bool:
         """Let one landmark enter if its sight lines agree, even if it is mapped elsewhere."""
-        waiting = self._waiting.pop(name)
+        waiting = self._candidates.pop(name)
         rows = np.array(waiting.rows)
         found = self._triangulate(window, rows)
         known = name in self.mapped
         if found is None or (known and not self._has_moved(window, name, rows[found[1]], found[0])):
             waiting.due = MORE * len(rows)
-            self._waiting[name] = waiting  # behind the others
+            self._candidates[name] = waiting  # behind the others
             return False
         position, agree = found
         if known and self._was_there(window, name, position):
@@ -200,15 +200,15 @@ class Landmarks:
             self.mapped[name].seen_along(line)
         return True
 
-    def _glimpse(self, window: Window, name: str, covariance: np.ndarray) -> None:
+    def _fit_range_mixture(self, window: Window, name: str, covariance: np.ndarray) -> None:
         """Keep on what ray a landmark without a place stands, if its sight lines agree on one."""
-        rows = np.array(self._waiting[name].rows)
+        rows = np.array(self._candidates[name].rows)
         eyes = cameras(rows, window.poses_of(rows), window.calibration)
         mapped = np.hypot(*(window.positions - eyes[-1, :2]).T)
         scale = float(np.median(mapped)) if mapped.size else math.nan
-        seen = glimpse(eyes, rows[:, BEARING], _line_sigmas(window, rows), covariance, scale)
+        seen = range_mixture(eyes, rows[:, BEARING], _line_sigmas(window, rows), covariance, scale)
         if seen is not None:
-            self.glimpsed[name] = seen
+            self.range_mixtures[name] = seen
 
     def _triangulate(
         self, window: Window, rows: np.ndarray
@@ -247,7 +247,7 @@ class Landmarks:
             landmark.refused = min(max(refused, 0), 5 * REFUSED)
         return [name for name in fits if self.mapped[name].refused >= REFUSED]
 
-    def restart(self, window: Window, names: list[str]) -> bool:
+    def reinitialise(self, window: Window, names: list[str]) -> bool:
         """Let landmarks start anew that are found not to be where they were; tell if any did.
 
         One that was established has moved, where its sightings since agree on another place. They
@@ -256,13 +256,13 @@ class Landmarks:
         started = False
         for name in names:
             if self.mapped[name].established and name not in self.former:
-                started |= self._is_due(name) and self._start(window, name)
+                started |= self._is_due(name) and self._initialise(window, name)
             else:
                 self._drop(window, name)
                 started = True
         return started
 
-    def go_back(self, window: Window, keyframe: int) -> None:
+    def revert_to(self, window: Window, keyframe: int) -> None:
         """Drop what entered after a keyframe; what is said to have moved since did not."""
         for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
             self._drop(window, name)
@@ -270,8 +270,8 @@ class Landmarks:
             self.mapped[name] = self.former.pop(name)
             self.mapped[name].refused = 0
             del self.moved_at[name]
-        self._waiting.clear()
-        self.glimpsed.clear()
+        self._candidates.clear()
+        self.range_mixtures.clear()
 
     def drop_misfits(self, window: Window) -> int:
         """Take landmarks out on which the sightings do not agree; return how many."""
@@ -306,14 +306,14 @@ class Landmarks:
         needed = rows[young[rows[:, LANDMARK].astype(int)], KEYFRAME]
         return int(needed.min()) if needed.size else window.newest
 
-    def forget(self, first: int) -> None:
+    def drop_rows_before(self, first: int) -> None:
         """Lose the sightings of waiting landmarks from before keyframe `first`."""
-        for name, waiting in list(self._waiting.items()):
+        for name, waiting in list(self._candidates.items()):
             while waiting.rows and waiting.rows[0][KEYFRAME] < first:
                 waiting.rows.popleft()
             waiting.due = min(waiting.due, MORE * len(waiting.rows) + 1)
             if not waiting.rows:
-                del self._waiting[name]
+                del self._candidates[name]
 
 
 def _off(window: Window, rows: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Landmarks that were seen, but not from enough sides to have a place: somewhere along a ray.
+"""Range mixture along a ray, for landmarks whose initialisation is still delayed.
+
+A sum of Gaussians in range, as of Sola et al. (2005); Civera et al. (2008) use inverse depth.
 
 A robot that drives straight at a landmark never learns how far it is, and yet knows where it would
 stand: home sees that ray under some directions and not under others, which may be enough to tell
@@ -26,8 +28,8 @@ STEPS = 2
 
 
 @dataclass(frozen=True)
-class Glimpse:
-    """Where a landmark may stand: k Gaussians along a ray, in the odometry frame."""
+class RangeMixture:
+    """Range mixture: k Gaussians along a ray, in the odometry frame."""
 
     places: np.ndarray
     """(k, 2) [m]"""
@@ -37,13 +39,13 @@ class Glimpse:
     """(k,), sum to one."""
 
 
-def glimpse(
+def range_mixture(
     cameras: np.ndarray,
     bearings: np.ndarray,
     sigmas: np.ndarray,
     covariance: np.ndarray,
     scale: float,
-) -> Glimpse | None:
+) -> RangeMixture | None:
     """Return where a landmark may stand; None when its sight lines do not agree on a ray.
 
     Parameters
@@ -76,7 +78,7 @@ def glimpse(
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     swing = np.median(sigmas) ** 2 + covariance[2, 2]
     apart = (0.5 * math.log(ratio)) ** 2
-    return Glimpse(
+    return RangeMixture(
         places=cameras[-1, :2] + distances[:, None] * along,
         covariances=covariance[:2, :2]
         + apart * _squared(distances[:, None] * along)

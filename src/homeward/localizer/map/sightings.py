@@ -1,4 +1,4 @@
-"""The table of sightings: what was seen from which keyframe, and what a map expects instead."""
+"""Bearing measurements: the table of sightings by keyframe, and the measurement model."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ deviation [rad] with and without what the way from the keyframe adds, the camera
 keyframe's, and its derivative by the calibration."""
 
 
-class Look(NamedTuple):
-    """What the camera saw at one stamp."""
+class WeighedFrame(NamedTuple):
+    """Weighed frame: what the camera saw at one stamp, each bearing with its noise."""
 
     t: float
     """[s]"""
@@ -40,7 +40,7 @@ class Look(NamedTuple):
 
 
 def sighting_rows(
-    keyframe: int, look: Look, motion: Motion, mount: np.ndarray, calibration: np.ndarray
+    keyframe: int, frame: WeighedFrame, motion: Motion, mount: np.ndarray, calibration: np.ndarray
 ) -> np.ndarray:
     """Return rows of the table for the sightings of one stamp, their landmarks still open (-1).
 
@@ -71,15 +71,15 @@ def sighting_rows(
     jacobian[2, CAMERA_YAW] += 1.0
     jacobian[:2, CAMERA_X : CAMERA_Y + 1] += [[c, -s], [s, c]]
     offset = np.array([x + swung_x, y + swung_y, turn + mount[2] + calibration[CAMERA_YAW]])
-    rows = np.empty((len(look.names), COLUMNS))
+    rows = np.empty((len(frame.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
-    rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = look.bearings, look.sigmas, look.sigmas
+    rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
     rows[:, OFFSET] = offset - jacobian @ calibration
     rows[:, OFFSET_JACOBIAN] = jacobian.ravel()
     return rows
 
 
-def widen(rows: np.ndarray, factor: float) -> None:
+def scale_noise(rows: np.ndarray, factor: float) -> None:
     """Let the bearings' own deviations be so many times as large, in rows (m, COLUMNS)."""
     added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
     rows[:, OWN] *= factor

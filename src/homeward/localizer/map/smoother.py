@@ -1,6 +1,6 @@
-"""The map: the last keyframes, the calibration and the landmarks, in the odometry frame.
+"""Fixed-lag smoother: the last keyframes, the calibration and the landmarks, in the odometry frame.
 
-A fixed-lag smoother. The poses of the last keyframes stay open to correction; when some leave, what
+The poses of the last keyframes stay open to correction; when some leave, what
 they say is kept as a Gaussian on the pose after them, the calibration and the landmarks (a Schur
 complement). Calibration and landmarks are shared by all poses; see `chain` for the algebra.
 
@@ -22,7 +22,7 @@ from homeward.localizer.map.sightings import (
     LANDMARK,
     NC,
     bearing_residuals,
-    widen,
+    scale_noise,
     without_landmark,
 )
 from homeward.localizer.map.state import HEAD, Marginal
@@ -142,10 +142,10 @@ class Window:
         """Add rows of the table of sightings, shape (m, COLUMNS), of open keyframes."""
         self.sightings = np.concatenate([self.sightings, rows])
 
-    def widen(self, factor: float) -> None:
+    def scale_noise(self, factor: float) -> None:
         """Let the bearings' own deviations be so many times as large, of all that are open."""
         for rows in (self.sightings, *(rows for _, _, rows, _ in self._closed or [])):
-            widen(rows, factor)
+            scale_noise(rows, factor)
 
     def drop_landmark(self, number: int) -> None:
         """Take a landmark out; those after it move up by one number."""
@@ -201,8 +201,8 @@ class Window:
             found.append(Marginal(np.concatenate([pose, shared]), joint))
         return found
 
-    def forget(self, count: int) -> None:
-        """Close the oldest `count` poses, keeping what they say about everything else."""
+    def marginalise(self, count: int) -> None:
+        """Marginalise the oldest `count` poses: what they say about everything else is kept."""
         old = self.sightings[:, KEYFRAME] < self.first + count
         rows = self.sightings[old]
         left = chain.eliminate(self._normal_equations(count + 1, rows))

@@ -1,4 +1,4 @@
-"""What is known of the newest pose and the map, as one Gaussian, and its cheapest corrections.
+"""Filter state: one Gaussian on the newest pose and the map, propagated and updated (EKF).
 
 Between two solutions of the whole window the Gaussian is moved on and corrected by itself, as in a
 Kalman filter; the window keeps the sightings, and its next solution replaces the Gaussian.
@@ -75,8 +75,8 @@ class Marginal:
         """(n,), of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
 
-    def after(self, motion: Motion, calibration: np.ndarray) -> Marginal:
-        """Return it with the newest pose moved on by a motion, linearised at a calibration (7,)."""
+    def propagate(self, motion: Motion, calibration: np.ndarray) -> Marginal:
+        """Propagate: move the newest pose on by a motion, linearised at a calibration (7,)."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         native = compiled()
         if native is not None:
@@ -99,8 +99,8 @@ class Marginal:
         covariance[:3, :3] += rotation @ motion.covariance @ rotation.T
         return Marginal(mean, covariance)
 
-    def predict(self, rows: np.ndarray) -> Prediction:
-        """Return what sightings from the newest pose tell against it.
+    def predict_bearings(self, rows: np.ndarray) -> Prediction:
+        """Predict bearings from the newest pose: innovations and their covariance.
 
         Parameters
         ----------
@@ -131,8 +131,8 @@ class Marginal:
         spread.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
         return Prediction(residual, jacobian, correlated, spread)
 
-    def corrected(self, seen: Prediction) -> Marginal:
-        """Return it corrected by sightings from the newest pose, those far off at less weight.
+    def update(self, seen: Prediction) -> Marginal:
+        """Update: return it corrected by sightings, those far off at less weight.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The start of a landmark: a position from sight lines of which some may be wrong."""
+"""Robust triangulation: a landmark's position from sight lines of which some may be wrong."""
 
 from __future__ import annotations
 

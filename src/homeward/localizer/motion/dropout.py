@@ -1,4 +1,4 @@
-"""Odometry that is silent: how far the robot may have gone meanwhile.
+"""Odometry dropout: an Ornstein-Uhlenbeck velocity as motion prior (Uhlenbeck and Ornstein, 1930).
 
 Nobody knows where to, but hardly faster than usual. So its velocity is a random one of that size
 that is forgotten in `SPEED_LASTS_S` (a process of Ornstein and Uhlenbeck): the shift grows with the
@@ -18,8 +18,8 @@ LATELY_S = 60.0
 """What is usual is the mean over so much time of moving, which one wild twist spoils little [s]."""
 
 
-class Pace:
-    """How fast the robot usually is while it moves, and so how far it may go unnoticed."""
+class MotionPrior:
+    """Motion prior: how fast the robot usually is, and so how far it may go during a dropout."""
 
     def __init__(self) -> None:
         self._moving, self._path, self._turned = 0.0, 0.0, 0.0
@@ -31,7 +31,7 @@ class Pace:
         self._path = keep * self._path + path
         self._turned = keep * self._turned + turned
 
-    def unknown(self, silent: float, time: float) -> tuple[float, float]:
+    def variance_growth(self, silent: float, time: float) -> tuple[float, float]:
         """Return by what variances shift [m^2] and turn [rad^2] grow while odometry is silent.
 
         Parameters

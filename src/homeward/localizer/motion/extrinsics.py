@@ -1,4 +1,4 @@
-"""Where the camera sits on the robot, if nobody told: at the centre, until the bearings deny it.
+"""Camera extrinsics on the robot: at the centre if nobody told, until the bearings deny it.
 
 Where a robot turns and drives on, bearings and odometry tell where its camera sits; where it hardly
 turns they tell nothing, and to leave it open there costs much. So it is taken to sit at the centre,
@@ -28,8 +28,8 @@ ANYWHERE = np.array([0.3, 0.3, 0.3])
 """Then it may be anywhere; standard deviations [rad, m, m]."""
 
 
-class Mounting:
-    """What is believed of the camera's yaw, x and y on the robot beforehand.
+class Extrinsics:
+    """Extrinsics prior: of the camera's yaw, x and y on the robot.
 
     Parameters
     ----------

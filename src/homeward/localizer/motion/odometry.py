@@ -1,4 +1,4 @@
-"""Odometry: twists as they come, and the motion since the newest keyframe."""
+"""Odometry: the history of twists, and the preintegrated motion since the newest keyframe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
-from homeward.localizer.motion.dropout import Pace
+from homeward.localizer.motion.dropout import MotionPrior
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, integrate
 from homeward.localizer.settings import LocalizerSettings
 
@@ -55,7 +55,7 @@ class _Done(NamedTuple):
     t: float
     motion: Motion
     path_by_bend: np.ndarray
-    pace: Pace
+    motion_prior: MotionPrior
 
 
 class Odometry:
@@ -70,12 +70,12 @@ class Odometry:
     def __init__(self, rates: np.ndarray) -> None:
         self._rates = rates
         self._twists: deque[tuple[float, float, float]] = deque()
-        self._motion = Motion.none()
+        self._motion = Motion.identity()
         self._done = -math.inf
         self._path_by_bend = np.zeros(BENDS)
         self._path_by_bend[0] = STRAIGHT_BEFORE_M
         self._straightest = 0.0
-        self._pace = Pace()
+        self._motion_prior = MotionPrior()
         self._before: deque[_Done] = deque()
 
     def add(self, t: float, v: float, omega: float) -> None:
@@ -91,7 +91,7 @@ class Odometry:
 
     def restart(self, t: float) -> None:
         """Let the motion begin anew at `t` [s]: there is a keyframe now."""
-        self._motion, self._done = Motion.none(), t
+        self._motion, self._done = Motion.identity(), t
         self._before.clear()
         share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
         straight = int((share >= STRAIGHTEST).argmax())
@@ -110,7 +110,9 @@ class Odometry:
         if t <= self._done:
             return self._motion
         pieces = self._pieces(self._done, t, calibration)
-        return self._motion.then(integrate(pieces, calibration, self._rates, self._straightest)[0])
+        return self._motion.compose(
+            integrate(pieces, calibration, self._rates, self._straightest)[0]
+        )
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion up to `t` [s], and be done with it: nothing earlier is to come."""
@@ -121,18 +123,18 @@ class Odometry:
 
     def run_ahead(self, t: float, calibration: np.ndarray) -> None:
         """Integrate up to `t` [s]; what comes up to `LATE_S` late is still taken."""
-        done = self._path_by_bend.copy(), copy.copy(self._pace)
+        done = self._path_by_bend.copy(), copy.copy(self._motion_prior)
         self._before.append(_Done(self._done, self._motion, *done))
         while len(self._before) > 1 and self._before[1].t <= t - LATE_S:
             self._before.popleft()
         self._integrate(t, calibration)
 
-    def reaches(self, t: float) -> bool:
+    def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can be taken: no motion up to a later one was used."""
         return t >= (self._before[0].t if self._before else self._done)
 
     @property
-    def any(self) -> bool:
+    def has_twists(self) -> bool:
         """Whether there was a twist at all."""
         return bool(self._twists)
 
@@ -152,15 +154,15 @@ class Odometry:
             return
         pieces = self._pieces(self._done, t, calibration)
         motion, path = integrate(pieces, calibration, self._rates, self._straightest)
-        self._motion, self._done = self._motion.then(motion), t
+        self._motion, self._done = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
-        self._pace.count(_time_moving(pieces), motion.path, motion.turned)
+        self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
         self._forget((self._before[0].t if self._before else t) - 2.0 * LONGEST_LAG)
 
     def _go_back(self, t: float) -> None:
         """Undo what ran ahead of `t` [s]."""
         while self._before and t < self._done:
-            self._done, self._motion, self._path_by_bend, self._pace = self._before.pop()
+            self._done, self._motion, self._path_by_bend, self._motion_prior = self._before.pop()
 
     def _forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""
@@ -189,7 +191,11 @@ class Odometry:
 
     def _unknown(self, silent: float, begin: float, end: float) -> tuple[float, float]:
         """Return what the variances grow by from `begin` to `end` [s], of a silence since then."""
-        return self._pace.unknown(begin - silent, end - begin) if end > begin else (0.0, 0.0)
+        return (
+            self._motion_prior.variance_growth(begin - silent, end - begin)
+            if end > begin
+            else (0.0, 0.0)
+        )
 
 
 def _time_moving(pieces: np.ndarray) -> float:

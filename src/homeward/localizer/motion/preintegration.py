@@ -1,4 +1,4 @@
-"""Preintegration: twists as one motion, with what is unknown of the odometry.
+"""Preintegration of odometry (Lupton and Sukkarieh, 2012): twists as one motion, with its Jacobian.
 
 The unknowns are one vector, constant or nearly so (`CALIBRATION`): the true turn rate is
 ``(1 + turn_scale) omega + turn_bias`` while the robot moves, the true speed is less in bends than
@@ -32,7 +32,7 @@ BEND, BENDS = 0.125, 33
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion in the frame of its own start, linear in the calibration around `at`."""
+    """Preintegrated motion in the frame of its start, linear in the calibration."""
 
     delta: np.ndarray
     """(3,): x [m], y [m], heading [rad], the heading not wrapped."""
@@ -47,13 +47,13 @@ class Motion:
 
     @staticmethod
     @cache
-    def none() -> Motion:
-        """Return the motion that is none."""
+    def identity() -> Motion:
+        """Return the identity: no motion."""
         return Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
 
-    def then(self, later: Motion) -> Motion:
-        """Return this motion followed by another."""
-        if self is Motion.none():
+    def compose(self, later: Motion) -> Motion:
+        """Return the composition: this motion, then another."""
+        if self is Motion.identity():
             return later
         c, s = math.cos(self.delta[2]), math.sin(self.delta[2])
         x, y, turn = later.delta.tolist()
@@ -68,8 +68,8 @@ class Motion:
             self.turned + later.turned,
         )
 
-    def back(self) -> Motion:
-        """Return the motion back to the start, taken for exact and known."""
+    def inverse(self) -> Motion:
+        """Return the inverse motion, taken for exact and known."""
         x, y, turn = self.delta.tolist()
         c, s = math.cos(turn), math.sin(turn)
         delta = np.array([-c * x - s * y, s * x - c * y, -turn])

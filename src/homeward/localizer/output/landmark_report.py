@@ -13,7 +13,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.estimator import LandmarkEstimate
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.range_mixture import Glimpse
+from homeward.localizer.map.range_mixture import RangeMixture
 from homeward.localizer.map.state import Marginal
 from homeward.naming import natural
 
@@ -90,12 +90,12 @@ class Inventory:
             found |= zip(others, wrong.tolist(), strict=True)
         return found
 
-    def _where(self, name: str) -> Glimpse | None:
+    def _where(self, name: str) -> RangeMixture | None:
         """Return where a landmark may stand; None where nothing is known of that."""
         if name not in self.known.mapped:
-            return self.known.glimpsed.get(name)
+            return self.known.range_mixtures.get(name)
         number = np.array([self.known.mapped[name].number])
-        return Glimpse(*self.marginal.places(number), np.ones(1))
+        return RangeMixture(*self.marginal.places(number), np.ones(1))
 
     def _from_home(self) -> dict[str, tuple[float, float, float]]:
         """Return where landmarks stand in the home frame [m], and the deviation of the distance."""

@@ -29,7 +29,7 @@ class Answer:
     covariance: np.ndarray
     """(3, 3), of x [m], y [m] and heading [rad]."""
 
-    def after(self, delta: np.ndarray, drift: np.ndarray) -> Answer:
+    def propagate(self, delta: np.ndarray, drift: np.ndarray) -> Answer:
         """Return it after a motion.
 
         Parameters

@@ -47,7 +47,7 @@ def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collectio
     """
     if len(home) < FEWEST:
         return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
-    if not mapper.feels:
+    if not mapper.has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
     mapped = mapper.landmarks.mapped
     if not mapped:
@@ -144,7 +144,7 @@ class Standing:
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, NOT_FIXED, None, None, innovations)
-        answer = self._answer if moved is None else self._answer.after(*moved)
+        answer = self._answer if moved is None else self._answer.propagate(*moved)
         answer = answer.with_mount(self.mount_spread).with_scale(self._speed_scale)
         status, reason = self._status(answer, self._best, coasting)
         return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)

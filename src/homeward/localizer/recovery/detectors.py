@@ -48,12 +48,12 @@ class RelocalisationBuffer:
     """
 
     def __init__(self, begin: Motion | None = None) -> None:
-        self._to_newest = Motion.none() if begin is None else begin.back()
+        self._to_newest = Motion.identity() if begin is None else begin.inverse()
         self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=RECENT)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, from that since the newest keyframe."""
-        return self._to_newest.then(motion)
+        return self._to_newest.compose(motion)
 
     def add_keyframe(self, motion: Motion) -> None:
         """Let there be another keyframe, reached by a motion."""
@@ -215,5 +215,5 @@ def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Mo
     The landmarks' errors are in that pose too, so its covariance is doubled.
     """
     nothing = np.zeros((3, NC))
-    back = Motion(last, np.zeros((3, 3)), nothing).back()
-    return back.then(Motion(pose, 2.0 * covariance, nothing))
+    back = Motion(last, np.zeros((3, 3)), nothing).inverse()
+    return back.compose(Motion(pose, 2.0 * covariance, nothing))
