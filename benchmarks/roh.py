@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.mrclam import data
 from homeward.angles import wrap
 from homeward.localizer.home.hypotheses import Hypotheses, search
-from homeward.localizer.home.problem import HEAD, HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.output.pose import centre
 from homeward.localizer.settings import LocalizerSettings
 
@@ -52,11 +52,11 @@ def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.n
         Of innovation^2 / variance; 0.455 if sigma is right.
     """
     q = len(beacons)
-    size = HEAD + 2 * q
+    size = POSE_AND_YAW + 2 * q
     found, squares = np.full((len(bearings), 2), np.nan), []
     for k, seen in enumerate(bearings):
         problem = HomeProblem(
-            mean=np.concatenate([np.zeros(HEAD), beacons.ravel()]),
+            mean=np.concatenate([np.zeros(POSE_AND_YAW), beacons.ravel()]),
             covariance=np.zeros((size, size)),
             bearings=seen,
             sigmas=np.full(q, sigma),
@@ -75,7 +75,7 @@ def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.n
 def middle_home(hypotheses: Hypotheses) -> np.ndarray:
     """Return where home is under all hypotheses, as the localiser answers, shape (2,) [m]."""
     homes = np.array([fit.home for fit in hypotheses.fits])
-    spreads = np.array([fit.spread for fit in hypotheses.fits])
+    spreads = np.array([fit.covariance for fit in hypotheses.fits])
     off, weights = homes - homes[0], hypotheses.weights
     off[:, 2] = wrap(off[:, 2])
     middle = homes[0] + centre(off, weights, np.tensordot(weights, spreads, axes=1))

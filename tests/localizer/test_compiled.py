@@ -10,13 +10,12 @@ from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.engine.native.program import Array
 from homeward.localizer.compiled import compiled
-from homeward.localizer.home import gauss_newton as fitting
+from homeward.localizer.home import gauss_newton
 from homeward.localizer.home.gauss_newton import fit, solved
 from homeward.localizer.home.linearisation import linearised
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map import elimination as chain
-from homeward.localizer.map import sightings
+from homeward.localizer.map import elimination, sightings
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.map.gating import consistent_subset
 from homeward.localizer.map.sightings import COLUMNS, LANDMARK, NC, SIGMA, bearing_residuals
@@ -45,7 +44,7 @@ def a_map(rng, w=9, n=6, m=70, first=4):
 
 
 def equations(poses, calibration, positions, rows, steps, first):
-    e = chain.NormalEquations.zeros(len(poses), NC + positions.size)
+    e = elimination.NormalEquations.zeros(len(poses), NC + positions.size)
     e.own[:] = e.own + np.eye(3)
     e.common[:] = np.eye(len(e.common))
     add_odometry(e, poses, calibration, steps)
@@ -61,18 +60,18 @@ def test_normal_equations_and_their_solution(both, w):
         assert np.allclose(
             getattr(native, field), theirs, rtol=1e-10, atol=1e-9 * np.abs(theirs).max(initial=0.0)
         ), field
-    for part, other in zip(*both(chain.solve, plain), strict=True):
+    for part, other in zip(*both(elimination.solve, plain), strict=True):
         assert np.allclose(part, other, rtol=1e-8, atol=1e-10)
 
 
 def test_a_pose_that_nothing_fixes_is_an_error_both_ways(monkeypatch):
-    e = chain.NormalEquations.zeros(3, 5)
+    e = elimination.NormalEquations.zeros(3, 5)
     e.common[:] = np.eye(5)
     with pytest.raises(np.linalg.LinAlgError):
-        chain.solve(e)
-    monkeypatch.setattr(chain, "compiled", lambda: None)
+        elimination.solve(e)
+    monkeypatch.setattr(elimination, "compiled", lambda: None)
     with pytest.raises(np.linalg.LinAlgError):
-        chain.solve(e)
+        elimination.solve(e)
 
 
 def test_residuals_and_their_derivatives(both):
@@ -121,7 +120,7 @@ def test_a_landmark_that_is_not_there_is_an_error(number):
         gaussian.predict_bearings(rows)
     poses, calibration, positions, rows, _, first = a_map(np.random.default_rng(4))
     rows[3, LANDMARK] = number + 1.0 if number > 0 else number
-    e = chain.NormalEquations.zeros(len(poses), NC + positions.size)
+    e = elimination.NormalEquations.zeros(len(poses), NC + positions.size)
     with pytest.raises(IndexError):
         add_sightings(e, poses, calibration, positions, rows, first)
     with pytest.raises(IndexError):
@@ -163,32 +162,32 @@ def test_home_is_solved_for(both, prior):
     around = both(linearised, problem, np.array([0.1, 0.1, -0.2]), problem.mean)
     assert np.allclose(around[0].correlated, around[1].correlated)
     assert np.allclose(around[0].spread, around[1].spread)
-    for right in (np.ones(6, bool), np.array([1, 0, 1, 1, 0, 1], bool)):
-        native, plain = both(solved, around[0], right)
-        for field in ("step", "precision", "information", "log_volume", "home", "covariance"):
+    for inliers in (np.ones(6, bool), np.array([1, 0, 1, 1, 0, 1], bool)):
+        native, plain = both(solved, around[0], inliers)
+        for field in ("step", "precision", "information", "log_volume", "home", "joint_covariance"):
             assert np.allclose(getattr(native, field), getattr(plain, field)), field
-        for field in ("innovation", "variance", "odds", "evidence"):
-            ours, theirs = (getattr(v, field) for v in both(lambda f: replace(f).verdict, native))
+        for field in ("innovation", "variance", "odds", "log_evidence"):
+            ours, theirs = (getattr(v, field) for v in both(lambda f: replace(f).evidence, native))
             assert np.allclose(ours, theirs), field
-        assert np.allclose(*both(lambda f: replace(f).doubt, native), rtol=1e-8)
+        assert np.allclose(*both(lambda f: replace(f).inflation, native), rtol=1e-8)
         ours, theirs = both(in_home_frame, native)
         assert np.allclose(ours.pose, theirs.pose)
         assert np.allclose(ours.covariance, theirs.covariance)
-        inside = native.precision[right][:, right]
-        assert np.allclose(inside @ around[0].spread[right][:, right], np.eye(right.sum()))
-        assert not native.precision[~right].any()
+        inside = native.precision[inliers][:, inliers]
+        assert np.allclose(inside @ around[0].spread[inliers][:, inliers], np.eye(inliers.sum()))
+        assert not native.precision[~inliers].any()
 
 
 @pytest.mark.parametrize("steps", [1, 3, 20])
 @pytest.mark.parametrize("prior", [None, np.array([0.1, -0.1, 0.2])])
 def test_home_is_iterated_to(both, prior, steps):
     problem = a_home(np.random.default_rng(6), prior=prior)
-    right = np.array([1, 1, 1, 0, 1, 1], bool)
-    native, plain = both(fit, problem, np.array([0.4, -0.3, 0.3]), right, steps)
-    for field in ("home", "step", "known", "information", "evidence", "covariance"):
+    inliers = np.array([1, 1, 1, 0, 1, 1], bool)
+    native, plain = both(fit, problem, np.array([0.4, -0.3, 0.3]), inliers, steps)
+    for field in ("home", "step", "known", "information", "log_evidence", "joint_covariance"):
         assert np.allclose(getattr(native, field), getattr(plain, field)), field
     if steps == 20:
-        assert problem.length(native.step) < fitting.SETTLED
+        assert problem.length(native.step) < gauss_newton.SETTLED
     assert both(fit, problem, np.zeros(3), np.zeros(6, bool))[0] is None or prior is not None
 
 

@@ -11,11 +11,11 @@ from homeward.angles import wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, bearing
 from homeward.localizer.home.gauss_newton import fit
-from homeward.localizer.home.hypotheses import Hypotheses, follow, search
+from homeward.localizer.home.hypotheses import Hypotheses, search, update
 from homeward.localizer.home.linearisation import expected
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.output.pose import unchecked
-from homeward.localizer.output.status import Standing
+from homeward.localizer.output.pose import uncheckable_outliers
+from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
 
 NEAR, FAR = Pose(0.5, 0.6, -0.4), Pose(-18.0, -4.0, 0.2)
@@ -46,10 +46,10 @@ def test_two_homes_far_apart_stay_where_they_are_when_the_map_changes(seed):
     known, near = divided(seed=seed)
     fits = fit(known, np.array(FAR), ~near, 20), fit(known, np.array(NEAR), near, 20)
     changed = replace(known, mean=known.mean + 0.01 * np.sin(np.arange(known.mean.size)))
-    followed = follow(changed, Hypotheses(fits, np.array([0.6, 0.4])))
-    homes = {f.right.tobytes(): f.home for f in followed.fits}
-    for home, right in ((NEAR, near), (FAR, ~near)):
-        off = homes[right.tobytes()] - np.array(home)
+    followed = update(changed, Hypotheses(fits, np.array([0.6, 0.4])))
+    homes = {f.inliers.tobytes(): f.home for f in followed.fits}
+    for home, inliers in ((NEAR, near), (FAR, ~near)):
+        off = homes[inliers.tobytes()] - np.array(home)
         assert np.hypot(*off[:2]) < 2.0
 
 
@@ -68,7 +68,7 @@ def test_of_two_homes_that_explain_as_much_the_far_one_is_less_probable():
 def test_the_unit_of_length_does_not_matter(times):
     for known in (problem({1: 0.06, 4: -0.05})[1], problem({2: 0.4}, seed=3)[1]):
         one, other = search(known), search(scaled(known, times))
-        assert [f.right.tobytes() for f in one.fits] == [f.right.tobytes() for f in other.fits]
+        assert [f.inliers.tobytes() for f in one.fits] == [f.inliers.tobytes() for f in other.fits]
         assert other.weights == pytest.approx(one.weights, rel=1e-3)
         assert other.best.home[:2] == pytest.approx(times * one.best.home[:2], rel=1e-3)
 
@@ -84,11 +84,13 @@ def test_a_step_that_was_cut_short_is_not_rest():
 def test_doubt_is_a_covariance_where_next_to_nothing_is_known_too():
     for seed in range(20):
         known, near = divided(sigma=10.0, seed=seed)
-        for right in (near, ~near):
-            found = fit(known, np.array(NEAR), right, 1)
-            assert np.linalg.eigvalsh(found.doubt)[0] > -1e-9 * np.trace(found.doubt) - 1e-12
-            crisp = replace(found, information=1e6 * np.eye(3), known_doubt=found.doubt)
-            assert (np.linalg.eigvalsh(crisp.spread) > 0.0).all()
+        for inliers in (near, ~near):
+            found = fit(known, np.array(NEAR), inliers, 1)
+            assert (
+                np.linalg.eigvalsh(found.inflation)[0] > -1e-9 * np.trace(found.inflation) - 1e-12
+            )
+            crisp = replace(found, information=1e6 * np.eye(3), known_inflation=found.inflation)
+            assert (np.linalg.eigvalsh(crisp.covariance) > 0.0).all()
 
 
 def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
@@ -102,23 +104,23 @@ def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
     four = np.arange(6) < 4
     lone = fit(vague, np.zeros(3), four)
     assert not lone.checked.all()  # without the first one, three are left
-    assert unchecked(lone, lone.checked) is not None
-    assert unchecked(loose, np.ones(6, bool)) is None
+    assert uncheckable_outliers(lone, lone.checked) is not None
+    assert uncheckable_outliers(loose, np.ones(6, bool)) is None
     three = fit(known, np.zeros(3), np.arange(6) < 3)
     assert not three.checked.any()
-    assert math.sqrt(unchecked(three, three.checked)[0, 0]) > 0.05
+    assert math.sqrt(uncheckable_outliers(three, three.checked)[0, 0]) > 0.05
 
 
 def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_something_of_it():
     _, known = problem({}, q=6)
-    right = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
-    standing = Standing(LocalizerSettings(), OdometryNoise())
-    standing.take(Hypotheses((fit(known, np.zeros(3), right),), np.ones(1)), firm=True)
-    assert standing.fixed
+    inliers = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
+    integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+    integrity.update(Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), firm=True)
+    assert integrity.fixed
     away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]
     close = known.mean + 8.0 * away  # the same landmarks, all on one side
     home = np.array([0.2, -0.1, 0.7])
     stored = expected(known, home, close[4:].reshape(-1, 2), 0.0)[0]
     narrow = replace(known, mean=close, bearings=wrap(stored))
-    standing.take(Hypotheses((fit(narrow, home, right, 30),), np.ones(1)), firm=True)
-    assert not standing.fixed
+    integrity.update(Hypotheses((fit(narrow, home, inliers, 30),), np.ones(1)), firm=True)
+    assert not integrity.fixed

@@ -10,7 +10,7 @@ from rig import BEARING_SIGMA, Rig, another_room, ring
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.localizer.home.observation import StoredHome
+from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
@@ -102,12 +102,12 @@ def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():
         "bad": HomeBearing(0.2, 0.0005),
         "un": HomeBearing(0.3),
     }
-    same = StoredHome(home, DriveSettings(), LocalizerSettings()).believed(noise)
+    same = HomeObservation(home, DriveSettings(), LocalizerSettings()).given_noise(noise)
     assert {n: b.sigma for n, b in same.items()} == pytest.approx(
         {"good": 0.01, "bad": 0.005, "un": 0.01}
     )
-    other = StoredHome(home, DriveSettings(home_sensor=Mount()), LocalizerSettings())
-    assert other.believed(noise)["bad"].sigma == 0.0005
+    other = HomeObservation(home, DriveSettings(home_sensor=Mount()), LocalizerSettings())
+    assert other.given_noise(noise)["bad"].sigma == 0.0005
 
 
 def test_a_yaw_that_is_exactly_known_is_no_error():

@@ -11,20 +11,20 @@ from test_parts import problem
 from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.frames import Pose, between
-from homeward.localizer.home import hypotheses as moved
+from homeward.localizer.home import hypotheses
 from homeward.localizer.home.gauss_newton import fit
-from homeward.localizer.home.hypotheses import Hypotheses, renamed, search
-from homeward.localizer.home.outliers import log_odds, log_right, log_wrong
+from homeward.localizer.home.hypotheses import Hypotheses, search, seeds_for
+from homeward.localizer.home.outliers import log_inlier, log_odds, log_outlier
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
     NEAR,
-    answer_of,
     centre,
+    combined_estimate,
     in_home_frame,
     landmark_distance,
-    others_of,
+    other_hypotheses,
 )
-from homeward.localizer.output.status import Standing
+from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
 
 CIRCLE = np.linspace(-math.pi, math.pi, 20001)
@@ -33,16 +33,18 @@ CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 @pytest.mark.parametrize("sigma", [0.01, 0.1, 0.3])
 def test_right_and_wrong_are_densities_on_the_circle(sigma):
     variance = np.full(CIRCLE.size, sigma**2)
-    for density in (log_right, log_wrong):
+    for density in (log_inlier, log_outlier):
         assert np.trapezoid(np.exp(density(CIRCLE, variance)), CIRCLE) == pytest.approx(1, abs=1e-3)
 
 
 def test_a_wrong_bearing_is_predicted_as_uncertainly_as_its_fault_and_the_map_together():
-    fault = np.exp(log_wrong(CIRCLE, np.zeros(CIRCLE.size)))
+    fault = np.exp(log_outlier(CIRCLE, np.zeros(CIRCLE.size)))
     for off in (0.0, 0.2, 0.7, 1.5):
-        noise = np.exp(log_right(off - CIRCLE, np.full(CIRCLE.size, 0.15**2)))
+        noise = np.exp(log_inlier(off - CIRCLE, np.full(CIRCLE.size, 0.15**2)))
         both = np.trapezoid(fault * noise, CIRCLE)
-        assert np.exp(log_wrong(np.array(off), np.array(0.15**2))) == pytest.approx(both, rel=1e-3)
+        assert np.exp(log_outlier(np.array(off), np.array(0.15**2))) == pytest.approx(
+            both, rel=1e-3
+        )
 
 
 def test_a_bearing_further_off_is_less_probably_right_and_one_that_nothing_predicts_says_nothing():
@@ -51,7 +53,7 @@ def test_a_bearing_further_off_is_less_probably_right_and_one_that_nothing_predi
     assert odds[0] > 0 > odds[-1]
     nothing = log_odds(np.array([0.0, 1.0, 3.0]), np.full(3, 25.0), 0.1)
     assert nothing == pytest.approx(math.log(9.0))
-    near, far = log_wrong(np.array([0.3, 2.5]), np.full(2, 0.02**2))
+    near, far = log_outlier(np.array([0.3, 2.5]), np.full(2, 0.02**2))
     assert near > far > -math.log(TWO_PI) - math.log(2.5)
 
 
@@ -59,32 +61,32 @@ def test_a_home_that_wanders_leaves_the_pose_unfixed_if_it_is_as_probable():
     known = problem({})[1]
     found = fit(known, np.zeros(3), np.ones(8, bool))
     small = fit(known, np.zeros(3), np.arange(8) < 4)
-    for adrift, fixed in (((), True), ((small,), True), ((found,), False)):
-        standing = Standing(LocalizerSettings(), OdometryNoise())
-        now = Hypotheses((found,), np.ones(1), adrift)
-        standing.take(now, firm=True)
-        assert standing.fixed == fixed
-        assert now.peak == found.evidence
-    assert now.unrest == pytest.approx(0.5)
-    standing.take(Hypotheses((small,), np.ones(1), (found,)), firm=True)
-    assert not standing.fixed
+    for unconverged, fixed in (((), True), ((small,), True), ((found,), False)):
+        integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+        now = Hypotheses((found,), np.ones(1), unconverged)
+        integrity.update(now, firm=True)
+        assert integrity.fixed == fixed
+        assert now.max_log_evidence == found.log_evidence
+    assert now.unconverged_probability == pytest.approx(0.5)
+    integrity.update(Hypotheses((small,), np.ones(1), (found,)), firm=True)
+    assert not integrity.fixed
 
 
 def test_evidence_of_a_flip_is_what_the_odds_say_while_another_one_is_wrong():
     home, known = problem({2: 0.3})
-    right = np.arange(8) != 2
-    now = fit(known, np.array(home), right)
+    inliers = np.arange(8) != 2
+    now = fit(known, np.array(home), inliers)
     for i in (0, 5, 7):
-        flipped = right.copy()
+        flipped = inliers.copy()
         flipped[i] = False
         without = fit(known, now.home, flipped)
-        assert now.evidence - without.evidence == pytest.approx(now.odds[i], abs=0.3)
+        assert now.log_evidence - without.log_evidence == pytest.approx(now.odds[i], abs=0.3)
 
 
 def two_hypotheses(weights=(0.6, 0.4)):
     home, known = problem({1: 0.06, 4: -0.05})
     rights = [np.arange(8) != 1, np.arange(8) != 4]
-    fits = tuple(fit(known, np.array(home), right) for right in rights)
+    fits = tuple(fit(known, np.array(home), inliers) for inliers in rights)
     return Hypotheses(fits, np.array(weights))
 
 
@@ -98,7 +100,7 @@ def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_ar
             for a, w in zip(parts, both.weights, strict=True)
         ]
     )
-    answer = answer_of(both.best, others_of(both))
+    answer = combined_estimate(both.best, other_hypotheses(both))
     first, second = (np.array(a.pose) for a in parts)
     share = (np.array(answer.pose) - first) / (second - first)
     assert share == pytest.approx(np.full(3, share[0]), rel=1e-6)
@@ -115,11 +117,11 @@ def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_ar
 def test_a_best_hypothesis_that_became_certain_leaves_a_covariance():
     both = two_hypotheses((0.3, 0.7))
     loose = dataclasses.replace(both.best.problem, covariance=100.0 * both.best.problem.covariance)
-    vague = fit(loose, both.best.home, both.best.right)
-    others = others_of(Hypotheses((vague, both.fits[1]), both.weights))
-    answer = answer_of(both.best, others)  # carried on since
+    vague = fit(loose, both.best.home, both.best.inliers)
+    others = other_hypotheses(Hypotheses((vague, both.fits[1]), both.weights))
+    answer = combined_estimate(both.best, others)  # carried on since
     assert (np.linalg.eigvalsh(answer.covariance) > 0.0).all()
-    before = answer_of(vague, others)
+    before = combined_estimate(vague, others)
     assert (np.linalg.eigvalsh(before.covariance - answer.covariance) > 0.0).all()
 
 
@@ -150,7 +152,7 @@ def test_headings_on_both_sides_of_half_a_turn_meet_there():
         turned = dataclasses.replace(f.linear, at=f.linear.at - turn)
         fits.append(dataclasses.replace(f, linear=turned))
     other = Hypotheses(tuple(fits), both.weights)
-    answer = answer_of(other.best, others_of(other))
+    answer = combined_estimate(other.best, other_hypotheses(other))
     assert abs(answer.pose.heading) == pytest.approx(math.pi, abs=1e-6)
     assert answer.covariance[2, 2] == pytest.approx(0.1**2, rel=0.1)
 
@@ -163,7 +165,7 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
         faults = dict(zip(rng.choice(8, 2, replace=False).tolist(), size.tolist(), strict=True))
         home, known = problem(faults, seed=seed)
         found = search(known)
-        answer = answer_of(found.best, others_of(found))
+        answer = combined_estimate(found.best, other_hypotheses(found))
         off = np.array(answer.pose) - np.array(between(home, Pose(0.0, 0.0, 0.0)))
         off[2] = wrap(off[2])
         beyond += off @ np.linalg.solve(answer.covariance, off) > 16.0
@@ -173,13 +175,13 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
 def test_an_iteration_that_did_not_come_to_rest_does_not_compete():
     home, known = problem({})
     rest = fit(known, np.array(home), np.ones(8, bool))
-    astray = dataclasses.replace(rest, right=np.arange(8) != 3, step=np.full(3, 0.9))
-    astray.__dict__["evidence"] = rest.evidence + 50.0
-    found = {f.right.tobytes(): f for f in (rest, astray)}
-    together = moved._weigh(known, found)
+    astray = dataclasses.replace(rest, inliers=np.arange(8) != 3, step=np.full(3, 0.9))
+    astray.__dict__["log_evidence"] = rest.log_evidence + 50.0
+    found = {f.inliers.tobytes(): f for f in (rest, astray)}
+    together = hypotheses._weigh(known, found)
     assert together.best is rest
     assert all(f.settled for f in together.fits)
-    assert moved._weigh(known, {b"": astray}).best is astray  # better than nothing
+    assert hypotheses._weigh(known, {b"": astray}).best is astray  # better than nothing
 
 
 def test_what_was_known_of_home_is_known_still_when_a_landmark_comes(monkeypatch):
@@ -194,13 +196,13 @@ def test_what_was_known_of_home_is_known_still_when_a_landmark_comes(monkeypatch
         sigmas=known.sigmas[first],
     )
     before = search(fewer)
-    assert set(np.array(first)[~before.best.right]) == {1, 6}
-    again = renamed(before, [str(i) for i in first], [str(i) for i in range(8)])
+    assert set(np.array(first)[~before.best.inliers]) == {1, 6}
+    again = seeds_for(before, [str(i) for i in first], [str(i) for i in range(8)])
     assert not again[0][1][3]
-    monkeypatch.setattr(moved, "starts", lambda problem: [])
+    monkeypatch.setattr(hypotheses, "seeds", lambda problem: [])
     assert search(known) is None
     found = search(known, again)
-    assert set(np.flatnonzero(~found.best.right)) == {1, 6}
+    assert set(np.flatnonzero(~found.best.inliers)) == {1, 6}
 
 
 def driven(rng, target, straight):

@@ -15,7 +15,7 @@ from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
-from homeward.localizer.map import elimination as chain
+from homeward.localizer.map import elimination
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.sightings import NC, WeighedFrame, bearing_residuals, sighting_rows
 from homeward.localizer.map.triangulation import triangulate
@@ -35,7 +35,7 @@ def random_equations(rng, w, a):
         columns = np.r_[3 * k : min(3 * k + 6, 3 * w), 3 * w : n]
         j = rng.normal(size=(8, columns.size))
         hessian[np.ix_(columns, columns)] += j.T @ j
-    e = chain.NormalEquations.zeros(w, a)
+    e = elimination.NormalEquations.zeros(w, a)
     for k in range(w):
         own = slice(3 * k, 3 * k + 3)
         e.own[k], e.shared[k], e.slope[k] = hessian[own, own], hessian[own, 3 * w :], gradient[own]
@@ -48,11 +48,11 @@ def random_equations(rng, w, a):
 @pytest.mark.parametrize("w", [1, 2, 8, 9, 10, 17, 40])
 def test_the_chain_is_solved_as_the_dense_system(w):
     e, hessian, gradient = random_equations(np.random.default_rng(w), w, 7)
-    poses, common, covariance = chain.solve(e)
+    poses, common, covariance = elimination.solve(e)
     assert np.allclose(np.r_[poses.ravel(), common], np.linalg.solve(hessian, gradient))
     inverse = np.linalg.inv(hessian)
     assert np.allclose(covariance, inverse[3 * w - 3 :, 3 * w - 3 :])
-    own, lever, shared = chain.marginals(e)
+    own, lever, shared = elimination.marginals(e)
     assert np.allclose(shared, inverse[3 * w :, 3 * w :])
     for k in range(w):
         rows = slice(3 * k, 3 * k + 3)
@@ -207,7 +207,7 @@ def test_home_is_found_among_wrong_bearings(faults):
     home, known = problem(faults)
     found = search(known)
     assert found is not None
-    assert set(np.flatnonzero(~found.best.right)) == set(faults)
+    assert set(np.flatnonzero(~found.best.inliers)) == set(faults)
     assert found.best.home == pytest.approx(np.array(home), abs=0.04)
     assert set(np.flatnonzero(found.moved_probabilities() > 0.5)) == set(faults)
 
@@ -216,10 +216,12 @@ def test_evidence_of_a_flip_is_what_the_odds_say():
     _, known = problem({})
     everything = fit(known, np.array([0.2, -0.1, 0.7]), np.ones(8, bool))
     for i in range(8):
-        right = np.ones(8, bool)
-        right[i] = False
-        without = fit(known, everything.home, right)
-        assert everything.evidence - without.evidence == pytest.approx(everything.odds[i], abs=0.05)
+        inliers = np.ones(8, bool)
+        inliers[i] = False
+        without = fit(known, everything.home, inliers)
+        assert everything.log_evidence - without.log_evidence == pytest.approx(
+            everything.odds[i], abs=0.05
+        )
 
 
 def test_two_bearings_do_not_fix_home():

@@ -80,7 +80,7 @@ def test_closing_keyframes_at_once_keeps_what_they_said():
     rng = np.random.default_rng(4)
     window, _ = circle(rng, 12)
     before = window.solve()
-    window.forget(7)
+    window.marginalise(7)
     after = window.solve()
     assert len(window.poses) == 6
     assert after.mean == pytest.approx(before.mean, abs=2e-3)
@@ -109,7 +109,7 @@ def test_of_very_many_landmarks_those_beyond_the_first_are_judged_too():
     rig.drive(40)
     known = rig.localizer.mapper.landmarks
     assert len(known.seen_from(known.mapped)) == MOST_FROM_HOME
-    judged = {m.landmark for m in rig.localizer.landmarks() if m.moved is not None}
-    assert len(judged) > MOST_FROM_HOME
+    evaluate = {m.landmark for m in rig.localizer.landmarks() if m.moved is not None}
+    assert len(evaluate) > MOST_FROM_HOME
     assert rig.moved() == {"L7", "L33", "L58"}
     assert rig.error() < 0.1

@@ -249,7 +249,7 @@ def test_a_home_that_may_be_anywhere_judges_no_landmark():
     rig.drive(40)
     assert [m.landmark for m in rig.localizer.landmarks() if m.moved] == ["L1"]
     hypotheses = rig.localizer.chart.hypotheses
-    vague = dataclasses.replace(hypotheses.best, information=1e-3 * np.eye(3), known_doubt=None)
+    vague = dataclasses.replace(hypotheses.best, information=1e-3 * np.eye(3), known_inflation=None)
     rig.localizer.chart.hypotheses = Hypotheses((vague,), np.ones(1))
     assert all(m.moved is None for m in rig.localizer.landmarks())
 

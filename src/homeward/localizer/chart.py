@@ -14,22 +14,22 @@ from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, S
 from homeward.localizer.home.hypotheses import (
     PROBABLE,
     Hypotheses,
-    Start,
-    carry,
-    challenged,
-    follow,
-    renamed,
+    Seed,
+    propagate,
     search,
-    starts,
+    seeds,
+    seeds_for,
+    try_seed,
+    update,
 )
-from homeward.localizer.home.observation import StoredHome
+from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.output.landmark_report import Inventory
-from homeward.localizer.output.status import Standing, why_home_is_not_found
+from homeward.localizer.output.landmark_report import LandmarkReport
+from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.detectors import BAD_FIT_SHARE, GOOD_FIT_SHARE
 from homeward.localizer.settings import LocalizerSettings
 
@@ -66,10 +66,10 @@ class Chart:
         self.counts, self.mapper = counts, Mapper(drive, settings, counts)
         self.hypotheses: Hypotheses | None = None
         """Where home may be in the map; None where it is not found."""
-        self._home = StoredHome(home, drive, settings)
-        self._standing = Standing(settings, drive.odometry)
+        self._home = HomeObservation(home, drive, settings)
+        self._integrity = IntegrityMonitor(settings, drive.odometry)
         self._seen_from_home: list[str] = []
-        self._starts: deque[Start] = deque()
+        self._seeds: deque[Seed] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
         self._last_accepted = -math.inf
@@ -85,7 +85,7 @@ class Chart:
 
         Parameters
         ----------
-        glance : Glance
+        frame : BearingFrame
             Not before the last one.
         now : float
             The newest stamp of all [s].
@@ -115,7 +115,7 @@ class Chart:
     @property
     def has_pose(self) -> bool:
         """Whether there is a pose to give."""
-        return self.hypotheses is not None and not self.is_lost and self._standing.fixed
+        return self.hypotheses is not None and not self.is_lost and self._integrity.fixed
 
     def estimate(
         self, t: float, innovations: tuple[Innovation, ...] = (), complaint: str | None = None
@@ -144,7 +144,7 @@ class Chart:
             calibration = self.mapper.marginal.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             moved = motion.delta, drift
-        found = self._standing.estimate(t, moved, self._coasts(t), innovations)
+        found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
         return found
@@ -152,9 +152,9 @@ class Chart:
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name; without home, unless told."""
         best = self.hypotheses.best if judge and self.hypotheses is not None else None
-        found = best is not None and self._standing.home_is_found(best)
-        inventory = Inventory(
-            self._home.believed(self.mapper.noise),
+        found = best is not None and self._integrity.home_is_found(best)
+        inventory = LandmarkReport(
+            self._home.given_noise(self.mapper.noise),
             self._home.yaw(self.mapper),
             self.mapper.landmarks,
             self.mapper.marginal,
@@ -183,7 +183,7 @@ class Chart:
     def conclude(self, marginal: Marginal) -> Hypotheses | None:
         """Find home anew by what a whole drive says; see `Localizer.conclude`."""
         before = self.hypotheses.fits if self.hypotheses is not None else ()
-        found = search(self.problem(marginal), [(f.home, f.right) for f in before])
+        found = search(self.problem(marginal), [(f.home, f.inliers) for f in before])
         if found is not None:
             self.mapper.marginal, self.hypotheses = marginal, found
             self._take(found, firm=True)
@@ -197,37 +197,37 @@ class Chart:
         problem = self._home.problem(names, self.mapper, self.mapper.marginal)
         now = self.hypotheses
         if now is None or names != self._seen_from_home:
-            also = renamed(now, self._seen_from_home, names) if now else []
+            also = seeds_for(now, self._seen_from_home, names) if now else []
             now = search(problem, also)
-            self._starts.clear()
+            self._seeds.clear()
             self._seen_from_home = names
         else:
-            before = now.peak
-            now = (follow if self.mapper.solved else carry)(problem, now)
-            if now is not None and now.peak < before + math.log(PROBABLE):
+            before = now.max_log_evidence
+            now = (update if self.mapper.solved else propagate)(problem, now)
+            if now is not None and now.max_log_evidence < before + math.log(PROBABLE):
                 # The best set's home went astray: there may be a way back to it, or a better one.
-                now = search(problem, [(f.home, f.right) for f in (*now.fits, *now.adrift)])
+                now = search(problem, [(f.home, f.inliers) for f in (*now.fits, *now.unconverged)])
             elif now is not None:
-                now = self._challenged(problem, now)
+                now = self._try_next_seed(problem, now)
         self.hypotheses = now
-        self._standing.mount_spread = self._home.mount_spread(self.mapper.marginal)
+        self._integrity.mount_covariance = self._home.mount_covariance(self.mapper.marginal)
         self._take(now, self.mapper.solved and not self._coasts(t))
 
     def _take(self, now: Hypotheses | None, firm: bool) -> None:
         """Let the standing be by these hypotheses."""
-        self._standing.take(now, firm, self.stayed)
+        self._integrity.update(now, firm, self.stayed)
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing was accepted lately before `t` [s]."""
         return t - self._last_accepted > NO_BEARINGS_S
 
-    def _challenged(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
+    def _try_next_seed(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
         """Look now and then where else home might be, one place after the other."""
         since = self.mapper.window.newest - self._searched
         wait = SEARCH_PATIENCE if self.mapper.solved else 0
-        if self._starts and since >= wait:
-            return challenged(problem, now, self._starts.popleft())
-        if not self._starts and since >= SEARCH_EVERY + wait:
-            self._starts.extend(starts(problem))
+        if self._seeds and since >= wait:
+            return try_seed(problem, now, self._seeds.popleft())
+        if not self._seeds and since >= SEARCH_EVERY + wait:
+            self._seeds.extend(seeds(problem))
             self._searched = self.mapper.window.newest
         return now

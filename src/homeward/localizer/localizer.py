@@ -228,7 +228,7 @@ class Localizer:
         ----------
         beside : Chart
             The other map.
-        glance : Glance
+        frame : BearingFrame
             The stamp.
         before : list of Innovation
             Of it, in the first map.

@@ -11,13 +11,13 @@ from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Estimate
 from homeward.frames import Pose, between
-from homeward.localizer.home.hypotheses import Hypotheses, posed
+from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Window
 from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.output.status import Standing
+from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
 from homeward.one_thread import one_thread
 from homeward.track import Track, run, track_of
@@ -93,7 +93,7 @@ def _there(localizer: Localizer, whole: Window, found: Hypotheses) -> list[Hypot
     """Return the hypotheses with each keyframe's pose; None when they do not fix it."""
     there: list[Hypotheses] = []
     for marginal in whole.marginals():
-        now = posed(localizer.problem(marginal), found)
+        now = with_pose(localizer.problem(marginal), found)
         if now is None:
             return None
         there.append(now)
@@ -124,8 +124,8 @@ def _rows(
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        standing = Standing(settings, drive.settings.odometry)
-        standing.take(there[k], firm=True, stayed=stayed)
+        integrity = IntegrityMonitor(settings, drive.settings.odometry)
+        integrity.update(there[k], firm=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])
@@ -138,7 +138,7 @@ def _rows(
             off[2] = wrap(off[2])
             moved = [_bridged(m, end, off) for m in motions]
         # Bearings from later on count too, so that the robot coasts nowhere.
-        rows += [standing.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
+        rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
     return rows
 
 

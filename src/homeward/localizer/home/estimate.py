@@ -1,8 +1,8 @@
-"""Home among the mapped landmarks, for a given set of right home bearings: fit and evidence.
+"""Home by least squares among the mapped landmarks, for a given set of inlier home bearings.
 
 Everything here is Gaussian around one point: the map's marginal (newest pose, camera yaw, the
 landmarks that home saw), the home bearings of the chosen set, and a start prior where there is one.
-What it says of the home bearings and of the set is in `verdict`.
+What it says of the home bearings and of the set is in `evidence`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.home.evidence import Verdict, judged
+from homeward.localizer.home.evidence import Evidence, evaluate
 from homeward.localizer.home.linearisation import Linear, expected
 from homeward.localizer.home.outliers import SCALE, log_odds
-from homeward.localizer.home.problem import HEAD, YAW, HomeProblem
-from homeward.localizer.home.spurious_information import doubt
+from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
+from homeward.localizer.home.spurious_information import spurious_covariance
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""
@@ -32,7 +32,7 @@ class HomeFit:
     """Home for one set of right home bearings; what follows from it is worked out when asked."""
 
     linear: Linear
-    right: np.ndarray
+    inliers: np.ndarray
     """(q,), bool: the set."""
     step: np.ndarray
     """(3,): from where home was linearised to where it is."""
@@ -42,8 +42,8 @@ class HomeFit:
     """(3, 3): on home."""
     log_volume: float
     """Log of the determinant of the spread of the set."""
-    known_doubt: np.ndarray | None = None
-    """(3, 3): see `doubt`; from the fit that this one was carried on from."""
+    known_inflation: np.ndarray | None = None
+    """(3, 3): `inflation`, of the fit that this one was propagated from."""
 
     @property
     def problem(self) -> HomeProblem:
@@ -80,12 +80,12 @@ class HomeFit:
     @property
     def landmarks(self) -> np.ndarray:
         """(q, 2): corrected positions [m]."""
-        return np.asarray(self.known[HEAD:].reshape(-1, 2))
+        return np.asarray(self.known[POSE_AND_YAW:].reshape(-1, 2))
 
     @cached_property
-    def spread(self) -> np.ndarray:
+    def covariance(self) -> np.ndarray:
         """(3, 3): covariance of home."""
-        return np.asarray(np.linalg.inv(self.information) + self.doubt)
+        return np.asarray(np.linalg.inv(self.information) + self.inflation)
 
     @cached_property
     def by_home(self) -> np.ndarray:
@@ -93,17 +93,17 @@ class HomeFit:
         return np.asarray(self._gain @ self.linear.by_home)
 
     @cached_property
-    def pose_spread(self) -> np.ndarray:
+    def pose_covariance(self) -> np.ndarray:
         """(3, 3): covariance of the newest pose, were home known."""
         with_pose = self.linear.correlated[:, :3]
         return np.asarray(self.problem.covariance[:3, :3] - self._gain @ with_pose)
 
     @cached_property
-    def covariance(self) -> np.ndarray:
+    def joint_covariance(self) -> np.ndarray:
         """(6, 6), of home and newest pose."""
-        together = -self.spread @ self.by_home.T
-        pose = self.pose_spread - self.by_home @ together
-        joint = np.block([[self.spread, together], [together.T, pose]])
+        together = -self.covariance @ self.by_home.T
+        pose = self.pose_covariance - self.by_home @ together
+        joint = np.block([[self.covariance, together], [together.T, pose]])
         return np.asarray(0.5 * (joint + joint.T))
 
     @cached_property
@@ -112,32 +112,32 @@ class HomeFit:
         return np.asarray(self.linear.correlated[:, :3].T @ self.precision)
 
     @cached_property
-    def verdict(self) -> Verdict:
+    def evidence(self) -> Evidence:
         """What it says of each home bearing and of the set."""
         solution = (self.step, self.precision, self.information, self.log_volume)
-        return judged(self.linear, self.right, *solution)
+        return evaluate(self.linear, self.inliers, *solution)
 
     @cached_property
-    def evidence(self) -> float:
+    def log_evidence(self) -> float:
         """Log of the evidence of the set, up to a constant that all sets share."""
-        return self.verdict.evidence + self.problem.log_density(self.home)
+        return self.evidence.log_evidence + self.problem.log_density(self.home)
 
     @property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:
         """(q,), (q,): stored minus predicted by everything else [rad], and its variance."""
-        return self.verdict.innovation, self.verdict.variance
+        return self.evidence.innovation, self.evidence.variance
 
     @cached_property
     def checked(self) -> np.ndarray:
         """(q,), bool: those of the set that the others predict well enough to contradict them."""
-        if self.right.sum() <= self.problem.fewest:
-            return np.zeros_like(self.right)
-        return np.asarray(self.right & (self.verdict.variance < SCALE**2))
+        if self.inliers.sum() <= self.problem.fewest:
+            return np.zeros_like(self.inliers)
+        return np.asarray(self.inliers & (self.evidence.variance < SCALE**2))
 
     @property
     def odds(self) -> np.ndarray:
         """(q,): log odds of right against wrong, the rest of the set given."""
-        return self.verdict.odds
+        return self.evidence.odds
 
     def odds_of(
         self, places: np.ndarray, covariances: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray
@@ -153,7 +153,7 @@ class HomeFit:
         """
         bearing, by_place, by_home = expected(self.problem, self.home, places, self.known[YAW])
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
-        variance += ((by_home @ self.spread) * by_home).sum(axis=1)
+        variance += ((by_home @ self.covariance) * by_home).sum(axis=1)
         return log_odds(wrap(bearings - bearing), variance, self.problem.moved_prior)
 
     @cached_property
@@ -163,8 +163,8 @@ class HomeFit:
         return np.asarray(self.precision @ left)
 
     @cached_property
-    def doubt(self) -> np.ndarray:
-        """(3, 3): covariance of home beyond what the information on it says; see `doubt`."""
-        if self.known_doubt is not None:
-            return self.known_doubt
-        return doubt(self.linear, self.right, self.known, self.information)
+    def inflation(self) -> np.ndarray:
+        """(3, 3): covariance of home beyond what the information on it says; see `inflation`."""
+        if self.known_inflation is not None:
+            return self.known_inflation
+        return spurious_covariance(self.linear, self.inliers, self.known, self.information)

@@ -1,7 +1,7 @@
-"""What a fit of home says of each home bearing, and how probable its set of right ones is.
+"""Model evidence of a set of inliers by Laplace's method, and the odds of each home bearing.
 
-The evidence of a set is the integral over all unknowns, home included (Laplace), so that sets of
-different size compare fairly; for wrong bearings see `faults`.
+The evidence is the integral over all unknowns, home included, so that sets of
+different size compare fairly; for wrong bearings see `outliers`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.compiled import compiled
 from homeward.localizer.home.linearisation import Linear
-from homeward.localizer.home.outliers import SCALE, UNIFORM_FROM, log_odds, log_wrong
+from homeward.localizer.home.outliers import SCALE, UNIFORM_FROM, log_odds, log_outlier
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """On home bearings and on a set of right ones."""
+class Evidence:
+    """Evidence of a set of inliers, and of each home bearing for or against it."""
 
     innovation: np.ndarray
     """(q,): stored minus predicted by everything else [rad] ..."""
@@ -27,59 +27,59 @@ class Verdict:
     """(q,): ... and its variance."""
     odds: np.ndarray
     """(q,): log odds of right against wrong, the rest of the set given."""
-    evidence: float
+    log_evidence: float
     """Log of the evidence of the set, could home be anywhere, up to a constant that all sets share.
     """
 
 
-def judged(
+def evaluate(
     linear: Linear,
-    right: np.ndarray,
+    inliers: np.ndarray,
     step: np.ndarray,
     precision: np.ndarray,
     information: np.ndarray,
     log_volume: float,
-) -> Verdict:
-    """Return the verdict of a fit; see `HomeFit` for what it takes.
+) -> Evidence:
+    """Evaluate the evidence of a fit; see `HomeFit` for what it takes.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If home is not fixed.
     """
-    native, problem, q = compiled(), linear.problem, right.size
+    native, problem, q = compiled(), linear.problem, inliers.size
     if native is not None:
-        found = innovation, variance, odds, evidence = (*np.empty((3, q)), np.empty(1))
-        fit = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
+        found = innovation, variance, odds, log_evidence = (*np.empty((3, q)), np.empty(1))
+        fit = (linear.at, inliers.astype(float), linear.spread, linear.by_home, linear.residual)
         given = (information, precision, step)
         told = (*given, log_volume, np.empty(4 * q), *found)
         if native.judge_home(problem.in_c, SCALE, UNIFORM_FROM, *fit, *told):
             raise np.linalg.LinAlgError("home is not fixed")
-        return Verdict(innovation, variance, odds, float(evidence[0]))
-    innovation, variance = _innovations(linear, right, step, precision, information)
+        return Evidence(innovation, variance, odds, float(log_evidence[0]))
+    innovation, variance = _innovations(linear, inliers, step, precision, information)
     odds = log_odds(innovation, variance, problem.moved_prior)
-    n, p = int(right.sum()), problem.moved_prior
+    n, p = int(inliers.sum()), problem.moved_prior
     offset = problem.off_prior(linear.at)
     square = linear.residual @ precision @ linear.residual - step @ information @ step
     square += offset @ problem.before @ offset
     log_density = -0.5 * (log_volume + n * math.log(TWO_PI))
     log_home = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(information)[1])
     labels = n * math.log(1.0 - p) + (q - n) * math.log(p)
-    wrong = log_wrong(innovation, variance)[~right].sum()
-    evidence = -0.5 * square + log_density + log_home + labels + wrong
-    return Verdict(innovation, variance, odds, float(evidence))
+    outlier = log_outlier(innovation, variance)[~inliers].sum()
+    log_evidence = -0.5 * square + log_density + log_home + labels + outlier
+    return Evidence(innovation, variance, odds, float(log_evidence))
 
 
 def _innovations(
     linear: Linear,
-    right: np.ndarray,
+    inliers: np.ndarray,
     step: np.ndarray,
     precision: np.ndarray,
     information: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return stored minus predicted bearings, and the variances of that."""
     weighted = precision @ (linear.residual - linear.by_home @ step)
-    out, spread = ~right, np.linalg.inv(information)
+    out, spread = ~inliers, np.linalg.inv(information)
     lever = precision @ linear.by_home
     rest = precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
     rest = np.maximum(rest, 1e-9)

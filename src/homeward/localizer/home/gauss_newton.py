@@ -1,4 +1,4 @@
-"""Fitting home to a set of right home bearings, by Gauss-Newton."""
+"""Gauss-Newton fit of home to a set of inlier home bearings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SETTLED = 1e-4
 
 
 def fit(
-    problem: HomeProblem, home: np.ndarray, right: np.ndarray, steps: int = STEPS
+    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int = STEPS
 ) -> HomeFit | None:
     """Fit home to a set of right home bearings; None when they do not fix it.
 
@@ -25,26 +25,26 @@ def fit(
         What is known.
     home : ndarray, shape (3,)
         Where to start.
-    right : ndarray, shape (q,), bool
+    inliers : ndarray, shape (q,), bool
         The set.
     steps : int
         Gauss-Newton steps at most.
     """
-    if right.sum() < problem.fewest:
+    if inliers.sum() < problem.fewest:
         return None
-    now = _iterated(problem, home, right, steps)
+    now = _iterated(problem, home, inliers, steps)
     return now if now is not None and problem.is_near(now.home) else None
 
 
 def _iterated(
-    problem: HomeProblem, home: np.ndarray, right: np.ndarray, steps: int
+    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int
 ) -> HomeFit | None:
     """Return where the iteration ends; None when the set does not fix home."""
-    native, q, size = compiled(), right.size, problem.mean.size
+    native, q, size = compiled(), inliers.size, problem.mean.size
     if native is None:
         known, now = problem.mean, None
         for _ in range(steps):
-            now = solved(linearised(problem, home, known), right)
+            now = solved(linearised(problem, home, known), inliers)
             if now is None or problem.length(now.step) < SETTLED:
                 break
             home, known = now.home, now.known
@@ -53,41 +53,43 @@ def _iterated(
     linear = Linear.room(problem, at)
     arrays = (linear.residual, linear.by_place, linear.by_home, linear.correlated, linear.spread)
     found = information, precision, step, log_volume = _room(q)
-    given = (right.astype(float), at, *room, *arrays, *found)
+    given = (inliers.astype(float), at, *room, *arrays, *found)
     if native.fit_home(problem.in_c, steps, SETTLED, *given):
         return None
-    return HomeFit(linear, right, step, precision, information, float(log_volume[0]))
+    return HomeFit(linear, inliers, step, precision, information, float(log_volume[0]))
 
 
-def carried(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
+def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
     """Return a fit after what is known has changed by next to nothing, linearised as before."""
-    return solved(fit.linear.carried(problem), fit.right, fit.doubt)
+    return solved(fit.linear.propagated(problem), fit.inliers, fit.inflation)
 
 
-def solved(linear: Linear, right: np.ndarray, doubt: np.ndarray | None = None) -> HomeFit | None:
+def solved(
+    linear: Linear, inliers: np.ndarray, inflation: np.ndarray | None = None
+) -> HomeFit | None:
     """Return home where everything is linear; None when the set does not fix it.
 
     Parameters
     ----------
     linear : Linear
         The home bearings.
-    right : ndarray, shape (q,), bool
+    inliers : ndarray, shape (q,), bool
         The set of right ones.
-    doubt : ndarray, shape (3, 3), optional
-        See `HomeFit.doubt`; worked out when asked for unless it is known.
+    inflation : ndarray, shape (3, 3), optional
+        See `HomeFit.inflation`; worked out when asked for unless it is known.
     """
     problem, native = linear.problem, compiled()
-    found = information, precision, step, log_volume = _room(right.size)
+    found = information, precision, step, log_volume = _room(inliers.size)
     if native is None:
         try:
-            _solve(linear, right, *found)
+            _solve(linear, inliers, *found)
         except np.linalg.LinAlgError:
             return None
     else:
-        given = (linear.at, right.astype(float), linear.spread, linear.by_home, linear.residual)
+        given = (linear.at, inliers.astype(float), linear.spread, linear.by_home, linear.residual)
         if native.solve_home(problem.in_c, *given, *found):
             return None
-    return HomeFit(linear, right, step, precision, information, float(log_volume[0]), doubt)
+    return HomeFit(linear, inliers, step, precision, information, float(log_volume[0]), inflation)
 
 
 def _room(q: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -97,14 +99,14 @@ def _room(q: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def _solve(
     linear: Linear,
-    right: np.ndarray,
+    inliers: np.ndarray,
     information: np.ndarray,
     precision: np.ndarray,
     step: np.ndarray,
     log_volume: np.ndarray,
 ) -> None:
     """Fill in what `solved` needs."""
-    problem, of_set = linear.problem, np.ix_(right, right)
+    problem, of_set = linear.problem, np.ix_(inliers, inliers)
     root = np.linalg.cholesky(linear.spread[of_set])
     inverse = np.linalg.inv(root)
     precision[:] = 0.0

@@ -1,8 +1,8 @@
-"""Which home bearings are right: a search over sets, and what competes with the best one.
+"""Multiple-hypothesis outlier rejection: a local search over sets of inlier home bearings.
 
 Sets come from poses made of triples of landmarks and, once there is a fit, from its neighbours. A
-set climbs by single flips, each chosen by the odds of one bearing given the others, which are exact
-for the linearised problem; pairs are tried too while q is small.
+set is improved by single flips, each chosen by the odds of one bearing given the others, which are
+exact for the linearised problem; pairs are tried too while q is small.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import Pose, compose, inverse
 from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.gauss_newton import carried, fit, solved
+from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
 
-Start = tuple[np.ndarray, np.ndarray]
+Seed = tuple[np.ndarray, np.ndarray]
 """A home, shape (3,), and a set of right home bearings, shape (q,), to climb from."""
-STARTS = 8
-"""Different sets that are climbed from."""
-CLIMBS = 12
+MOST_SEEDS = 8
+"""Different sets that a local search starts from."""
+MOST_FLIPS = 12
 """Flips at most from one start."""
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
@@ -34,7 +34,7 @@ PROMISING = 6.0
 """... and climbed from when their log evidence falls short of the best by no more than this."""
 NEIGHBOURS = 3
 """So many sets that differ from the best one by the most doubtful flips are weighed with it."""
-DOUBTFUL = 4.0
+UNDECIDED = 4.0
 """Only flips whose log odds are smaller are doubtful [1]."""
 PROBABLE = 0.05
 """Only more probable sets are flipped further as the map changes."""
@@ -44,12 +44,12 @@ NEGLIGIBLE = 1e-3
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Sets of right home bearings, the best first, with their posterior probabilities."""
+    """Hypotheses: sets of inlier home bearings, the best first, with posterior probabilities."""
 
     fits: tuple[HomeFit, ...]
     weights: np.ndarray
     """(k,), sum to one."""
-    adrift: tuple[HomeFit, ...] = ()
+    unconverged: tuple[HomeFit, ...] = ()
     """Sets whose home wanders, as on the circle through its landmarks: what the fit says of them
     is of one place out of many."""
 
@@ -64,23 +64,23 @@ class Hypotheses:
         return np.asarray(self.weights @ np.array(wrong))
 
     @cached_property
-    def unrest(self) -> float:
+    def unconverged_probability(self) -> float:
         """About how probable the sets are whose home wanders, the best one aside."""
-        first, at_rest = self.best.evidence, 1.0 / float(self.weights[0])
-        wanders = sum(math.exp(min(f.evidence - first, 500.0)) for f in self.adrift)
+        first, at_rest = self.best.log_evidence, 1.0 / float(self.weights[0])
+        wanders = sum(math.exp(min(f.log_evidence - first, 500.0)) for f in self.unconverged)
         return wanders / (wanders + at_rest)
 
     @cached_property
-    def peak(self) -> float:
+    def max_log_evidence(self) -> float:
         """The log evidence of the most probable set, its home at rest or not."""
-        return max(f.evidence for f in (*self.fits, *self.adrift))
+        return max(f.log_evidence for f in (*self.fits, *self.unconverged))
 
     def rivals(self, deviations: float) -> float:
         """Return the probability of those that put home elsewhere than the best one does."""
         if len(self.fits) == 1:
             return 0.0
         best = self.best
-        spread = np.linalg.inv(best.spread + 1e-12 * np.eye(3))
+        spread = np.linalg.inv(best.covariance + 1e-12 * np.eye(3))
         total = 0.0
         for other, weight in zip(self.fits[1:], self.weights[1:], strict=True):
             d = other.home - best.home
@@ -90,7 +90,7 @@ class Hypotheses:
         return total
 
 
-def search(problem: HomeProblem, also: Sequence[Start] = ()) -> Hypotheses | None:
+def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:
     """Return the most probable sets, or None when home cannot be fixed.
 
     Parameters
@@ -101,79 +101,79 @@ def search(problem: HomeProblem, also: Sequence[Start] = ()) -> Hypotheses | Non
         Homes and sets to climb from besides those that the problem itself suggests.
     """
     found: dict[bytes, HomeFit] = {}
-    for home, right in [*also, *starts(problem)]:
-        _climb(problem, home, right, found)
+    for home, inliers in [*also, *seeds(problem)]:
+        _local_search(problem, home, inliers, found)
     if not found:
         return None
     if problem.bearings.size <= PAIRS_UP_TO:
-        _flip_pairs(problem, max(found.values(), key=lambda f: f.evidence), found)
+        _flip_pairs(problem, max(found.values(), key=lambda f: f.log_evidence), found)
     return _weigh(problem, found)
 
 
 def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]) -> None:
     """Climb from the best set with two bearings flipped, where that looks promising from it."""
     for pair in combinations(range(problem.bearings.size), 2):
-        right = best.right.copy()
-        right[list(pair)] ^= True
-        if right.sum() < problem.fewest or right.tobytes() in found:
+        inliers = best.inliers.copy()
+        inliers[list(pair)] ^= True
+        if inliers.sum() < problem.fewest or inliers.tobytes() in found:
             continue
-        tried = solved(best.linear, right)
-        if tried is not None and tried.evidence > best.evidence - PROMISING:
-            _climb(problem, tried.home, right, found)
+        tried = solved(best.linear, inliers)
+        if tried is not None and tried.log_evidence > best.log_evidence - PROMISING:
+            _local_search(problem, tried.home, inliers, found)
 
 
-def follow(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Return the same sets, flipped where that is better, after the map has changed a little."""
+def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Update the hypotheses after the map has changed a little: sets are flipped where better."""
     found: dict[bytes, HomeFit] = {}
     lead: HomeFit | None = None
-    for wanders in hypotheses.adrift:
-        again = fit(problem, wanders.home, wanders.right, steps=3)
+    for wanders in hypotheses.unconverged:
+        again = fit(problem, wanders.home, wanders.inliers, steps=3)
         if again is not None:
-            found[again.right.tobytes()] = again
+            found[again.inliers.tobytes()] = again
     for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
-        again = _fit_beside(lead, problem, hypothesis.home, hypothesis.right)
+        again = _fit_beside(lead, problem, hypothesis.home, hypothesis.inliers)
         if again is None:
             continue
         lead = lead or again
-        found[again.right.tobytes()] = again
+        found[again.inliers.tobytes()] = again
         flip = _best_flip(problem, again) if weight > PROBABLE else None
         if flip is not None:
-            _climb(problem, again.home, flip, found)
+            _local_search(problem, again.home, flip, found)
     return _weigh(problem, found) if found else None
 
 
-def renamed(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Start]:
+def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Seed]:
     """Return hypotheses on landmarks `names` as starts for landmarks `now`, new ones left out."""
-    starts = []
+    seeds = []
     for f in hypotheses.fits:
-        right = dict(zip(names, f.right.tolist(), strict=True))
-        starts.append((f.home, np.array([right.get(n, False) for n in now], bool)))
-    return starts
+        inliers = dict(zip(names, f.inliers.tolist(), strict=True))
+        seeds.append((f.home, np.array([inliers.get(n, False) for n in now], bool)))
+    return seeds
 
 
-def challenged(problem: HomeProblem, hypotheses: Hypotheses, start: Start) -> Hypotheses:
-    """Return the sets with those among them that are climbed to from another home and set."""
-    found = {f.right.tobytes(): f for f in (*hypotheses.adrift, *hypotheses.fits)}
+def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypotheses:
+    """Try a seed: return the sets with those that a local search from it finds."""
+    found = {f.inliers.tobytes(): f for f in (*hypotheses.unconverged, *hypotheses.fits)}
     known = set(found)
-    _climb(problem, *start, found)
+    _local_search(problem, *seed, found)
     weighed = _weigh(problem, found)
-    if known.issuperset(f.right.tobytes() for f in weighed.fits):
+    if known.issuperset(f.inliers.tobytes() for f in weighed.fits):
         return hypotheses
-    return follow(problem, weighed) or hypotheses
+    return update(problem, weighed) or hypotheses
 
 
-def carry(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Return them after the map has changed by next to nothing: the best one is carried on alone.
+def propagate(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+    """Propagate the best hypothesis alone, after the map has changed by next to nothing.
 
     The others stay what they were when last followed, and as probable.
     """
-    best = carried(hypotheses.best, problem)
+    best = propagated(hypotheses.best, problem)
     if best is None:
-        return follow(problem, hypotheses)
-    return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights, hypotheses.adrift)
+        return update(problem, hypotheses)
+    return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights, hypotheses.unconverged)
 
 
-def posed(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
+def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return them with the pose of another keyframe of the same map, home where it was.
 
     Parameters
@@ -183,23 +183,23 @@ def posed(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     hypotheses : Hypotheses
         As probable afterwards as before, since the pose says nothing of them.
     """
-    fits = [carried(f, problem) for f in hypotheses.fits]
+    fits = [propagated(f, problem) for f in hypotheses.fits]
     there = tuple(f for f in fits if f is not None)
     return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
 
 
-def starts(problem: HomeProblem) -> list[Start]:
-    """Return where to climb from, the sets all different."""
-    found: list[Start] = []
+def seeds(problem: HomeProblem) -> list[Seed]:
+    """Return seeds of the local search, the sets all different."""
+    found: list[Seed] = []
     if problem.prior is not None:
         found.append((problem.prior, np.ones(problem.bearings.size, bool)))
     if problem.bearings.size >= 3:
         found.extend(_from_triples(problem))
-    unique = {right.tobytes(): (home, right) for home, right in reversed(found)}
-    return list(unique.values())[::-1][: STARTS + 2]
+    unique = {inliers.tobytes(): (home, inliers) for home, inliers in reversed(found)}
+    return list(unique.values())[::-1][: MOST_SEEDS + 2]
 
 
-def _from_triples(problem: HomeProblem) -> list[Start]:
+def _from_triples(problem: HomeProblem) -> list[Seed]:
     """Return the best poses of home made of triples, with the set that each one makes right."""
     points = problem.landmarks
     cameras = poses_from_triples(points, problem.bearings)
@@ -207,51 +207,51 @@ def _from_triples(problem: HomeProblem) -> list[Start]:
         return []
     q = len(points)
     marginals = problem.covariance[4:, 4:].reshape(q, 2, q, 2)[np.arange(q), :, np.arange(q)]
-    scores, right = mixture_scores(
+    scores, inliers = mixture_scores(
         cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
     )
-    found: dict[bytes, Start] = {}
+    found: dict[bytes, Seed] = {}
     unmount = inverse(Pose(*problem.mount))
-    for i in np.argsort(-scores)[: 6 * STARTS]:
-        if right[i].sum() >= 3 and right[i].tobytes() not in found:
+    for i in np.argsort(-scores)[: 6 * MOST_SEEDS]:
+        if inliers[i].sum() >= 3 and inliers[i].tobytes() not in found:
             home = np.array(compose(Pose(*cameras[i]), unmount))
-            found[right[i].tobytes()] = (home, right[i])
-        if len(found) == STARTS:
+            found[inliers[i].tobytes()] = (home, inliers[i])
+        if len(found) == MOST_SEEDS:
             break
     return list(found.values())
 
 
-def _climb(
-    problem: HomeProblem, home: np.ndarray, right: np.ndarray, found: dict[bytes, HomeFit]
+def _local_search(
+    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, found: dict[bytes, HomeFit]
 ) -> None:
     """Flip one bearing at a time while the evidence grows; keep every set met on the way."""
     best: HomeFit | None = None
-    for _ in range(CLIMBS):
-        known = found.get(right.tobytes())
-        now = fit(problem, home, right) if known is None else known
+    for _ in range(MOST_FLIPS):
+        known = found.get(inliers.tobytes())
+        now = fit(problem, home, inliers) if known is None else known
         if now is None:
             return
-        found[right.tobytes()] = now
-        if known is not None or (best is not None and now.evidence <= best.evidence):
+        found[inliers.tobytes()] = now
+        if known is not None or (best is not None and now.log_evidence <= best.log_evidence):
             return
         best = now
         flip = _best_flip(problem, now)
         if flip is None:
             return
-        home, right = now.home, flip
+        home, inliers = now.home, flip
 
 
 def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
     """Return the set with the one flip that gains most, or None when none gains."""
-    if not now.right.size:
+    if not now.inliers.size:
         return None
-    gain = np.where(now.right, -now.odds, now.odds)
-    if now.right.sum() <= problem.fewest:
-        gain[now.right] = -np.inf
+    gain = np.where(now.inliers, -now.odds, now.odds)
+    if now.inliers.sum() <= problem.fewest:
+        gain[now.inliers] = -np.inf
     i = int(np.argmax(gain))
     if not gain[i] > 0.0:
         return None
-    flipped = now.right.copy()
+    flipped = now.inliers.copy()
     flipped[i] ^= True
     return flipped
 
@@ -263,35 +263,35 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     it is greater all the same, the set is kept, for home may be anywhere along its way.
     """
     settled = {key: f for key, f in found.items() if f.settled} or found
-    best = max(settled.values(), key=lambda f: f.evidence)
+    best = max(settled.values(), key=lambda f: f.log_evidence)
     fits = [*settled.values(), *_neighbours(problem, best, settled)]
-    fits.sort(key=lambda f: -f.evidence)
-    weights = np.exp(np.array([f.evidence for f in fits]) - fits[0].evidence)
+    fits.sort(key=lambda f: -f.log_evidence)
+    weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
     keep = weights > NEGLIGIBLE
     weights = weights[keep] / weights[keep].sum()
     at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
-    least = best.evidence + math.log(NEGLIGIBLE)
-    adrift = [f for f in found.values() if not f.settled and f.evidence > least]
-    return Hypotheses(at_rest, weights, tuple(adrift) if best.settled else ())
+    least = best.log_evidence + math.log(NEGLIGIBLE)
+    unconverged = [f for f in found.values() if not f.settled and f.log_evidence > least]
+    return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
 
 
 def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) -> Iterator[HomeFit]:
     """Yield fits to sets that differ from the best one by a doubtful flip, and are not found."""
     for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
-        right = best.right.copy()
-        right[i] ^= True
-        if abs(best.odds[i]) < DOUBTFUL and right.tobytes() not in found:
-            tried = _fit_beside(best, problem, best.home, right)
+        inliers = best.inliers.copy()
+        inliers[i] ^= True
+        if abs(best.odds[i]) < UNDECIDED and inliers.tobytes() not in found:
+            tried = _fit_beside(best, problem, best.home, inliers)
             if tried is not None and tried.settled:
                 yield tried
 
 
 def _fit_beside(
-    lead: HomeFit | None, problem: HomeProblem, home: np.ndarray, right: np.ndarray
+    lead: HomeFit | None, problem: HomeProblem, home: np.ndarray, inliers: np.ndarray
 ) -> HomeFit | None:
     """Fit home from `home` (3,), with no new linearisation if it is where another fit has it."""
-    if lead is not None and right.sum() >= problem.fewest:
-        quick = solved(lead.linear, right, lead.doubt)
+    if lead is not None and inliers.sum() >= problem.fewest:
+        quick = solved(lead.linear, inliers, lead.inflation)
         if quick is not None and quick.settled and quick.is_beside(home):
             return quick
-    return fit(problem, home, right, steps=3)
+    return fit(problem, home, inliers, steps=3)

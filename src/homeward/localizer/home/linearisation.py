@@ -1,4 +1,4 @@
-"""Home bearings, linear around a point in what is known and in home."""
+"""Measurement model of home bearings, linearised around a home and a map."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.compiled import compiled
-from homeward.localizer.home.problem import HEAD, YAW, HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Linear:
         jacobians = np.empty((q, 2)), np.empty((q, 3))
         return Linear(problem, at, np.empty(q), *jacobians, np.empty((q, size)), np.empty((q, q)))
 
-    def carried(self, problem: HomeProblem) -> Linear:
+    def propagated(self, problem: HomeProblem) -> Linear:
         """Return them around the same point after what is known has changed a little."""
         change = expected_change(problem, self.by_place, problem.mean - self.problem.mean)
         return _linear(problem, self.at, self.residual - change, self.by_place, self.by_home)
@@ -45,7 +45,9 @@ class Linear:
 
 def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Linear:
     """Return the home bearings around `home` (3,) and what is known (4 + 2 q,)."""
-    bearing, by_place, by_home = expected(problem, home, known[HEAD:].reshape(-1, 2), known[YAW])
+    bearing, by_place, by_home = expected(
+        problem, home, known[POSE_AND_YAW:].reshape(-1, 2), known[YAW]
+    )
     residual = wrap(problem.bearings - bearing)
     residual = residual + expected_change(problem, by_place, known - problem.mean)
     return _linear(problem, home, residual, by_place, by_home)
@@ -73,7 +75,7 @@ def expected(
 
 def expected_change(problem: HomeProblem, by_place: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Return how home bearings, expected (q,), change with what is known (4 + 2 q,)."""
-    moved = (by_place * change[HEAD:].reshape(-1, 2)).sum(axis=1)
+    moved = (by_place * change[POSE_AND_YAW:].reshape(-1, 2)).sum(axis=1)
     return np.asarray(moved - change[YAW] if problem.same_camera else moved)
 
 
@@ -90,10 +92,12 @@ def _linear(
     native = compiled()
     if native is None:
         gx, gy = by_place.T
-        correlated[:] = gx[:, None] * known[HEAD::2] + gy[:, None] * known[HEAD + 1 :: 2]
+        correlated[:] = (
+            gx[:, None] * known[POSE_AND_YAW::2] + gy[:, None] * known[POSE_AND_YAW + 1 :: 2]
+        )
         if problem.same_camera:
             correlated -= known[YAW]
-        spread[:] = correlated[:, HEAD::2] * gx + correlated[:, HEAD + 1 :: 2] * gy
+        spread[:] = correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
         if problem.same_camera:
             spread -= correlated[:, YAW, None]
         spread[np.arange(q), np.arange(q)] += problem.sigmas**2

@@ -1,4 +1,4 @@
-"""What home stored, and what it makes of a map: the problem of finding home in it."""
+"""Home observation: the stored bearings, and the resection problem that they make of a map."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_
 from homeward.localizer.settings import LocalizerSettings
 
 
-class StoredHome:
-    """The home bearings, where the camera sat, and perhaps a start prior.
+class HomeObservation:
+    """Home observation: the home bearings, where the camera sat, and perhaps a start prior.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class StoredHome:
         self._prior = home_from_start(drive)
         self._names: list[str] = []
         """Whom these are of, which were asked for last:"""
-        self._bearings = self._told = np.zeros(0)
+        self._bearings = self._given = np.zeros(0)
 
     @property
     def has_start(self) -> bool:
@@ -59,12 +59,12 @@ class StoredHome:
         found = self._same_camera and mapper.extrinsics.denied
         return float(self._mount[2] + found * mapper.window.calibration[CAMERA_YAW])
 
-    def mount_spread(self, marginal: Marginal) -> np.ndarray:
+    def mount_covariance(self, marginal: Marginal) -> np.ndarray:
         """Return the covariance (2, 2) of where the camera sat on the robot [m^2]."""
         at = slice(3 + CAMERA_X, 3 + CAMERA_Y + 1)
         return marginal.covariance[at, at] if self._same_camera else np.zeros((2, 2))
 
-    def believed(self, noise: BearingNoise) -> dict[str, HomeBearing]:
+    def given_noise(self, noise: BearingNoise) -> dict[str, HomeBearing]:
         """Return the home bearings with what their deviations are believed to be."""
         names = list(self.bearings)
         columns = (column.tolist() for column in self._columns(names, noise))
@@ -99,10 +99,10 @@ class StoredHome:
             self._names = names
             stored = [self.bearings[n] for n in names]
             self._bearings = np.array([b.bearing for b in stored])
-            self._told = np.array([b.sigma for b in stored])
+            self._given = np.array([b.sigma for b in stored])
         # One that nobody told is of one sighting as any other.
         default = self._settings.home_sigma or noise.typical
-        sigmas = np.where(np.isfinite(self._told), self._told, default)
+        sigmas = np.where(np.isfinite(self._given), self._given, default)
         if self._same_camera:  # as doubtful as its other bearings, but no worse than they are
             sigmas = np.maximum(sigmas, np.minimum(noise.scale * sigmas, noise.typical))
         return self._bearings, sigmas

@@ -1,4 +1,4 @@
-"""A home bearing is right or wrong: how probable each of the two is, given how far it is off.
+"""Inlier-outlier mixture of a home bearing (Box and Tiao, 1968), given its residual.
 
 A right one is off by its noise alone. By how much a wrong one is off nobody knows: a landmark may
 have been pushed a little or carried across the room. So its density is half a Gaussian, half
@@ -19,16 +19,16 @@ UNIFORM_FROM = 2.0
 """A bearing predicted with a larger standard deviation may be anywhere on the circle [rad]."""
 
 
-def log_right(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def log_inlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the log density of being `off` [rad], of right bearings predicted with `variance`."""
     variance = np.maximum(variance, 1e-12)
     normal = -0.5 * off**2 / variance - 0.5 * np.log(TWO_PI * variance)
     return np.where(variance > UNIFORM_FROM**2, -math.log(TWO_PI), normal)
 
 
-def log_wrong(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def log_outlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the log density of being `off` [rad], of wrong ones predicted with `variance`."""
-    pushed, anywhere = log_right(off, variance + SCALE**2), -math.log(TWO_PI)
+    pushed, anywhere = log_inlier(off, variance + SCALE**2), -math.log(TWO_PI)
     return np.asarray(np.logaddexp(pushed, anywhere) - math.log(2.0))
 
 
@@ -43,4 +43,4 @@ def log_odds(off: np.ndarray, variance: np.ndarray, moved_prior: float) -> np.nd
         Probability that a bearing is wrong, before it was seen.
     """
     prior = math.log1p(-moved_prior) - math.log(moved_prior)
-    return np.asarray(prior + log_right(off, variance) - log_wrong(off, variance))
+    return np.asarray(prior + log_inlier(off, variance) - log_outlier(off, variance))

@@ -1,4 +1,4 @@
-"""What is known when home is to be found: the map, the home bearings, perhaps a start prior."""
+"""Resection problem: the map, the home bearings, and perhaps a start prior."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from homeward.engine.native.program import address
 from homeward.frames import from_polar, inverse, polar_covariance_to_pose
 from homeward.localizer.home.resection import REACH
 
-HEAD = 4
+POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
 FEWEST = 3
@@ -64,7 +64,7 @@ class HomeProblem:
     @property
     def landmarks(self) -> np.ndarray:
         """Positions of the landmarks [m], shape (q, 2)."""
-        return self.mean[HEAD:].reshape(-1, 2)
+        return self.mean[POSE_AND_YAW:].reshape(-1, 2)
 
     @cached_property
     def extent(self) -> float:

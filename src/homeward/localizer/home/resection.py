@@ -84,7 +84,7 @@ def mixture_scores(
     Returns
     -------
     scores : ndarray, shape (k,)
-    right : ndarray, shape (k, q), bool
+    inliers : ndarray, shape (k, q), bool
     """
     dx = points[:, 0] - poses[:, 0, None]
     dy = points[:, 1] - poses[:, 1, None]
@@ -97,9 +97,11 @@ def mixture_scores(
         + covariances[:, 1, 1] * gy * gy
     )
     residual = wrap(bearings - np.arctan2(dy, dx) + poses[:, 2, None])
-    right = (1.0 - moved_prior) * np.exp(-0.5 * residual**2 / variance) / np.sqrt(TWO_PI * variance)
-    wrong = moved_prior / TWO_PI
-    return np.log(right + wrong).sum(axis=1), right > wrong
+    inlier = (
+        (1.0 - moved_prior) * np.exp(-0.5 * residual**2 / variance) / np.sqrt(TWO_PI * variance)
+    )
+    outlier = moved_prior / TWO_PI
+    return np.log(inlier + outlier).sum(axis=1), inlier > outlier
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""How far home is to be doubted beyond what the information on it says.
+"""Spurious information on home, and the covariance inflation that takes it out again.
 
 Where home lies on the circle through the landmarks its position is not fixed at all; but the
 landmarks as mapped are never quite on the circle, and so seem to fix it. What their errors add to
@@ -11,22 +11,22 @@ import numpy as np
 
 from homeward.localizer.compiled import compiled
 from homeward.localizer.home.linearisation import Linear
-from homeward.localizer.home.problem import HEAD
+from homeward.localizer.home.problem import POSE_AND_YAW
 
 LEAST_SHARE = 0.002
 """So much of the information on home is left at least when errors of the map are taken out [1]."""
 
 
-def doubt(
-    linear: Linear, right: np.ndarray, known: np.ndarray, information: np.ndarray
+def spurious_covariance(
+    linear: Linear, inliers: np.ndarray, known: np.ndarray, information: np.ndarray
 ) -> np.ndarray:
-    """Return the covariance (3, 3) of home beyond the inverse of the information on it.
+    """Return the inflation: the covariance (3, 3) of home beyond the inverse of its information.
 
     Parameters
     ----------
     linear : Linear
         The home bearings.
-    right : ndarray, shape (q,), bool
+    inliers : ndarray, shape (q,), bool
         The set.
     known : ndarray, shape (4 + 2 q,)
         What is known, corrected by the set.
@@ -38,17 +38,17 @@ def doubt(
     numpy.linalg.LinAlgError
         If home is not fixed.
     """
-    native, problem, q = compiled(), linear.problem, right.size
+    native, problem, q = compiled(), linear.problem, inliers.size
     if native is not None:
         found = np.empty((3, 3))
-        of_set = (linear.at, right.astype(float), known, linear.spread)
+        of_set = (linear.at, inliers.astype(float), known, linear.spread)
         told = (information, problem.vague, np.empty(14 * q), found)
         if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *told):
             raise np.linalg.LinAlgError("home is not fixed")
         return found
     whole = information + problem.vague
     left = whole.copy()
-    left[:2, :2] -= _by_chance(information, _bend(linear, right, known))
+    left[:2, :2] -= _by_chance(information, _bend(linear, inliers, known))
     # Both with what is there always: so it is a covariance, where next to nothing is known, too.
     return np.asarray(np.linalg.inv(left) - np.linalg.inv(whole))
 
@@ -68,15 +68,15 @@ def _by_chance(information: np.ndarray, bend: np.ndarray) -> np.ndarray:
     return np.asarray((kept * np.minimum(shares, 1.0 - LEAST_SHARE)) @ kept.T)
 
 
-def _bend(linear: Linear, right: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _bend(linear: Linear, inliers: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the information (2, 2) that the landmarks' own errors add by bending bearings."""
-    d = known[HEAD:].reshape(-1, 2)[right] - linear.at[:2]
+    d = known[POSE_AND_YAW:].reshape(-1, 2)[inliers] - linear.at[:2]
     square = np.maximum((d**2).sum(axis=1), 1e-4)
     a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
     curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
-    of_set = np.repeat(np.concatenate([np.zeros(HEAD // 2, bool), right]), 2)
+    of_set = np.repeat(np.concatenate([np.zeros(POSE_AND_YAW // 2, bool), inliers]), 2)
     errors = _own_errors(d, linear.problem.covariance[of_set][:, of_set])
-    weighed = errors / linear.spread.diagonal()[right, None, None]
+    weighed = errors / linear.spread.diagonal()[inliers, None, None]
     return np.asarray((curvature @ weighed @ curvature).sum(axis=0))
 
 

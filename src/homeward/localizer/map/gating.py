@@ -39,7 +39,7 @@ def gate_bearings(
         What is known.
     motion : Motion
         The last one before the sightings.
-    fresh : bool
+    new_keyframe : bool
         Whether the newest pose of `marginal` is the one after `motion`, not the one before.
     names : list of str
         Of the m sighted landmarks, mapped or not.

@@ -48,7 +48,7 @@ def sighting_rows(
     ----------
     keyframe : int
         Its number.
-    look : Look
+    frame : WeighedFrame
         Of m landmarks.
     motion : Motion
         From the keyframe to the stamp.

@@ -2,7 +2,7 @@
 
 The poses of the last keyframes stay open to correction; when some leave, what
 they say is kept as a Gaussian on the pose after them, the calibration and the landmarks (a Schur
-complement). Calibration and landmarks are shared by all poses; see `chain` for the algebra.
+complement). Calibration and landmarks are shared by all poses; see `elimination` for the algebra.
 
 Home is not in here: a home bearing may turn out to be wrong, and nothing that may have to be taken
 back is marginalised.
@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from homeward.localizer.map import elimination as chain
+from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.map.sightings import (
     COLUMNS,
@@ -181,7 +181,7 @@ class Window:
             When the normal equations are singular.
         """
         for _ in range(STEPS):
-            poses, common, covariance = chain.solve(self._all())
+            poses, common, covariance = elimination.solve(self._all())
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
             self.settled = self._move(poses, common) < SETTLED
@@ -192,7 +192,7 @@ class Window:
 
     def marginals(self) -> list[Marginal]:
         """Return what is known of each open pose, as `solve` does of the newest, after it."""
-        own, by_common, common = chain.marginals(self._all())
+        own, by_common, common = elimination.marginals(self._all())
         shared = np.concatenate([self.calibration, self.positions.ravel()])
         found = []
         for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
@@ -205,7 +205,7 @@ class Window:
         """Marginalise the oldest `count` poses: what they say about everything else is kept."""
         old = self.sightings[:, KEYFRAME] < self.first + count
         rows = self.sightings[old]
-        left = chain.eliminate(self._normal_equations(count + 1, rows))
+        left = elimination.eliminate(self._normal_equations(count + 1, rows))
         self._prior_information, self._prior_gradient = left.information, left.gradient
         self._let_drift(self.stamps[count] - self.stamps[0])
         if self._closed is not None:
@@ -257,20 +257,20 @@ class Window:
         self.positions = self.positions + scale * landmarks
         return float(max(turn, share, np.abs(poses[:, :2]).max(), np.abs(common[:NC]).max()))
 
-    def _normal_equations(self, w: int, rows: np.ndarray) -> chain.NormalEquations:
+    def _normal_equations(self, w: int, rows: np.ndarray) -> elimination.NormalEquations:
         """Return what the oldest w poses and rows from them say, and the prior.
 
         They are linearised where poses, calibration and landmarks are believed to be. What is
         believed of the camera's mount beforehand is not among it.
         """
-        equations = chain.NormalEquations.zeros(w, NC + self.positions.size)
+        equations = elimination.NormalEquations.zeros(w, NC + self.positions.size)
         poses, calibration = self.poses[:w], self.calibration
         self._add_prior(equations)
         add_odometry(equations, poses, calibration, self._steps[: w - 1])
         add_sightings(equations, poses, calibration, self.positions, rows, self.first)
         return equations
 
-    def _all(self) -> chain.NormalEquations:
+    def _all(self) -> elimination.NormalEquations:
         """Return everything that is known."""
         equations = self._normal_equations(len(self.poses), self.sightings)
         at, information = np.arange(NC)[MOUNT], self.mount_sigmas**-2.0
@@ -278,7 +278,7 @@ class Window:
         equations.common_slope[at] -= information * self.calibration[at]
         return equations
 
-    def _add_prior(self, e: chain.NormalEquations) -> None:
+    def _add_prior(self, e: elimination.NormalEquations) -> None:
         """Add what closed poses said."""
         information = self._prior_information
         downhill = self._prior_gradient - information @ (self._head_and_map() - self._prior_at)

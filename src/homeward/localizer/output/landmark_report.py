@@ -1,4 +1,4 @@
-"""What is known of each landmark: where it stands in the home frame, and whether it was moved."""
+"""Landmark report: where each stands in the home frame, and whether it was moved."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from homeward.naming import natural
 
 
 @dataclass(frozen=True)
-class Inventory:
-    """The landmarks of a map and of home."""
+class LandmarkReport:
+    """Landmark report of a map and of home."""
 
     home: Mapping[str, HomeBearing]
     """What home stored."""
@@ -108,7 +108,7 @@ class Inventory:
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:
                 at[index[name]] = place
-        spread += best.covariance[:2, :2]
+        spread += best.joint_covariance[:2, :2]
         away = at - best.home[:2]
         c, s = math.cos(best.home[2]), math.sin(best.home[2])
         towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]

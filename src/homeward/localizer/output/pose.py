@@ -1,4 +1,4 @@
-"""The answer: where the robot is in the home frame, under each hypothesis and under all of them."""
+"""Pose estimate in the home frame, under each hypothesis and under all of them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ AT_REST = 1e-3
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The robot's pose in the home frame."""
+class PoseEstimate:
+    """Pose estimate: the robot in the home frame."""
 
     pose: Pose
     covariance: np.ndarray
     """(3, 3), of x [m], y [m] and heading [rad]."""
 
-    def propagate(self, delta: np.ndarray, drift: np.ndarray) -> Answer:
-        """Return it after a motion.
+    def propagate(self, delta: np.ndarray, drift: np.ndarray) -> PoseEstimate:
+        """Propagate it by a motion.
 
         Parameters
         ----------
@@ -46,34 +46,41 @@ class Answer:
         by_pose = np.array([[1.0, 0.0, -step_y], [0.0, 1.0, step_x], [0.0, 0.0, 1.0]])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
-        return Answer(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
+        return PoseEstimate(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
 
-    def with_mount(self, spread: np.ndarray) -> Answer:
+    def with_mount(self, spread: np.ndarray) -> PoseEstimate:
         """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
         covariance = self.covariance.copy()
         covariance[:2, :2] += spread
-        return Answer(self.pose, covariance)
+        return PoseEstimate(self.pose, covariance)
 
-    def with_scale(self, sigma: float) -> Answer:
+    def with_scale(self, sigma: float) -> PoseEstimate:
         """Return it with an error of the map's scale, of which `sigma` [1] is the deviation."""
         out = np.array([self.pose.x, self.pose.y, 0.0])
-        return Answer(self.pose, self.covariance + sigma**2 * out[:, None] * out)
+        return PoseEstimate(self.pose, self.covariance + sigma**2 * out[:, None] * out)
 
 
-def in_home_frame(fit: HomeFit) -> Answer:
+def in_home_frame(fit: HomeFit) -> PoseEstimate:
     """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
     native, linear, problem = compiled(), fit.linear, fit.problem
     if native is not None:
         q, size = linear.correlated.shape
         pose, covariance = np.empty(3), np.empty((3, 3))
         known = (problem.mean, problem.covariance, linear.correlated, fit.precision)
-        told = (linear.by_home, linear.residual, fit.step, fit.home, fit.spread, np.empty(4 * q))
+        told = (
+            linear.by_home,
+            linear.residual,
+            fit.step,
+            fit.home,
+            fit.covariance,
+            np.empty(4 * q),
+        )
         native.from_home(q, size, *known, *told, pose, covariance)
         x, y, heading = pose.tolist()
-        return Answer(Pose(x, y, wrap(heading)), covariance)
+        return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
     by_home, by_pose, there = _derivatives(fit)
-    spread = by_home @ fit.spread @ by_home.T + by_pose @ fit.pose_spread @ by_pose.T
-    return Answer(there, 0.5 * (spread + spread.T))
+    spread = by_home @ fit.covariance @ by_home.T + by_pose @ fit.pose_covariance @ by_pose.T
+    return PoseEstimate(there, 0.5 * (spread + spread.T))
 
 
 def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
@@ -89,14 +96,14 @@ def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
     return in_all, by_pose, Pose(px, py, wrap(heading - home_heading))
 
 
-def unchecked(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
+def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
     """Return the covariance (3, 3) of the answer by faults that no home bearing could contradict.
 
     A bearing that all others together predict too vaguely agrees, right or wrong; so does any of
     three alone. Where there are more, the sets without one of them are hypotheses of their own.
     None where every bearing is `checked` (q,).
     """
-    problem, alone = fit.problem, fit.right & ~checked
+    problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
     by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision[:, alone])
@@ -107,7 +114,7 @@ def unchecked(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
 
 
 @dataclass(frozen=True)
-class Others:
+class OtherHypotheses:
     """What other hypotheses add to the best one's answer."""
 
     shift: np.ndarray
@@ -118,23 +125,27 @@ class Others:
     """(3, 3): what the others have of the covariance, and how far all are apart."""
 
     @staticmethod
-    def none() -> Others:
+    def nothing() -> OtherHypotheses:
         """Return what there is without any: nothing."""
-        return Others(np.zeros(3), 1.0, np.zeros((3, 3)))
+        return OtherHypotheses(np.zeros(3), 1.0, np.zeros((3, 3)))
 
 
-def others_of(hypotheses: Hypotheses) -> Others:
+def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
     """Return what makes the best hypothesis' answer that of all: their middle, their covariance."""
-    answers, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
-    off = np.array([a.pose for a in answers]) - np.array(answers[0].pose)
+    estimates, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
+    off = np.array([a.pose for a in estimates]) - np.array(estimates[0].pose)
     off[:, 2] = wrap(off[:, 2])
-    each = weights[:, None, None] * np.array([a.covariance for a in answers])
+    each = weights[:, None, None] * np.array([a.covariance for a in estimates])
     middle = centre(off, weights, each.sum(axis=0))
     off -= middle
-    return Others(middle, float(weights[0]), each[1:].sum(axis=0) + (weights * off.T) @ off)
+    return OtherHypotheses(
+        middle, float(weights[0]), each[1:].sum(axis=0) + (weights * off.T) @ off
+    )
 
 
-def answer_of(best: HomeFit, others: Others, more: np.ndarray | None = None) -> Answer:
+def combined_estimate(
+    best: HomeFit, others: OtherHypotheses, more: np.ndarray | None = None
+) -> PoseEstimate:
     """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
     alone = in_home_frame(best)
     covariance = others.share * alone.covariance + others.covariance
@@ -146,7 +157,7 @@ def answer_of(best: HomeFit, others: Others, more: np.ndarray | None = None) -> 
     sagitta = largest / (2.0 * landmark_distance(best, best.home))
     covariance[[0, 1], [0, 1]] += sagitta**2
     x, y, heading = np.add(alone.pose, others.shift).tolist()
-    return Answer(Pose(x, y, wrap(heading)), covariance)
+    return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
 
 
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:

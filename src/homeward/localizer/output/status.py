@@ -1,4 +1,4 @@
-"""What may be said of where the robot is: whether there is a pose to give, and what to call it."""
+"""Integrity monitor: whether there is a pose to give, its status and the reason."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.problem import FEWEST
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.output.pose import (
-    Answer,
-    Others,
-    answer_of,
+    OtherHypotheses,
+    PoseEstimate,
+    combined_estimate,
     landmark_distance,
-    others_of,
-    unchecked,
+    other_hypotheses,
+    uncheckable_outliers,
 )
 from homeward.localizer.reasons import NOT_FIXED
 from homeward.localizer.settings import LocalizerSettings
@@ -58,8 +58,8 @@ def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collectio
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 
 
-class Standing:
-    """The answer of all hypotheses, and how far it can be relied on.
+class IntegrityMonitor:
+    """Integrity monitor: the pose of all hypotheses, and how far it can be relied on.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ class Standing:
         self._speed_scale = settings.odometry.speed_scale if given is None else given
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
-        self._answer = Answer(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
+        self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
         """At the newest keyframe, the speed taken at its word."""
-        self._others = Others.none()
+        self._others = OtherHypotheses.nothing()
         self._weights: np.ndarray | None = None
         """Of the hypotheses that `_others` comes from."""
         self._checked = self._stayed = np.zeros(0, bool)
@@ -87,10 +87,10 @@ class Standing:
         """How uncertain a pose may be that was given [m]."""
         self.fixed = False
         """Whether the pose is certain enough to be given."""
-        self.mount_spread = np.zeros((2, 2))
+        self.mount_covariance = np.zeros((2, 2))
         """Covariance of x and y of the camera on the robot [m^2]."""
 
-    def take(self, now: Hypotheses | None, firm: bool, stayed: np.ndarray | None = None) -> None:
+    def update(self, now: Hypotheses | None, firm: bool, stayed: np.ndarray | None = None) -> None:
         """Take the hypotheses of a new keyframe.
 
         Parameters
@@ -107,19 +107,19 @@ class Standing:
         if now is None:
             self.fixed, self._weights = False, None
             return
-        self._stayed = np.ones_like(now.best.right) if stayed is None else stayed
+        self._stayed = np.ones_like(now.best.inliers) if stayed is None else stayed
         if now.weights is not self._weights:  # not only carried on
-            self._others, self._weights = others_of(now), now.weights
+            self._others, self._weights = other_hypotheses(now), now.weights
             self._checked = now.best.checked
-        self._answer = answer_of(now.best, self._others)
+        self._estimate = combined_estimate(now.best, self._others)
         if firm or not self.fixed:
-            at_rest = self.fixed or (now.best.settled and now.unrest < 0.5)
+            at_rest = self.fixed or (now.best.settled and now.unconverged_probability < 0.5)
             self.fixed = at_rest and self._is_fixed(now.best)
             self._rivals = now.rivals(RIVAL_SIGMAS)
-        faults = unchecked(now.best, self._checked)
+        faults = uncheckable_outliers(now.best, self._checked)
         if faults is not None:
-            self._answer = answer_of(now.best, self._others, faults)
-            self.fixed &= _sigma(self._answer.covariance) <= self._most
+            self._estimate = combined_estimate(now.best, self._others, faults)
+            self.fixed &= _sigma(self._estimate.covariance) <= self._most
 
     def estimate(
         self,
@@ -144,24 +144,24 @@ class Standing:
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, NOT_FIXED, None, None, innovations)
-        answer = self._answer if moved is None else self._answer.propagate(*moved)
-        answer = answer.with_mount(self.mount_spread).with_scale(self._speed_scale)
-        status, reason = self._status(answer, self._best, coasting)
-        return Estimate(t, status, reason, answer.pose, answer.covariance, innovations)
+        estimate = self._estimate if moved is None else self._estimate.propagate(*moved)
+        estimate = estimate.with_mount(self.mount_covariance).with_scale(self._speed_scale)
+        status, reason = self._status(estimate, self._best, coasting)
+        return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
 
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough among its landmarks to judge any of them by it."""
         reach = self._settings.largest_sigma * landmark_distance(best, best.home)
-        return _sigma(best.spread) <= reach and (best.settled or self.fixed)
+        return _sigma(best.covariance) <= reach and (best.settled or self.fixed)
 
-    def _status(self, answer: Answer, best: HomeFit, coasting: bool) -> tuple[Status, str]:
+    def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
-        agreeing, checked = int(best.right.sum()), int(self._checked.sum())
+        agreeing, checked = int(best.inliers.sum()), int(self._checked.sum())
         if agreeing < CHECKED:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
-        stayed = int((best.right & self._stayed).sum())
+        stayed = int((best.inliers & self._stayed).sum())
         if stayed < FEWEST:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
@@ -169,7 +169,7 @@ class Standing:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
         if coasting:
             return Status.COASTING, "no bearings now"
-        if max(answer.covariance[0, 0], answer.covariance[1, 1]) > self._most**2:
+        if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > self._most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
         return Status.LOCALISED, f"{agreeing} home bearings agree"
 
@@ -181,8 +181,8 @@ class Standing:
         self._most = STILL_FIXED * reach
         most = self._most if self.fixed else reach
         # Where home may turn by as much, what is linear in its heading no longer holds.
-        turn = math.sqrt(self._answer.covariance[2, 2]) * distance
-        return max(turn, _sigma(self._answer.with_scale(self._speed_scale).covariance)) <= most
+        turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
+        return max(turn, _sigma(self._estimate.with_scale(self._speed_scale).covariance)) <= most
 
 
 def _sigma(covariance: np.ndarray) -> float:

@@ -58,12 +58,12 @@ def test_bearings_that_run_clockwise_are_not(law):
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_noise_of_a_robot_that_stands_is_no_sign(sign):
     sign_check = watched(still, FAR, noise=0.05, gyro=0.2, sign=sign)
-    assert len(sign_check._right) >= ENOUGH
+    assert len(sign_check._agrees) >= ENOUGH
     assert not sign_check.reversed
 
 
 def test_a_straight_way_tells_nothing():
-    assert not watched(lambda _: Twist(0.3, 0.0), FAR, sign=-1.0)._right
+    assert not watched(lambda _: Twist(0.3, 0.0), FAR, sign=-1.0)._agrees
 
 
 @pytest.mark.parametrize("wrong", ["bearings", "turn rates"])
