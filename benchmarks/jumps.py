@@ -1,0 +1,66 @@
+"""How far does one who reads `Localizer.bearings` have to go? Of every call on a simulated drive:
+
+functions that it runs, files that they are in, and calls from one file into another.
+
+`python -m benchmarks.jumps` prints median and largest; only code of the package counts.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+import homeward
+from benchmarks.consistency.scenarios import SCENARIOS
+from homeward.localizer.localizer import Localizer
+from homeward.track import run
+
+PACKAGE = str(Path(homeward.__file__).parent)
+FIGURES = ("functions", "files", "jumps")
+
+
+class Watched(Localizer):
+    """A localiser that takes note of what each call of `bearings` runs."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.figures: list[tuple[int, int, int]] = []
+
+    def bearings(self, *arguments: Any) -> Any:
+        """Take bearings as any localiser."""
+        functions: set[tuple[str, str]] = set()
+        jumps = 0
+
+        def note(frame: FrameType, event: str, _: Any) -> None:
+            nonlocal jumps
+            code, caller = frame.f_code, frame.f_back
+            if event == "call" and code.co_filename.startswith(PACKAGE):
+                functions.add((code.co_filename, code.co_qualname))
+                here = caller is not None and caller.f_code.co_filename == code.co_filename
+                jumps += not here
+
+        sys.setprofile(note)
+        try:
+            return super().bearings(*arguments)
+        finally:
+            sys.setprofile(None)
+            self.figures.append((len(functions), len({file for file, _ in functions}), jumps))
+
+
+def main() -> None:
+    """Run one drive, and print."""
+    named = SCENARIOS["room"]
+    drive = named.make(named.first).drive
+    localizer = Watched(drive.home, drive.settings)
+    run(drive, localizer)
+    table = np.array(localizer.figures)
+    for name, column in zip(FIGURES, table.T, strict=True):
+        print(f"{name:>9}: median {np.median(column):.0f}, largest {column.max()}")
+
+
+if __name__ == "__main__":
+    main()
