@@ -12,9 +12,8 @@ from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
-from homeward.localizer.reasons import REPLACED
+from homeward.localizer.reasons import Reason
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 
@@ -52,7 +51,7 @@ def test_smoothing_makes_no_pose_in_the_mirror():
     rig.home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
     rig.drive(40, see=lambda seen: {n: -b for n, b in seen.items()})
     track = smooth(rig.logged())
-    assert track.reason[-1] == REVERSED
+    assert track.reason[-1] == Reason.SIGNS_REVERSED.words
     assert not track.has_pose[-1]
 
 
@@ -68,7 +67,9 @@ def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
     status = np.array([s is Status.LOCALISED for s in track.status])
     assert status[~after].mean() > 0.5
     assert not status[after].any()
-    assert {r for r, a in zip(track.reason, after, strict=True) if a} == {REPLACED}
+    assert {r for r, a in zip(track.reason, after, strict=True) if a} == {
+        Reason.SCENE_CHANGED.words
+    }
 
 
 @pytest.mark.parametrize("given", [BEARING_SIGMA / 10, None])

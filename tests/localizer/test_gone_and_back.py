@@ -9,7 +9,7 @@ from rig import Rig, another_room, eight, ring, still
 from homeward.control import Twist
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.localizer.reasons import REPLACED
+from homeward.localizer.reasons import Reason
 
 
 def carried(pose, metres, way):
@@ -96,7 +96,7 @@ def test_carried_to_where_nothing_of_the_map_is_in_sight_and_back(blind_s):
     rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)
     said = len(rig.answers)
     there = rig.drive(20, see=near)
-    assert there.reason == REPLACED
+    assert there.reason == Reason.SCENE_CHANGED.words
     assert not any(a.status in (Status.LOCALISED, Status.COASTING) for a, _ in rig.answers[said:])
     rig.pose = Pose(0.5, 0.3, -2.0)
     assert rig.drive(60, see=near).status is Status.LOCALISED
@@ -110,7 +110,7 @@ def test_a_narrow_camera_that_turns_away_from_all_it_saw_is_not_carried_off(degr
         rig.drive(15, lambda _, w=omega: Twist(0.3, w), see=lambda seen: among(seen, half))
     reasons = {a.reason for a, _ in rig.answers}
     assert rig.answers[-1][0].pose is not None
-    assert REPLACED not in reasons
+    assert Reason.SCENE_CHANGED.words not in reasons
 
 
 def among(seen, half):

@@ -8,8 +8,9 @@ from rig import Rig, eight, ring, still
 
 from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
-from homeward.localizer.inputs.sign_check import ENOUGH, REVERSED, SignCheck
+from homeward.localizer.inputs.sign_check import ENOUGH, SignCheck
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.reasons import Reason
 
 
 def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):
@@ -77,12 +78,12 @@ def test_there_is_no_pose_in_the_mirror_and_the_reason_is_told(wrong):
         feel = rig.localizer.odometry
         rig.localizer.odometry = lambda t, v, omega: feel(t, v, -omega)
         answer = rig.drive(60)
-    assert (answer.pose, answer.reason) == (None, REVERSED)
+    assert (answer.pose, answer.reason) == (None, Reason.SIGNS_REVERSED.words)
     assert "must be anti-clockwise." in rig.localizer.notes[-1]
 
 
 def test_a_drive_with_all_signs_right_has_no_such_note():
     rig = Rig(ring(10))
     answer = rig.drive(40)
-    assert answer.reason != REVERSED
+    assert answer.reason != Reason.SIGNS_REVERSED.words
     assert not any("anti-clockwise" in note for note in rig.localizer.notes)

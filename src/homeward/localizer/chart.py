@@ -137,7 +137,7 @@ class Chart:
             )
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self.is_lost:
-            words = complaint or self.mapper.kidnapping.why
+            words = complaint or self.mapper.kidnapping.why.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         motion, moved = self.mapper.motion(t), None
         if motion is not Motion.identity():

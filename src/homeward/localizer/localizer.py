@@ -30,10 +30,11 @@ from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.bearing_noise import deviation
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
-from homeward.localizer.inputs.sign_check import REVERSED, SignCheck
+from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.odometry import lag_words
+from homeward.localizer.reasons import Reason, Rejection
 from homeward.localizer.settings import LocalizerSettings
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
@@ -81,8 +82,9 @@ class Localizer:
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and what was found out about the robot; each a sentence."""
-        if self._sign_check.reversed:
-            return (*self._notes, f"{REVERSED[0].upper()}{REVERSED[1:]}.")
+        if self.signs_reversed:
+            words = Reason.SIGNS_REVERSED.words
+            return (*self._notes, f"{words[0].upper()}{words[1:]}.")
         noisy = (NOISY_NOTE,) if self.mapper.noise.scale > 1.0 else ()
         extrinsics, calibration = self.mapper.extrinsics, self.mapper.window.calibration
         return (*self._notes, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
@@ -92,12 +94,12 @@ class Localizer:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
-            self._reject("odometry is not finite, or no robot's")
+            self._reject(Rejection.BAD_ODOMETRY)
             return
         late = self._is_too_late(t)
         self._reorder.odometry(t, late)
         if late:
-            self._reject("odometry came late")
+            self._reject(Rejection.LATE_ODOMETRY)
             return
         self._advance(t)
         for chart in self._charts:
@@ -116,10 +118,10 @@ class Localizer:
         said, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
             self._reorder.late_bearings()
-            self._reject("bearings came late", len(sightings))
+            self._reject(Rejection.LATE_BEARINGS, len(sightings))
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
-        self._reject("bearing is not finite", len(sightings) - len(usable))
+        self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
         self._advance(t)
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
@@ -140,7 +142,12 @@ class Localizer:
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return self.chart.landmarks(judge=not self._sign_check.reversed)
+        return self.chart.landmarks(judge=not self.signs_reversed)
+
+    @property
+    def signs_reversed(self) -> bool:
+        """Whether bearings go against the turns of the odometry; then nothing is to be believed."""
+        return self._sign_check.reversed
 
     @property
     def mount(self) -> Pose | None:
@@ -199,10 +206,10 @@ class Localizer:
         """All there are, the older one first."""
         return (self._chart,) if self._beside is None else (self._chart, self._beside)
 
-    def _reject(self, reason: str, number: int = 1) -> None:
+    def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
         for chart in self._charts:
-            chart.counts.reject(reason, number)
+            chart.counts.reject(why.words, number)
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
@@ -270,6 +277,6 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
         """Return the estimate at `t` [s]."""
-        if self._sign_check.reversed:
-            return Estimate(t, Status.MAPPING, REVERSED, None, None, innovations)
+        if self.signs_reversed:
+            return Estimate(t, Status.MAPPING, Reason.SIGNS_REVERSED.words, None, None, innovations)
         return self.chart.estimate(t, innovations, self._reorder.complaint())

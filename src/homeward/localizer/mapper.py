@@ -21,7 +21,7 @@ from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import Odometry, calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.reasons import LOST, REPLACED
+from homeward.localizer.reasons import Reason, Rejection
 from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.detectors import (
     LOST_RAD,
@@ -151,7 +151,7 @@ class Mapper:
     ) -> tuple[list[Innovation], bool]:
         """Take sightings; return their innovations, and whether there is a new solution."""
         if not self.has_odometry:
-            self._counts.reject("no odometry yet", len(sightings))
+            self._reject(Rejection.NO_ODOMETRY, len(sightings))
             return [], False
         self.noise.add_bearings(t, sightings, sigmas)
         names = list(sightings)
@@ -180,7 +180,7 @@ class Mapper:
             compose(Pose(*self.marginal.mean[:3].tolist()), Pose(*since.delta.tolist()))
         )
         if self._scene.has_changed(names, innovations, place, self.marginal.positions):
-            self._begin_relocalisation(t, REPLACED)
+            self._begin_relocalisation(t, Reason.SCENE_CHANGED)
             return innovations, self._relocalise(frame)
         suspicion = self._slip.suspicion(innovations, since)
         if suspicion and self._reset_pose(*suspicion, since, frame):
@@ -191,7 +191,7 @@ class Mapper:
                 rows, since, len(self._between) + 1, prediction, self.marginal
             )
             if widened is None:
-                self._counts.reject("odometry since the keyframe is too uncertain", len(names))
+                self._reject(Rejection.VAGUE_ODOMETRY, len(names))
                 return innovations, map_reset
             rows[:, SIGMA] = widened
         refused = self.landmarks.refused(fits)
@@ -252,9 +252,9 @@ class Mapper:
         for i, name in enumerate(names):
             taken = self._taken[name] = self._taken.get(name, 0) + 1
             if taken > MOST_PER_KEYFRAME:
-                self._counts.reject("the robot stands and saw this before")
+                self._reject(Rejection.STANDING)
             elif not fits.get(name, True):
-                self._counts.reject("bearing does not fit the map")
+                self._reject(Rejection.OUTSIDE_GATE)
                 self.landmarks.set_aside(t, name, rows[i])
             else:
                 kept[i] = True
@@ -276,7 +276,7 @@ class Mapper:
                 self.window.adopt(self.marginal)
                 self.solved = False
         except np.linalg.LinAlgError:
-            self._counts.reject("the map was thrown away")
+            self._reject(Rejection.MAP_RESET)
             self._reset_map(self.window.stamps[-1])
         self._between = []
 
@@ -297,7 +297,7 @@ class Mapper:
         self.marginal = self.window.solve()
         misfits = self.landmarks.drop_misfits(self.window) if self.window.settled else 0
         if misfits:
-            self._counts.reject("landmark did not agree with itself", misfits)
+            self._reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             self.marginal = self.window.solve()
         since = self.window.newest - self._solved_at
         self.solved = True
@@ -337,7 +337,11 @@ class Mapper:
         self._correct(None)
         return True
 
-    def _begin_relocalisation(self, t: float, why: str = LOST) -> None:
+    def _reject(self, why: Rejection, number: int = 1) -> None:
+        """Count sightings that were not used."""
+        self._counts.reject(why.words, number)
+
+    def _begin_relocalisation(self, t: float, why: Reason = Reason.LOST) -> None:
         """Begin to look for the robot in its map, from where it is at `t` [s]."""
         self._odometry.restart(t)
         self.kidnapping.begin(t, why)
@@ -351,7 +355,7 @@ class Mapper:
             motion = Motion.identity()
         if self._reset_pose(self.kidnapping.search, 0, motion, frame):
             return True
-        self._counts.reject("the robot is lost in its map", len(frame.names))
+        self._reject(Rejection.LOST, len(frame.names))
         return False
 
     def _reset_pose(

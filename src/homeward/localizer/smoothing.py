@@ -12,7 +12,6 @@ from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Estimate
 from homeward.frames import Pose, between
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
-from homeward.localizer.inputs.sign_check import REVERSED
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Window
 from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
@@ -53,7 +52,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     localizer = Localizer(drive.home, drive.settings, settings)
     localizer.keep_closed()
     track = run(drive, localizer)
-    if track.reason[-1:] == [REVERSED]:
+    if localizer.signs_reversed:
         return track
     whole = localizer.mapper.window.whole()
     for _ in range(SOLVES):

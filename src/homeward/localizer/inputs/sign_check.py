@@ -14,7 +14,6 @@ from collections.abc import Mapping
 
 from homeward.estimator import HOLD_S
 
-REVERSED = "bearings and turn rates go opposite ways; both must be anti-clockwise"
 LEAST_TURN, LONGEST_S = 0.1, 5.0
 """Two sightings of a landmark are compared when the robot has turned by so much [rad] in no more
 than so much time [s]."""

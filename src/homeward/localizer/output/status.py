@@ -22,7 +22,7 @@ from homeward.localizer.output.pose import (
     other_hypotheses,
     uncheckable_outliers,
 )
-from homeward.localizer.reasons import NOT_FIXED
+from homeward.localizer.reasons import Reason
 from homeward.localizer.settings import LocalizerSettings
 
 STILL_FIXED = 2.0
@@ -143,7 +143,7 @@ class IntegrityMonitor:
             To go with it.
         """
         if self._best is None or not self.fixed:
-            return Estimate(t, Status.MAPPING, NOT_FIXED, None, None, innovations)
+            return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
         estimate = self._estimate if moved is None else self._estimate.propagate(*moved)
         estimate = estimate.with_mount(self.mount_covariance).with_scale(self._speed_scale)
         status, reason = self._status(estimate, self._best, coasting)

@@ -16,7 +16,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.reasons import LOST
+from homeward.localizer.reasons import Reason
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
 RECENT, KIDNAPPED_SHARE = 10, 0.75
@@ -95,14 +95,14 @@ class KidnapDetector:
     def __init__(self) -> None:
         self.since: float | None = None
         """Since when the robot does not know where in its map it is [s] ..."""
-        self.why = LOST
-        """... and how that shows, in words."""
+        self.why = Reason.LOST
+        """... and how that shows."""
         self.spells: list[tuple[float, float]] = []
         """From when until when it was lost before [s]."""
         self.search = RelocalisationBuffer()
         self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
 
-    def begin(self, t: float, why: str = LOST) -> None:
+    def begin(self, t: float, why: Reason = Reason.LOST) -> None:
         """Be lost from `t` [s] on, or look for the robot anew if it is."""
         if self.since is None:
             self.since, self.why = t, why
