@@ -100,7 +100,7 @@ def test_the_gaussian_moves_predicts_and_is_corrected(both):
     gaussian, rows = a_gaussian(rng)
     motion = Motion(rng.normal(size=3), np.diag([0.1, 0.2, 0.3]), rng.normal(size=(3, NC)))
     predicted = both(gaussian.predict_bearings, rows)
-    for field in ("residual", "jacobian", "correlated", "spread"):
+    for field in ("residual", "jacobian", "correlated", "innovation_covariance"):
         assert np.allclose(*(getattr(p, field) for p in predicted)), field
     for native, plain in (
         both(gaussian.propagate, motion, 0.1 * rng.normal(size=NC)),
@@ -130,7 +130,7 @@ def test_a_landmark_that_is_not_there_is_an_error(number):
 def test_sightings_without_spread_are_an_error_and_change_nothing():
     gaussian, rows = a_gaussian(np.random.default_rng(3))
     seen = gaussian.predict_bearings(rows)
-    seen.spread[:] = -1.0
+    seen.innovation_covariance[:] = -1.0
     seen.residual[:] = 0.0
     before = gaussian.covariance.copy()
     with pytest.raises(np.linalg.LinAlgError):
@@ -161,7 +161,7 @@ def test_home_is_solved_for(both, prior):
     problem = a_home(np.random.default_rng(4), prior=prior)
     around = both(linearised, problem, np.array([0.1, 0.1, -0.2]), problem.mean)
     assert np.allclose(around[0].correlated, around[1].correlated)
-    assert np.allclose(around[0].spread, around[1].spread)
+    assert np.allclose(around[0].residual_covariance, around[1].residual_covariance)
     for inliers in (np.ones(6, bool), np.array([1, 0, 1, 1, 0, 1], bool)):
         native, plain = both(solved, around[0], inliers)
         for field in ("step", "precision", "information", "log_volume", "home", "joint_covariance"):
@@ -174,7 +174,9 @@ def test_home_is_solved_for(both, prior):
         assert np.allclose(ours.pose, theirs.pose)
         assert np.allclose(ours.covariance, theirs.covariance)
         inside = native.precision[inliers][:, inliers]
-        assert np.allclose(inside @ around[0].spread[inliers][:, inliers], np.eye(inliers.sum()))
+        assert np.allclose(
+            inside @ around[0].residual_covariance[inliers][:, inliers], np.eye(inliers.sum())
+        )
         assert not native.precision[~inliers].any()
 
 
@@ -194,7 +196,7 @@ def test_home_is_iterated_to(both, prior, steps):
 def test_bearings_without_spread_fix_no_home(both):
     problem = a_home(np.random.default_rng(5))
     around = linearised(problem, np.zeros(3), problem.mean)
-    around.spread[:] = -1.0
+    around.residual_covariance[:] = -1.0
     assert both(solved, around, np.ones(6, bool)) == (None, None)
 
 

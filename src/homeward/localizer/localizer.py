@@ -105,7 +105,7 @@ class Localizer:
         for chart in self._charts:
             chart.mapper.add_twist(t, v, omega)
         self._sign_check.odometry(t, v, omega)
-        self._see_what_is_due()
+        self._process_due()
 
     @guarded
     def bearings(
@@ -127,7 +127,7 @@ class Localizer:
         good = {n: s for n, s in told.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, good))
         self._sign_check.bearings(t, usable)
-        innovations = self._see_what_is_due()
+        innovations = self._process_due()
         return dataclasses.replace(self._estimate(t, innovations), t=said)
 
     @guarded
@@ -215,18 +215,18 @@ class Localizer:
         """Return whether a sample of `t` [s] can not be taken any more."""
         return t < self._t - LATE_S or not all(c.mapper.accepts(t) for c in self._charts)
 
-    def _see_what_is_due(self) -> tuple[Innovation, ...]:
+    def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
         for frame in self._reorder.due(self._chart.mapper.last_odometry_t, self._t):
             innovations = self._chart.add_bearings(frame, self._t)
             if self._beside is not None:
-                innovations = self._see_beside(self._beside, frame, innovations)
+                innovations = self._update_beside(self._beside, frame, innovations)
             elif self._chart.fits_badly:
                 self._begin_beside(frame.t)
         return () if self._reorder.waits else tuple(innovations)
 
-    def _see_beside(
+    def _update_beside(
         self, beside: Chart, frame: BearingFrame, before: list[Innovation]
     ) -> list[Innovation]:
         """Take a stamp into the other map too, and leave one of them when the other is proven.

@@ -171,8 +171,8 @@ class Mapper:
             self._add_keyframe(t, motion)
         since = Motion.identity() if new_keyframe else motion
         rows = self._rows(since, frame)
-        told = self.marginal, motion, new_keyframe, names, rows, self._settings.gate
-        innovations, prediction = gate_bearings(*told)
+        arguments = self.marginal, motion, new_keyframe, names, rows, self._settings.gate
+        innovations, prediction = gate_bearings(*arguments)
         if self.kidnapping.was_kidnapped(innovations):
             self._begin_relocalisation(t)
             return innovations, self._relocalise(frame)

@@ -50,10 +50,16 @@ def evaluate(
     native, problem, q = compiled(), linear.problem, inliers.size
     if native is not None:
         found = innovation, variance, odds, log_evidence = (*np.empty((3, q)), np.empty(1))
-        fit = (linear.at, inliers.astype(float), linear.spread, linear.by_home, linear.residual)
+        fit = (
+            linear.at,
+            inliers.astype(float),
+            linear.residual_covariance,
+            linear.by_home,
+            linear.residual,
+        )
         given = (information, precision, step)
-        told = (*given, log_volume, np.empty(4 * q), *found)
-        if native.judge_home(problem.in_c, SCALE, UNIFORM_FROM, *fit, *told):
+        arguments = (*given, log_volume, np.empty(4 * q), *found)
+        if native.judge_home(problem.in_c, SCALE, UNIFORM_FROM, *fit, *arguments):
             raise np.linalg.LinAlgError("home is not fixed")
         return Evidence(innovation, variance, odds, float(log_evidence[0]))
     innovation, variance = _innovations(linear, inliers, step, precision, information)
@@ -79,18 +85,18 @@ def _innovations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return stored minus predicted bearings, and the variances of that."""
     weighted = precision @ (linear.residual - linear.by_home @ step)
-    out, spread = ~inliers, np.linalg.inv(information)
+    out, home_covariance = ~inliers, np.linalg.inv(information)
     lever = precision @ linear.by_home
-    rest = precision.diagonal() - ((lever @ spread) * lever).sum(axis=1)
+    rest = precision.diagonal() - ((lever @ home_covariance) * lever).sum(axis=1)
     rest = np.maximum(rest, 1e-9)
     innovation, variance = weighted / rest, 1.0 / rest
-    between, by_home = linear.spread[out], linear.by_home[out]
+    between, by_home = linear.residual_covariance[out], linear.by_home[out]
     innovation[out] = wrap(linear.residual[out] - by_home @ step - between @ weighted)
     gain = between @ precision
     lever = by_home - gain @ linear.by_home
     variance[out] = (
-        linear.spread.diagonal()[out]
+        linear.residual_covariance.diagonal()[out]
         - (gain * between).sum(axis=1)
-        + ((lever @ spread) * lever).sum(axis=1)
+        + ((lever @ home_covariance) * lever).sum(axis=1)
     )
     return innovation, variance

@@ -51,7 +51,13 @@ def _iterated(
         return now
     at, room = home.astype(float), (np.empty(size), np.empty(q))
     linear = Linear.room(problem, at)
-    arrays = (linear.residual, linear.by_place, linear.by_home, linear.correlated, linear.spread)
+    arrays = (
+        linear.residual,
+        linear.by_place,
+        linear.by_home,
+        linear.correlated,
+        linear.residual_covariance,
+    )
     found = information, precision, step, log_volume = _room(q)
     given = (inliers.astype(float), at, *room, *arrays, *found)
     if native.fit_home(problem.in_c, steps, SETTLED, *given):
@@ -86,7 +92,13 @@ def solved(
         except np.linalg.LinAlgError:
             return None
     else:
-        given = (linear.at, inliers.astype(float), linear.spread, linear.by_home, linear.residual)
+        given = (
+            linear.at,
+            inliers.astype(float),
+            linear.residual_covariance,
+            linear.by_home,
+            linear.residual,
+        )
         if native.solve_home(problem.in_c, *given, *found):
             return None
     return HomeFit(linear, inliers, step, precision, information, float(log_volume[0]), inflation)
@@ -107,7 +119,7 @@ def _solve(
 ) -> None:
     """Fill in what `solved` needs."""
     problem, of_set = linear.problem, np.ix_(inliers, inliers)
-    root = np.linalg.cholesky(linear.spread[of_set])
+    root = np.linalg.cholesky(linear.residual_covariance[of_set])
     inverse = np.linalg.inv(root)
     precision[:] = 0.0
     precision[of_set] = inverse.T @ inverse

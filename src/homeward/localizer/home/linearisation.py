@@ -27,7 +27,7 @@ class Linear:
     """(q, 3): ... and by home."""
     correlated: np.ndarray
     """(q, 4 + 2 q): covariance of the expected home bearings with what is known."""
-    spread: np.ndarray
+    residual_covariance: np.ndarray
     """(q, q): of the residuals, were home known."""
 
     @staticmethod
@@ -88,7 +88,7 @@ def _linear(
 ) -> Linear:
     """Return it with the covariances that follow."""
     q, known = len(by_place), problem.covariance
-    correlated, spread = np.empty((q, len(known))), np.empty((q, q))
+    correlated, residual_covariance = np.empty((q, len(known))), np.empty((q, q))
     native = compiled()
     if native is None:
         gx, gy = by_place.T
@@ -97,10 +97,12 @@ def _linear(
         )
         if problem.same_camera:
             correlated -= known[YAW]
-        spread[:] = correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
+        residual_covariance[:] = (
+            correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
+        )
         if problem.same_camera:
-            spread -= correlated[:, YAW, None]
-        spread[np.arange(q), np.arange(q)] += problem.sigmas**2
+            residual_covariance -= correlated[:, YAW, None]
+        residual_covariance[np.arange(q), np.arange(q)] += problem.sigmas**2
     else:
-        native.spread_home(problem.in_c, by_place, correlated, spread)
-    return Linear(problem, home, residual, by_place, by_home, correlated, spread)
+        native.spread_home(problem.in_c, by_place, correlated, residual_covariance)
+    return Linear(problem, home, residual, by_place, by_home, correlated, residual_covariance)

@@ -41,9 +41,9 @@ def spurious_covariance(
     native, problem, q = compiled(), linear.problem, inliers.size
     if native is not None:
         found = np.empty((3, 3))
-        of_set = (linear.at, inliers.astype(float), known, linear.spread)
-        told = (information, problem.vague, np.empty(14 * q), found)
-        if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *told):
+        of_set = (linear.at, inliers.astype(float), known, linear.residual_covariance)
+        arguments = (information, problem.vague, np.empty(14 * q), found)
+        if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *arguments):
             raise np.linalg.LinAlgError("home is not fixed")
         return found
     whole = information + problem.vague
@@ -76,7 +76,7 @@ def _bend(linear: Linear, inliers: np.ndarray, known: np.ndarray) -> np.ndarray:
     curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
     of_set = np.repeat(np.concatenate([np.zeros(POSE_AND_YAW // 2, bool), inliers]), 2)
     errors = _own_errors(d, linear.problem.covariance[of_set][:, of_set])
-    weighed = errors / linear.spread.diagonal()[inliers, None, None]
+    weighed = errors / linear.residual_covariance.diagonal()[inliers, None, None]
     return np.asarray((curvature @ weighed @ curvature).sum(axis=0))
 
 

@@ -40,8 +40,8 @@ def add_odometry(
     native = compiled()
     if native is not None:
         sums = (e.own, e.next, e.shared, e.common, e.slope, e.common_slope)
-        told = (poses, _turns(poses), calibration, steps, *sums)
-        native.add_odometry(len(poses), len(e.common), TRUSTED, *told)
+        arguments = (poses, _turns(poses), calibration, steps, *sums)
+        native.add_odometry(len(poses), len(e.common), TRUSTED, *arguments)
         return
     a, b = poses[:-1], poses[1:]
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -105,8 +105,8 @@ def add_sightings(
     native = compiled()
     if native is not None:
         sums = (e.own, e.shared, e.common, e.slope, e.common_slope)
-        told = (poses, _turns(poses), calibration, positions, rows, *sums)
-        if native.add_sightings(w, n, m, first, TRUSTED, *told):
+        arguments = (poses, _turns(poses), calibration, positions, rows, *sums)
+        if native.add_sightings(w, n, m, first, TRUSTED, *arguments):
             raise IndexError("a sighting from no pose, or of no landmark")
         return
     pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)

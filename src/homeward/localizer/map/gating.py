@@ -58,7 +58,7 @@ def gate_bearings(
     prediction = marginal.predict_bearings(rows[known])
     shift = motion.covariance[0, 0] + motion.covariance[1, 1]
     drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    variance = prediction.spread.diagonal() + (0.0 if new_keyframe else drift)
+    variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
     widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
     if accepted.sum() >= FEWEST:
@@ -68,20 +68,20 @@ def gate_bearings(
         )
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
         accepted[accepted] = consistent_subset(
-            among.residual, among.spread + by_motion, gate, likely
+            among.residual, among.innovation_covariance + by_motion, gate, likely
         )
-    told = zip(
+    arguments = zip(
         [n for n, k in zip(names, known.tolist(), strict=True) if k],
         prediction.residual.tolist(),
         np.sqrt(variance).tolist(),
         accepted.tolist(),
         strict=True,
     )
-    return [Innovation(*each) for each in told], prediction
+    return [Innovation(*each) for each in arguments], prediction
 
 
 def consistent_subset(
-    residual: np.ndarray, spread: np.ndarray, gate: float, likely: np.ndarray
+    residual: np.ndarray, innovation_covariance: np.ndarray, gate: float, likely: np.ndarray
 ) -> np.ndarray:
     """Return the largest consistent subset of residuals, by data snooping.
 
@@ -92,7 +92,7 @@ def consistent_subset(
     ----------
     residual : ndarray, shape (m,)
         [rad]
-    spread : ndarray, shape (m, m)
+    innovation_covariance : ndarray, shape (m, m)
         Their covariance.
     gate : float
         The farthest may be so far off [standard deviations].
@@ -105,23 +105,27 @@ def consistent_subset(
         Where too many would have to be left out, the likely ones; all, where these are too few.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
-    finest = FINEST**2 + ROUNDING * spread.diagonal().max(initial=0.0)
-    spread = spread + finest * np.eye(m)
+    finest = FINEST**2 + ROUNDING * innovation_covariance.diagonal().max(initial=0.0)
+    innovation_covariance = innovation_covariance + finest * np.eye(m)
     native = compiled()
     if native is not None:
-        native.agree(m, FEWEST, gate, residual, spread, np.empty((m, m)), np.empty(m), kept)
+        native.agree(
+            m, FEWEST, gate, residual, innovation_covariance, np.empty((m, m)), np.empty(m), kept
+        )
     else:
-        _data_snooping(kept, residual, spread, gate)
+        _data_snooping(kept, residual, innovation_covariance, gate)
     if (~kept).sum() <= MOST_LEFT_OUT * m:
         return kept
     enough = likely.sum() >= max(FEWEST, LEAST_LIKELY * m)
     return likely if enough else np.ones(m, bool)
 
 
-def _data_snooping(kept: np.ndarray, residual: np.ndarray, spread: np.ndarray, gate: float) -> None:
+def _data_snooping(
+    kept: np.ndarray, residual: np.ndarray, innovation_covariance: np.ndarray, gate: float
+) -> None:
     """Leave out those that do not agree with the others, in `kept`."""
     try:
-        root = np.linalg.inv(np.linalg.cholesky(spread))
+        root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))
     except np.linalg.LinAlgError:  # nothing can be told
         return
     information = root.T @ root

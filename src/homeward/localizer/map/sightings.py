@@ -140,8 +140,8 @@ def bearing_residuals(
     native = compiled()
     if native is not None:
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), 5 + NC))
-        told = (poses, calibration, positions, rows, residual, jacobian)
-        native.residuals(len(rows), *told)
+        arguments = (poses, calibration, positions, rows, residual, jacobian)
+        native.residuals(len(rows), *arguments)
         return residual, jacobian
     arms = _arms(rows, poses, calibration)
     sight = positions - poses[:, :2] - arms[:, :2]

@@ -31,7 +31,7 @@ class Prediction:
     """(m, 12): of the expected bearings, as of `bearing_residuals`."""
     correlated: np.ndarray
     """(m, 3 + 7 + 2 n): covariance of the expected bearings with everything."""
-    spread: np.ndarray
+    innovation_covariance: np.ndarray
     """(m, m): covariance of the residuals."""
 
     def only(self, keep: np.ndarray) -> Prediction:
@@ -42,7 +42,7 @@ class Prediction:
             self.residual[keep],
             self.jacobian[keep],
             self.correlated[keep],
-            self.spread[np.ix_(keep, keep)],
+            self.innovation_covariance[np.ix_(keep, keep)],
         )
 
 
@@ -80,8 +80,8 @@ class Marginal:
         mean, covariance = self.mean.copy(), self.covariance.copy()
         native = compiled()
         if native is not None:
-            told = (motion.delta, motion.covariance, motion.jacobian, calibration)
-            native.move_on(mean.size, *told, mean, covariance)
+            arguments = (motion.delta, motion.covariance, motion.jacobian, calibration)
+            native.move_on(mean.size, *arguments, mean, covariance)
             return Marginal(mean, covariance)
         x, y, psi = self.mean[:3].tolist()
         c, s = math.cos(psi), math.sin(psi)
@@ -111,10 +111,10 @@ class Marginal:
         if native is not None:
             size, m = self.mean.size, len(rows)
             residual, jacobian = np.empty(m), np.empty((m, HEAD + 2))
-            correlated, spread = np.empty((m, size)), np.empty((m, m))
-            found = (residual, jacobian, correlated, spread)
-            told = (self.mean, self.covariance, rows, *found)
-            if native.predict(size, m, *told):
+            correlated, innovation_covariance = np.empty((m, size)), np.empty((m, m))
+            found = (residual, jacobian, correlated, innovation_covariance)
+            arguments = (self.mean, self.covariance, rows, *found)
+            if native.predict(size, m, *arguments):
                 raise IndexError("a sighting of no landmark")
             return Prediction(*found)
         number = rows[:, LANDMARK].astype(int)
@@ -126,10 +126,10 @@ class Marginal:
         head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
         p = self.covariance
         correlated = head @ p[:HEAD] + gx * p[at] + gy * p[at + 1]
-        spread = correlated[:, :HEAD] @ head.T + correlated[:, at] * gx.T
-        spread += correlated[:, at + 1] * gy.T
-        spread.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
-        return Prediction(residual, jacobian, correlated, spread)
+        innovation_covariance = correlated[:, :HEAD] @ head.T + correlated[:, at] * gx.T
+        innovation_covariance += correlated[:, at + 1] * gy.T
+        innovation_covariance.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
+        return Prediction(residual, jacobian, correlated, innovation_covariance)
 
     def update(self, seen: Prediction) -> Marginal:
         """Update: return it corrected by sightings, those far off at less weight.
@@ -139,17 +139,25 @@ class Marginal:
         numpy.linalg.LinAlgError
             When `seen` has no spread.
         """
-        spread = seen.spread.copy()
-        variance = spread.diagonal()
-        spread.flat[:: len(spread) + 1] = np.maximum(seen.residual**2 / TRUSTED**2, variance)
+        innovation_covariance = seen.innovation_covariance.copy()
+        variance = innovation_covariance.diagonal()
+        innovation_covariance.flat[:: len(innovation_covariance) + 1] = np.maximum(
+            seen.residual**2 / TRUSTED**2, variance
+        )
         mean, covariance = self.mean.copy(), self.covariance.copy()
         native = compiled()
         if native is not None:
-            told = (seen.residual.copy(), seen.correlated.copy(), spread, mean, covariance)
-            if native.correct(mean.size, len(spread), *told):
+            arguments = (
+                seen.residual.copy(),
+                seen.correlated.copy(),
+                innovation_covariance,
+                mean,
+                covariance,
+            )
+            if native.correct(mean.size, len(innovation_covariance), *arguments):
                 raise np.linalg.LinAlgError("the sightings have no spread")
             return Marginal(mean, covariance)
-        gain = np.linalg.solve(spread, seen.correlated)
+        gain = np.linalg.solve(innovation_covariance, seen.correlated)
         covariance -= seen.correlated.T @ gain
         return Marginal(mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 

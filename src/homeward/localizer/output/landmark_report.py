@@ -103,15 +103,15 @@ class LandmarkReport:
         if self.hypotheses is None or not mapped:
             return {}
         best = self.hypotheses.best
-        at, spread = self.marginal.places(np.array([m.number for m in mapped.values()]))
+        at, covariance = self.marginal.places(np.array([m.number for m in mapped.values()]))
         index = {name: i for i, name in enumerate(mapped)}
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:
                 at[index[name]] = place
-        spread += best.joint_covariance[:2, :2]
+        covariance += best.joint_covariance[:2, :2]
         away = at - best.home[:2]
         c, s = math.cos(best.home[2]), math.sin(best.home[2])
         towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
-        deviation = np.sqrt(np.einsum("ki,kij,kj->k", towards, spread, towards))
+        deviation = np.sqrt(np.einsum("ki,kij,kj->k", towards, covariance, towards))
         table = np.column_stack([away @ np.array([[c, -s], [s, c]]), deviation])
         return dict(zip(mapped, map(tuple, table.tolist()), strict=True))

@@ -48,10 +48,10 @@ class PoseEstimate:
         covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
         return PoseEstimate(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
 
-    def with_mount(self, spread: np.ndarray) -> PoseEstimate:
+    def with_mount(self, mount_covariance: np.ndarray) -> PoseEstimate:
         """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
         covariance = self.covariance.copy()
-        covariance[:2, :2] += spread
+        covariance[:2, :2] += mount_covariance
         return PoseEstimate(self.pose, covariance)
 
     def with_scale(self, sigma: float) -> PoseEstimate:
@@ -67,7 +67,7 @@ def in_home_frame(fit: HomeFit) -> PoseEstimate:
         q, size = linear.correlated.shape
         pose, covariance = np.empty(3), np.empty((3, 3))
         known = (problem.mean, problem.covariance, linear.correlated, fit.precision)
-        told = (
+        arguments = (
             linear.by_home,
             linear.residual,
             fit.step,
@@ -75,12 +75,12 @@ def in_home_frame(fit: HomeFit) -> PoseEstimate:
             fit.covariance,
             np.empty(4 * q),
         )
-        native.from_home(q, size, *known, *told, pose, covariance)
+        native.from_home(q, size, *known, *arguments, pose, covariance)
         x, y, heading = pose.tolist()
         return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
     by_home, by_pose, there = _derivatives(fit)
-    spread = by_home @ fit.covariance @ by_home.T + by_pose @ fit.pose_covariance @ by_pose.T
-    return PoseEstimate(there, 0.5 * (spread + spread.T))
+    covariance = by_home @ fit.covariance @ by_home.T + by_pose @ fit.pose_covariance @ by_pose.T
+    return PoseEstimate(there, 0.5 * (covariance + covariance.T))
 
 
 def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:

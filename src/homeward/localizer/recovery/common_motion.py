@@ -49,13 +49,13 @@ def carried_since(landmarks: Landmarks, marginal: Marginal) -> int | None:
     pairs = [(was, mapped[n]) for n, was in former.items() if n in mapped]
     if len(pairs) < FEWEST:
         return None
-    (before, spread), (now, more) = (
+    (before, covariance), (now, more) = (
         marginal.places(np.array([pair[side].number for pair in pairs])) for side in (0, 1)
     )
     displaced = Displaced(
         before,
         now,
-        np.linalg.eigvalsh(spread + more)[:, -1],
+        np.linalg.eigvalsh(covariance + more)[:, -1],
         np.array([was.last for was, _ in pairs]),
         np.array([is_.first for _, is_ in pairs]),
     )
