@@ -23,7 +23,7 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
 
 Seed = tuple[np.ndarray, np.ndarray]
-"""A home, shape (3,), and a set of right home bearings, shape (q,), to climb from."""
+"""A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from."""
 MOST_SEEDS = 8
 """Different sets that a local search starts from."""
 MOST_FLIPS = 12
@@ -31,11 +31,11 @@ MOST_FLIPS = 12
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
 PROMISING = 6.0
-"""... and climbed from when their log evidence falls short of the best by no more than this."""
+"""... and searched from when their log evidence falls short of the best by no more than this."""
 NEIGHBOURS = 3
-"""So many sets that differ from the best one by the most doubtful flips are weighed with it."""
+"""So many sets that differ from the best one by the most undecided flips are weighed with it."""
 UNDECIDED = 4.0
-"""Only flips whose log odds are smaller are doubtful [1]."""
+"""Only flips whose log odds are smaller are undecided [1]."""
 PROBABLE = 0.05
 """Only more probable sets are flipped further as the map changes."""
 NEGLIGIBLE = 1e-3
@@ -98,7 +98,7 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
     problem : HomeProblem
         What is known.
     also : sequence of tuples
-        Homes and sets to climb from besides those that the problem itself suggests.
+        Homes and sets to search from besides those that the problem itself suggests.
     """
     found: dict[bytes, HomeFit] = {}
     for home, inliers in [*also, *seeds(problem)]:
@@ -276,7 +276,7 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
 
 
 def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) -> Iterator[HomeFit]:
-    """Yield fits to sets that differ from the best one by a doubtful flip, and are not found."""
+    """Yield fits to sets that differ from the best one by an undecided flip, and are not found."""
     for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
         inliers = best.inliers.copy()
         inliers[i] ^= True
