@@ -29,7 +29,7 @@ _PLAIN = {
     "union_tag_invalid": "{discriminator} must be one of {expected_tags}, not {tag}",
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
     **dict.fromkeys(("dict_type", "model_type"), "must be keys and values"),
-    "too_short": "needs {min_length} values or more",
+    "too_short": "too few values: at least {min_length} needed",
     "too_long": "takes {max_length} values or fewer",
     "missing": "is needed",
     "union_tag_not_found": "needs the key {discriminator}",
