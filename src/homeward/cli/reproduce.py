@@ -49,7 +49,7 @@ def reproduce(
         bool,
         typer.Option(
             "--study",
-            help="Instead: Cases 2 and 4 over thousands of layouts; what their order depends on.",
+            help="Instead: Cases 1, 2 and 4 over thousands of layouts, under many readings.",
         ),
     ] = False,
     scheduler: Scheduler = None,
@@ -61,7 +61,7 @@ def reproduce(
             metavar="KEY=VALUE",
             help="Another value of a setting; repeatable. "
             "homeward settings reproduce lists them; with --study there are also varied, searched "
-            "and robust: how many layouts these parts get.",
+            "and robust: how many layouts these parts get, and grid.KEY: what is combined.",
         ),
     ] = None,
 ) -> None:
@@ -69,8 +69,8 @@ def reproduce(
 
     The folder gets paper.html, with both RMSE tables beside the printed ones, what the paper
     leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml. With
-    --study it gets layouts.html, figures, layouts.csv and the finished blocks, from which a stopped
-    study goes on.
+    --study it gets layouts.html with the verdict, figures and layouts.csv. Either keeps finished
+    blocks in it, from which a stopped command goes on.
     """
     from homeward.drives.settings import nested
 
@@ -81,31 +81,43 @@ def reproduce(
             raise InputError("--study has no images: leave out --measurements images")
         _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values)
         return
-    if scheduler is not None or workers is not None:
-        raise InputError("--scheduler and --workers need --study")
     if imaged:
         values = {"runs": IMAGE_RUNS} | values
     values["measurements"] = measurements.value
     values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
-    _cases(out or Path("out/paper"), values)
+    _cases(out or Path("out/paper"), (scheduler, workers), values)
 
 
-def _cases(out: Path, values: dict[str, Any]) -> None:
+def _cases(out: Path, places: tuple[str | None, int | None], values: dict[str, Any]) -> None:
     from homeward.drives.settings import validated
     from homeward.report.output import check_output
-    from homeward.report.paper_page import PAGE, SETTINGS_FILE, write_reproduction
-    from homeward.studies.paper.cases import reproduce as run_cases
+    from homeward.report.paper_page import (
+        PAGE,
+        SETTINGS_FILE,
+        fault_rows,
+        sentences,
+        write_reproduction,
+    )
+    from homeward.studies.blocks.finish import Where
+    from homeward.studies.paper.layouts import open_store
+    from homeward.studies.paper.reproduction import reproduce as run_cases
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.paper.tables import rows
 
-    settings = validated(PaperSettings, values)
+    where, settings = Where(*places), validated(PaperSettings, values)
     check_output(out, SETTINGS_FILE)
-    with progress("the paper's cases") as tell:
-        result = run_cases(settings, tell)
+    store = open_store(out, SETTINGS_FILE)
+    with resumable(), progress("the paper's cases") as tell:
+        result = run_cases(settings, store, where, tell)
         write_reproduction(out, result)
 
     head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
     print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
+    if settings.measurements == "images":
+        for case, asked, obtained in fault_rows(result):
+            say(f"Case {case}: {asked} moved landmarks asked for, obtained {obtained}.")
+    for sentence in sentences(result):
+        say(sentence)
     say(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
         f"Page: {out / PAGE}"
@@ -128,6 +140,7 @@ def _study(
     from homeward.report.layout_page import (
         DATA,
         PAGE,
+        claim_table,
         error_table,
         headline,
         order_table,
@@ -147,7 +160,7 @@ def _study(
     with resumable(), progress("layouts of the paper's cases") as tell:
         result = study_layouts(settings, store, where, tell)
         write_layouts(out, result)
-    for table in (error_table, ratio_table, order_table, search_table):
-        print_rows(table(result))
+    for table in (error_table, ratio_table, order_table, search_table, claim_table):
+        print_rows(table(result), left=3)
         typer.echo("")
-    say(f"{headline(result)}. Page: {out / PAGE}; every run: {out / DATA}")
+    say(f"{headline(result)} Page: {out / PAGE}; every run: {out / DATA}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,22 +13,28 @@ from homeward.report.below_bound import below_bound, note_below
 from homeward.report.canvas import drawn
 from homeward.report.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.output import whole_folder
+from homeward.report.paper_claims import claims, reading_words, start_words, verdict
 from homeward.report.template import render
 from homeward.report.versions import versions
-from homeward.studies.paper.layout_study import (
-    CLAIMED,
-    LayoutStudy,
-    all_order_share,
-    better_share,
+from homeward.report.words import percent
+from homeward.studies.paper.cases import FILTERS, PI_HT
+from homeward.studies.paper.layout_study import LayoutStudy
+from homeward.studies.paper.layouts import BOUND, MARKER, ROBUST, STUDIED, Reading
+from homeward.studies.paper.tables import (
+    PRINTED,
+    TO_PAPER_UNITS,
+    beats_printed,
+    better_shares,
     order_share,
-    printed_shares,
+    printed_of,
+    printed_order,
+    printed_order_shares,
 )
-from homeward.studies.paper.layouts import BOUND, MARKER, STUDIED, VARIANTS
-from homeward.studies.paper.search import Best
-from homeward.studies.paper.tables import TO_PAPER_UNITS, printed_order
 from homeward.studies.paper.world import CaseName
 from homeward.studies.study.summary import wilson
 
+CLAIMED = ("PI-EKF", "A-EKF", "EKF")
+"""The order that the paper tells of, least error first."""
 PAGE, DATA = "layouts.html", "layouts.csv"
 
 
@@ -48,74 +55,97 @@ def write_layouts(directory: Path, study: LayoutStudy) -> None:
 
 
 def error_table(study: LayoutStudy) -> list[list[str]]:
-    """Return medians and 90 % of every RMSE, the head first, as text."""
-    head = ["case", "filter", "R [cm]", "theta [rad]", "alpha [rad]", "layouts"]
-    rows = [head]
-    for case in STUDIED:
-        for name in ROWS:
-            rmse = errors_of(study, case, name)
-            low, middle, high = np.nanquantile(
-                rmse, [0.05, 0.5, 0.95], axis=0, method="inverted_cdf"
-            )
-            cells = [
-                f"{m:.3g} ({a:.2g} to {b:.2g})" for a, m, b in zip(low, middle, high, strict=True)
-            ]
-            rows.append([case, name, *cells, f"{len(rmse):,}"])
+    """Return medians and 90 % of every RMSE from each start, the head first, as text."""
+    head = ["case", "filter", "start", "R [cm]", "theta [rad]", "alpha [rad]"]
+    rows = [[*head, "theta, R > 20 cm", "below all printed", "home", "layouts"]]
+    for case, name, start in product(STUDIED, ROWS, study.starts):
+        rmse = errors_of(study, case, name, start)
+        low, middle, high = np.nanquantile(rmse, [0.05, 0.5, 0.95], axis=0, method="inverted_cdf")
+        cells = [f"{m:.3g} ({a:.2g} to {b:.2g})" for a, m, b in zip(low, middle, high, strict=True)]
+        reading = study.reading(case, initial_error=start)
+        outcome = (study.bounds if name in (ROBUST, BOUND) else study.grid)[case, reading]
+        k = outcome.names.index(name)
+        far = f"{np.nanmedian(outcome.theta_far[k]):.3g}"
+        printed = printed_of(case, name)
+        beats = f"{100 * beats_printed(outcome, case, name):.1f} %" if printed else ""
+        home = np.mean(outcome.final_distance[k] < 2 * reading.stop_radius)
+        came = "" if case == "4" or name == BOUND else percent(float(home))
+        words = start_words(reading)
+        rows.append([case, name, words, *cells, far, beats, came, f"{len(rmse):,}"])
     return rows
 
 
 def order_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the shares of the orders over all layouts, the head first, as text."""
-    rows = [["case", "order", "R", "theta", "alpha", "all three"]]
-    for case in STUDIED:
-        outcome = study.main[case]
+    """Return the shares of the orders over all layouts from each start, the head first."""
+    rows = [["case", "order", "start", "R", "theta", "alpha", "all three"]]
+    for case, start in product(STUDIED, study.starts):
+        reading = study.reading(case, initial_error=start)
+        outcome, words = study.grid[case, reading], start_words(reading)
         n = outcome.rmse.shape[1]
-        shares = [order_share(outcome, CLAIMED, k) for k in range(3)]
-        every = all_order_share(outcome, CLAIMED)
-        cells = [_share(s, n) for s in (*shares, every)]
-        rows.append([case, " < ".join(CLAIMED), *cells])
-        printed = [_share(s, n) for s in printed_shares(outcome, case)]
-        rows.append([case, "as its table prints", *printed, ""])
-        for name, other in (("PI-EKF", "EKF"), ("A-EKF (all)", "EKF"), ("A-EKF (one)", "EKF")):
-            better = [_share(better_share(outcome, name, other, k), n) for k in range(3)]
-            rows.append([case, f"{name} < {other}", *better, ""])
+        for a_ekf in ("A-EKF (one)", "A-EKF (all)"):
+            order = " < ".join(a_ekf if name == "A-EKF" else name for name in CLAIMED)
+            shares = [_share(float(s), n) for s in order_share(outcome, CLAIMED, a_ekf)]
+            rows.append([case, order, words, *shares])
+            printed = [_share(s, n) for s in printed_order_shares(outcome, case, a_ekf)]
+            rows.append([case, f"as its table prints, {a_ekf}", words, *printed, ""])
+        for name in FILTERS[1:]:
+            better = [_share(float(s), n) for s in better_shares(outcome, name, "EKF")]
+            rows.append([case, f"{name} < EKF", words, *better, ""])
+    return rows
+
+
+def grid_table(study: LayoutStudy) -> list[list[str]]:
+    """Return the medians of every filter under every reading, and who beats the EKF, as text."""
+    better = [f"{name} < EKF [%]" for name in FILTERS[1:]]
+    printed = [f"{name} below printed [%]" for name in FILTERS[:-1]]
+    rows = [["case", "reading", *FILTERS, *better, *printed]]
+    for (case, reading), outcome in study.grid.items():
+        cells = [_medians(outcome.of(name)) for name in FILTERS]
+        wins = [
+            ", ".join(f"{100 * s:.0f}" for s in better_shares(outcome, name, "EKF"))
+            for name in FILTERS[1:]
+        ]
+        beats = [f"{100 * beats_printed(outcome, case, name):.1f}" for name in FILTERS[:-1]]
+        rows.append([case, reading_words(reading, case), *cells, *wins, *beats])
     return rows
 
 
 def variant_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the claimed order's share and the medians of each variant, as text."""
-    rows = [["variant", "case", "order holds: R, theta, alpha", "EKF", "A-EKF (all)", "PI-EKF"]]
-    for name in VARIANTS:
-        for case in STUDIED:
-            outcome = study.varied[name, case]
-            shares = [f"{100 * order_share(outcome, CLAIMED, k):.0f}" for k in range(3)]
-            medians = [
-                ", ".join(f"{v:.3g}" for v in np.median(outcome.of(f), axis=0) * TO_PAPER_UNITS)
-                for f in ("EKF", "A-EKF (all)", "PI-EKF")
-            ]
-            rows.append([name, case, ", ".join(shares) + " %", *medians])
+    """Return the medians of each variant, and who beats the EKF, as text."""
+    rows = [["variant", "case", "start", *FILTERS, "PI-EKF < EKF [%]", f"{PI_HT} < EKF [%]"]]
+    for (name, case, start), outcome in study.varied.items():
+        wins = [
+            ", ".join(f"{100 * s:.0f}" for s in better_shares(outcome, pi, "EKF"))
+            for pi in ("PI-EKF", PI_HT)
+        ]
+        words = start_words(study.reading(case, initial_error=start))
+        rows.append([name, case, words, *(_medians(outcome.of(f)) for f in FILTERS), *wins])
     return rows
 
 
 def search_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the best gains of each family in each case, as text."""
-    rows = [["case", "family", "Pi", "M", "errors over the EKF's", "PI-EKF", "EKF", "order holds"]]
-    for best in sorted(study.search.best, key=lambda b: b.tried.case):
-        t = best.tried
-        Pi = ", ".join(f"{g:.2g}" for g in t.Pi) if isinstance(t.Pi, tuple) else f"{t.Pi:.2g}"
-        M = "own" if t.M == "own" else "ones"
-        medians = [_medians(best.pi_ekf), _medians(best.ekf)]
-        rows.append([t.case, t.family, Pi, M, f"{best.cost:.3f}", *medians, _holds(best)])
+    """Return the best gains of each family in each case from each start, as text."""
+    rows = [["case", "family", "start", "Pi", "errors over the EKF's", "PI-EKF", "EKF"]]
+    rows[0].append("below all printed")
+    for start, found in study.search.items():
+        for best in sorted(found.best, key=lambda b: b.tried.case):
+            t = best.tried
+            Pi = ", ".join(f"{g:.2g}" for g in t.Pi) if isinstance(t.Pi, tuple) else f"{t.Pi:.2g}"
+            below = best.pi_ekf * TO_PAPER_UNITS < np.array(PRINTED[t.case]["PI-EKF"])
+            words = start_words(study.reading(t.case, initial_error=start))
+            medians = [_medians(best.pi_ekf), _medians(best.ekf)]
+            share = f"{100 * below.all(axis=1).mean():.1f} %"
+            rows.append([t.case, t.family, words, Pi, f"{best.cost:.3f}", *medians, share])
     return rows
+
+
+def claim_table(study: LayoutStudy) -> list[list[str]]:
+    """Return what the paper says and the verdict on it, the head first, as text."""
+    return [["claim", "reading", "verdict", "figure", "command"], *map(list, claims(study))]
 
 
 def _medians(rmse: np.ndarray) -> str:
     return ", ".join(f"{v:.3g}" for v in np.median(rmse, axis=0) * TO_PAPER_UNITS)
-
-
-def _holds(best: Best) -> str:
-    holds = np.mean((best.pi_ekf < best.a_ekf) & (best.a_ekf < best.ekf), axis=0)
-    return ", ".join(f"{100 * share:.0f}" for share in holds) + " %"
 
 
 def _share(share: float, n: int) -> str:
@@ -123,57 +153,58 @@ def _share(share: float, n: int) -> str:
     return f"{100 * share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
-def bound_ratio(study: LayoutStudy, case: CaseName, name: str) -> np.ndarray:
+def bound_ratio(study: LayoutStudy, case: CaseName, reading: Reading, name: str) -> np.ndarray:
     """Return RMSE over all layouts of the bound, over the bound's, (3,): R, theta, alpha."""
-    outcome = study.robust[case]
+    outcome = study.bounds[case, reading]
     bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0))
     n = outcome.rmse.shape[1]
-    source = outcome if name in outcome.names else study.main[case]
+    source = outcome if name in outcome.names else study.grid[case, reading]
     return np.asarray(np.sqrt(np.nanmean(source.of(name)[:n] ** 2, axis=0)) / bound)
 
 
 def ratio_table(study: LayoutStudy) -> list[list[str]]:
-    """Return RMSE over the bound for all that ran in the layouts of the bound, as text."""
-    rows = [
-        [case, name, *(f"{r:.2f}" for r in bound_ratio(study, case, name))]
-        for case in STUDIED
-        for name in ROWS[:-1]
-    ]
-    return [["case", "filter", "R", "theta", "alpha"], *rows]
+    """Return the bound, and RMSE over it, under all readings that the bound depends on, as text.
+
+    Where start and motion are exact the bound is nothing, and so no ratio is told.
+    """
+    rows = [["case", "reading", "bound: R [cm], theta, alpha [rad]", *ROWS[:-1]]]
+    for (case, reading), outcome in study.bounds.items():
+        bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0)) * TO_PAPER_UNITS
+        exact = not any((*reading.initial_error, *reading.disturbance))
+        ratios = [
+            "" if exact else ", ".join(f"{r:.2f}" for r in bound_ratio(study, case, reading, name))
+            for name in ROWS[:-1]
+        ]
+        cells = [", ".join(f"{v:.2g}" for v in bound), *ratios]
+        rows.append([case, reading_words(reading, case), *cells])
+    return rows
 
 
 def headline(study: LayoutStudy) -> str:
-    """Say in a sentence what came out."""
-    parts = []
-    for case in STUDIED:
-        shares = [100 * order_share(study.main[case], CLAIMED, k) for k in range(3)]
-        parts.append("{:.1f}, {:.1f} and {:.1f} %".format(*shares) + f" in Case {case}")
-    n = study.main["2"].rmse.shape[1]
-    return (
-        f"{' < '.join(CLAIMED)} holds for R, theta and alpha in {' and in '.join(parts)} of "
-        f"{n:,} random layouts; by chance it would be 16.7 %"
-    )
+    """Say in three sentences what came out."""
+    return " ".join(verdict(study.grid))
 
 
 def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
     settings = study.settings.model_dump(mode="json")
     return render(
         "layouts.html.j2",
-        headline=headline(study),
+        verdict=verdict(study.grid),
         figures=pictures,
         printed=[
             (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED
         ],
         tables=[
-            ("Errors: median (and 5 to 95 %) over the layouts", error_table(study), 2),
-            ("Errors over the Cramér-Rao bound, all layouts of the bound", ratio_table(study), 2),
-            ("Who beats whom", order_table(study), 2),
-            ("What it depends on: medians of R [cm], theta, alpha [rad]", variant_table(study), 2),
-            ("The best Pi and M: medians of R [cm], theta, alpha [rad]", search_table(study), 4),
+            ("What the paper says, judged", claim_table(study), 5),
+            ("Errors: median (and 5 to 95 %) over the layouts", error_table(study), 3),
+            ("The Cramér-Rao bound, and errors over it", ratio_table(study), 2),
+            ("Who beats whom", order_table(study), 3),
+            ("Every reading: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
+            ("What else it depends on: medians, likewise", variant_table(study), 3),
+            ("The best Pi and M: medians, likewise", search_table(study), 4),
         ],
         below=note_below(_below(study)),
         layouts=study.settings,
-        robust=study.robust["2"].rmse.shape[1],
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
         versions=versions(),
     )
@@ -182,25 +213,26 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
 def _below(study: LayoutStudy) -> dict[str, str]:
     """Return what is to be said of each that lies below its bound."""
     found = {}
-    for case in STUDIED:
-        bounds = study.robust[case].of(BOUND)
+    for (case, reading), outcome in study.bounds.items():
+        bounds = outcome.of(BOUND)
         for name in ROWS[:-1]:
-            source = study.robust[case] if name in study.robust[case].names else study.main[case]
+            source = outcome if name in outcome.names else study.grid[case, reading]
             errors = source.of(name)[: len(bounds)]
             for k, quantity in enumerate(("R", "theta", "alpha")):
                 words = below_bound(errors[:, k], bounds[:, k])
-                found[f"{name} in Case {case}, {quantity}"] = words
+                found[f"{name} in Case {case}, {quantity}, {reading_words(reading, case)}"] = words
     return found
 
 
 def _every_run(study: LayoutStudy) -> str:
-    """Return case, filter, layout and RMSE in the paper's units as CSV."""
-    lines = ["case,filter,layout,R_cm,theta_rad,alpha_rad,final_distance_m"]
-    for outcomes in (study.main, study.robust):
-        for case, outcome in outcomes.items():
-            for name in outcome.names:
-                distances = outcome.final_distance[outcome.names.index(name)]
-                for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):
-                    cells = (f"{v:.6g}" if v == v else "" for v in (*errors, distances[k]))
-                    lines.append(f"{case},{name},{k},{','.join(cells)}")
+    """Return case, start, filter, layout and RMSE in the paper's units as CSV."""
+    lines = ["case,start,filter,layout,R_cm,theta_rad,alpha_rad,final_distance_m"]
+    for case, start, outcomes in product(STUDIED, study.starts, (study.grid, study.bounds)):
+        reading = study.reading(case, initial_error=start)
+        outcome, words = outcomes[case, reading], " ".join(f"{v:g}" for v in start)
+        for j, name in enumerate(outcome.names):
+            for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):
+                values = (*errors, outcome.final_distance[j, k])
+                cells = (f"{v:.6g}" if v == v else "" for v in values)
+                lines.append(f"{case},{words},{name},{k},{','.join(cells)}")
     return "\n".join(lines) + "\n"

@@ -12,11 +12,13 @@ from matplotlib.patches import Arc
 from homeward.angles import wrap
 from homeward.report.canvas import WIDTH_IN, bare, new_figure, style
 from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
-from homeward.studies.paper.cases import FILTERS, Reproduction
-from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS
+from homeward.report.words import listing
+from homeward.studies.paper.cases import FILTERS
+from homeward.studies.paper.reproduction import Reproduction
+from homeward.studies.paper.tables import TO_PAPER_UNITS, printed_of
 from homeward.studies.paper.world import CaseName, World
 
-COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE), strict=True))
+COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=True))
 QUANTITIES = ("R [cm]", "theta [rad]", "alpha [rad]")
 
 
@@ -76,11 +78,11 @@ def _arc(
 
 
 def draw_errors(result: Reproduction, case: CaseName) -> Figure:
-    """Draw the estimation errors of all filters over time in the first run of a case."""
+    """Draw the estimation errors of all filters over time in the median run of a case."""
     with style():
         figure = new_figure(5.4)
         panels = figure.subplots(3, 1, sharex=True)
-        for name, run in result.shown[case].items():
+        for name, run in result.shown[case].runs.items():
             for k, axes in enumerate(panels):
                 error = run.errors[:, k] * TO_PAPER_UNITS[k]
                 axes.plot(run.t, error, color=COLOURS[name], label=name)
@@ -88,13 +90,13 @@ def draw_errors(result: Reproduction, case: CaseName) -> Figure:
             axes.axhline(0, color=MUTED, lw=0.6)
             axes.set_ylabel(f"error of {quantity}")
         panels[-1].set_xlabel("time [s]")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
 def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
     """Draw the way home in the plane as one filter saw it, and as it was."""
-    run, world = result.shown[case][name], result.worlds[case]
+    run, world = result.shown[case].runs[name], result.shown[case].world
     with style():
         figure = new_figure(5.6)
         axes = figure.add_subplot(aspect="equal")
@@ -126,7 +128,7 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
 
     Where none was wrong, all that were estimated.
     """
-    run, world = result.shown[case][name], result.worlds[case]
+    run, world = result.shown[case].runs[name], result.shown[case].world
     n = run.state.shape[1] - len(run.estimated)
     wrong = [k for k, i in enumerate(run.estimated) if world.faults[i]]
     wrong = wrong or list(range(len(run.estimated)))
@@ -151,7 +153,7 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
 
 def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
     """Draw the pose over time as one filter saw it, and as it was."""
-    run = result.shown[case][name]
+    run = result.shown[case].runs[name]
     truth = run.state[:, :3] - run.errors
     truth[:, 1:] = np.unwrap(truth[:, 1:], axis=0)
     with style():
@@ -173,22 +175,23 @@ def draw_distribution(result: Reproduction, case: CaseName) -> Figure:
         figure = new_figure(3.0)
         for k, axes in enumerate(figure.subplots(1, 3)):
             for row, name in enumerate(reversed(FILTERS)):
-                rmse = result.rmse[case][name][:, k] * TO_PAPER_UNITS[k]
+                rmse = result.outcomes[case].of(name)[:, k] * TO_PAPER_UNITS[k]
                 rmse = rmse[np.isfinite(rmse)]
                 spread = row + 0.16 * np.sin(np.arange(rmse.size) * 2.4)
                 axes.plot(rmse, spread, "o", ms=2.2, mew=0, alpha=0.5, color=COLOURS[name])
                 axes.plot([np.median(rmse)] * 2, [row - 0.3, row + 0.3], color=COLOURS[name], lw=2)
-                printed = PRINTED.get(case, {}).get(name.split(" ")[0])
+                printed = printed_of(case, name)
                 if printed is not None:
                     axes.plot(printed[k], row, "x", ms=7, mew=1.6, color=GREEN)
             axes.set(xscale="log", xlabel=f"RMSE of {QUANTITIES[k]}")
-            axes.set_yticks(range(len(FILTERS)), tuple(reversed(FILTERS)) if k == 0 else [""] * 4)
+            labels = tuple(reversed(FILTERS)) if k == 0 else [""] * len(FILTERS)
+            axes.set_yticks(range(len(FILTERS)), labels)
     return figure
 
 
 def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
     """Draw the home image of a case with its features, and the landmarks among them."""
-    world = result.worlds[case]
+    world = result.shown[case].world
     assert world.sight is not None
     image, home = world.sight.home_image, world.sight.home
     height, width = image.shape
@@ -215,11 +218,33 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
 
 
 def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[Reproduction], Figure]]]:
-    """Return all figures of a reproduction: with images, the panorama too."""
-    if result.settings.measurements == "model":
-        return FIGURES
-    words = "Case 2: the panorama stored at home, with extracted features"
-    return FIGURES | {"panorama_case_2": (words, lambda r: draw_panorama(r, "2"))}
+    """Return all figures of a reproduction: with images, the panorama too.
+
+    The caption of a figure over time names the run and the percentile of each filter drawn.
+    """
+    figures = dict(FIGURES)
+    if result.settings.measurements == "images":
+        words = "Case 2: the panorama stored at home, with extracted features"
+        figures["panorama_case_2"] = words, lambda r: draw_panorama(r, "2")
+    for name, (case, drawn) in DRAWN.items():
+        caption, draw = figures[name]
+        shown = result.shown[case]
+        where = listing([f"{filter_} {shown.percentile[filter_]:.0f}" for filter_ in drawn])
+        run = f"{caption} (run {shown.number}; percentile of its error of R: {where})"
+        figures[name] = run, draw
+    return figures
+
+
+DRAWN: dict[str, tuple[CaseName, tuple[str, ...]]] = {
+    "errors_case_1": ("1", FILTERS),
+    "errors_case_2": ("2", FILTERS),
+    "pose_pi_ekf_case_4": ("4", ("PI-EKF",)),
+    "path_case_3": ("3 (one fault)", ("A-EKF (one)",)),
+    "parameter_case_3": ("3 (one fault)", ("A-EKF (one)",)),
+    "parameters_case_3": ("3 (several)", ("A-EKF (all)",)),
+    "errors_case_4": ("4", FILTERS),
+}
+"""Figures over time: the case, and the filters that they draw."""
 
 
 FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {
@@ -231,10 +256,6 @@ FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {
     "errors_case_2": (
         "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
         lambda r: draw_errors(r, "2"),
-    ),
-    "pose_pi_ekf_case_2": (
-        "Case 2: the pose against time, as the PI-EKF sees it",
-        lambda r: draw_pose(r, "2", "PI-EKF"),
     ),
     "rmse_case_2": (
         "Case 2: RMSE of every run; bars: medians, crosses: as printed",
@@ -251,6 +272,10 @@ FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {
     "parameters_case_3": (
         "Case 3, several wrong home bearings, all of them parameters",
         lambda r: draw_parameter(r, "3 (several)", "A-EKF (all)"),
+    ),
+    "pose_pi_ekf_case_4": (
+        "Case 4, PI-EKF in absence of faults: the pose against time",
+        lambda r: draw_pose(r, "4", "PI-EKF"),
     ),
     "errors_case_4": (
         "Case 4, open loop on a circle: estimation errors",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -18,12 +19,22 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["h2"] = heading
+    environment.globals |= {"h2": heading, "contents": contents}
     return environment.get_template(template).render(**values)
 
 
 def heading(words: str) -> Markup:
     """Return the heading of a section, with a link to it."""
-    anchor = re.sub(r"\W+", "-", words).strip("-").lower()
+    anchor = _anchor(words)
     link = Markup('<a href="#{}" aria-label="Link to this section">#</a>').format(anchor)
     return Markup('<h2 id="{}">{} {}</h2>').format(anchor, words, link)
+
+
+def contents(sections: Sequence[str]) -> Markup:
+    """Return links to sections, by the words of their headings."""
+    links = (Markup('<a href="#{}">{}</a>').format(_anchor(s), s) for s in sections)
+    return Markup('<nav aria-label="Contents"><p>{}</p></nav>').format(Markup(" · ").join(links))
+
+
+def _anchor(words: str) -> str:
+    return re.sub(r"\W+", "-", words).strip("-").lower()

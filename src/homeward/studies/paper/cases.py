@@ -1,11 +1,10 @@
-"""The paper's filters run through its cases, and the errors that its tables print."""
+"""The paper's filters, and one run of one of them through one of its cases."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -22,11 +21,12 @@ from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
 from homeward.simulation.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
-from homeward.studies.paper.world import CASES, CaseName, World, bearing_error, draw_world
+from homeward.studies.paper.world import CaseName, World, bearing_error, draw_world
 
-FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF")
+PI_HT, DEAD_RECKONING = "PI-EKF (HT)", "dead reckoning"
+FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF", PI_HT, DEAD_RECKONING)
 """A-EKF with the first wrong home bearing as its one parameter (beta*_1 if none is wrong), and
-with all of them."""
+with all of them; PI-EKF with M as set, and with M = H'; and the EKF told of no bearing."""
 
 
 @dataclass(frozen=True)
@@ -62,68 +62,10 @@ class Run:
             ]
         )
 
-    @property
-    def rmse(self) -> np.ndarray:
-        """RMSE of R [m], theta, alpha [rad]: (3,); infinite when the filter diverged."""
-        mean = np.mean(np.square(self.errors), axis=0)
-        return np.where(np.isfinite(mean), np.sqrt(mean), np.inf)
-
-    @property
-    def final_distance(self) -> float:
-        """True distance from home at the end [m]."""
-        return float(np.hypot(self.pose[-1, 0], self.pose[-1, 1]))
-
-
-@dataclass(frozen=True)
-class Reproduction:
-    """All cases, all filters, all runs."""
-
-    settings: PaperSettings
-    rmse: dict[CaseName, dict[str, np.ndarray]]
-    """(runs, 3) by case and filter: R [m], theta, alpha [rad]."""
-    final_distance: dict[CaseName, dict[str, np.ndarray]]
-    """(runs,) by case and filter [m]."""
-    shown: dict[CaseName, dict[str, Run]]
-    """The first run of each, for figures."""
-    worlds: dict[CaseName, World]
-    """Its world."""
-
-
-def reproduce(
-    settings: PaperSettings, progress: Callable[[float], None] | None = None
-) -> Reproduction:
-    """Run the paper's Cases 1 to 4 with its filters over random layouts.
-
-    Parameters
-    ----------
-    settings : PaperSettings
-        Printed parameters, assumptions, runs, seed.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-    """
-    rmse: dict[CaseName, dict[str, np.ndarray]] = {}
-    distance: dict[CaseName, dict[str, np.ndarray]] = {}
-    shown: dict[CaseName, dict[str, Run]] = {}
-    worlds: dict[CaseName, World] = {}
-    for c, case in enumerate(CASES):
-        rmse[case] = {name: np.zeros((settings.runs, 3)) for name in FILTERS}
-        distance[case] = {name: np.zeros(settings.runs) for name in FILTERS}
-        shown[case] = {}
-        for k in range(settings.runs):
-            world = _draw(case, settings, k)
-            for name in FILTERS:
-                run = run_filter(name, case, world, settings)
-                rmse[case][name][k] = run.rmse
-                distance[case][name][k] = run.final_distance
-                if k == 0:
-                    shown[case][name], worlds[case] = run, world
-            if progress is not None:
-                progress((c + (k + 1) / settings.runs) / len(CASES))
-    return Reproduction(settings, rmse, distance, shown, worlds)
-
 
 def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings) -> Run:
     """Run one of `FILTERS` through a world, closing the loop in Cases 1 to 3."""
+    settings = filter_settings(name, settings)
     kind, law = filter_kind(name, world, settings), control_law(case, settings)
     loop = Interpreter(closed_loop_function(kind, law))
     fill(loop.inputs, kind, world, settings)
@@ -138,7 +80,7 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
             break
         given["mask"][:] = world.visible[k]
         given["noise"][:], given["disturbance"][:] = world.noise[k], world.disturbance[k]
-        if world.sight is not None:
+        if world.sight is not None and name != DEAD_RECKONING:
             _take_image(loop, world, k, settings.printed.sample_time)
         loop()
         for field in ("pose", *BELIEF):
@@ -148,13 +90,25 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
     return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
 
 
-def _draw(case: CaseName, settings: PaperSettings, run: int) -> World:
+def draw(case: CaseName, settings: PaperSettings, run: int) -> World:
+    """Draw run number `run` of a case, with measurements from the model or from images."""
     if settings.measurements == "model":
         return draw_world(case, settings, run)
     # Images need OpenCV, which the model does not.
     from homeward.studies.paper.images import draw_image_world
 
     return draw_image_world(case, settings, run)
+
+
+def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
+    """Return the settings that make one of `FILTERS` of the kind it is of."""
+    change: dict[str, Any] = {}
+    if name == PI_HT:
+        change = {"printed": settings.printed.model_copy(update={"M": "HT"})}
+    if name == DEAD_RECKONING:
+        unseen = {"minimum_visible": settings.printed.landmarks + 1}
+        change = {"assumed": settings.assumed.model_copy(update=unseen)}
+    return settings.model_copy(update=change)
 
 
 def _take_image(loop: Interpreter, world: World, sample: int, dt: float) -> None:
@@ -176,7 +130,7 @@ def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKal
         estimated = one if name == "A-EKF (one)" else None
         return augmented_ekf(q, estimated, assumed.integration, assumed.guard)
     model = PolarModel(q, guard=assumed.guard)
-    kind = ProportionalIntegralFilter if name == "PI-EKF" else ExtendedKalmanFilter
+    kind = ProportionalIntegralFilter if name.startswith("PI-EKF") else ExtendedKalmanFilter
     return kind(model, assumed.integration)
 
 
@@ -214,11 +168,11 @@ def _gains(Pi: float | tuple[float, ...], q: int) -> np.ndarray:
     return np.array([*pose, *[bearings] * q])
 
 
-def _integral_gain(M: float | Literal["own"], shape: tuple[int, ...]) -> np.ndarray:
+def _integral_gain(M: float | Literal["HT", "own"], shape: tuple[int, ...]) -> np.ndarray:
     """Return M, (3 + q, q)."""
-    if M != "own":
+    if not isinstance(M, str):
         return np.full(shape, M)
-    matrix = np.ones((shape[0], shape[0] - POLAR))
+    matrix = np.full((shape[0], shape[0] - POLAR), float(M == "own"))
     matrix[POLAR:] = np.eye(shape[0] - POLAR)
     return matrix.reshape(shape)
 

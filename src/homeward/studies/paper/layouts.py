@@ -1,79 +1,132 @@
-"""The paper's Cases 2 and 4 over thousands of random layouts and fault sets, in blocks.
+"""The paper's Cases 1, 2 and 4 over thousands of random layouts and fault sets, in blocks.
 
-What `homeward reproduce --study` computes: the filters as printed, what their order depends on, the
-best Pi and M, and on the first layouts the robust localiser and the Cramer-Rao bound.
+What `homeward reproduce --study` asks: the filters under every reading of what the paper leaves
+open, what else their order depends on, and on the first layouts the robust localiser and the
+Cramer-Rao bound.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import Strict
+from homeward.drives.drive import NonNegative, Positive, Strict
 from homeward.drives.settings import validated
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import Arrays, BlockStore
-from homeward.studies.paper.cases import FILTERS
-from homeward.studies.paper.many import run_many
-from homeward.studies.paper.robust import bound_rmse, run_robust
+from homeward.studies.paper.cases import FILTERS, draw, run_filter
+from homeward.studies.paper.many import Errors, errors_over, run_many
+from homeward.studies.paper.robust import bound_errors, run_robust
 from homeward.studies.paper.settings import PaperSettings
-from homeward.studies.paper.world import CaseName, draw_world
+from homeward.studies.paper.world import CaseName, World
 
-STUDIED: tuple[CaseName, ...] = ("2", "4")
-"""The cases with a printed table."""
-BASE = "as assumed"
+STUDIED: tuple[CaseName, ...] = ("1", "2", "4")
+"""The cases with a printed table; Case 1 by the caption of Table 3, Case 4 by its text."""
 MARKER = "study.yaml"
 BOUND, ROBUST = "bound", "robust"
 
+Start = tuple[float, float, float]
+"""Standard deviations of the first estimate's error: R [m], theta, alpha [rad]."""
+FIXED: dict[CaseName, set[str]] = {"1": {"faults"}, "4": {"faults", "stop_radius"}}
+"""What a case does not depend on."""
+
 VARIANTS: dict[str, dict[str, Any]] = {
-    BASE: {},
     "bearings exact": {"assumed": {"bearing_sigma": 0.0}},
     "bearing noise 0.05 rad": {"assumed": {"bearing_sigma": 0.05}},
     "bearing noise 0.22 rad, as R says": {"assumed": {"bearing_sigma": 0.05**0.5}},
-    "no initial error": {"assumed": {"initial_error": (0.0, 0.0, 0.0)}},
-    "initial error twice as large": {"assumed": {"initial_error": (0.1, 0.2, 0.2)}},
-    "Q of the states": {"assumed": {"meaning_of_Q": "state"}},
     "R a standard deviation": {"assumed": {"meaning_of_R": "deviation"}},
     "Q of the states, R a deviation": {
         "assumed": {"meaning_of_Q": "state", "meaning_of_R": "deviation"}
     },
-    "Pi M a tenth": {"printed": {"Pi": 0.005}},
-    "Pi M a hundredth": {"printed": {"Pi": 0.0005}},
-    "one fault": {"assumed": {"faults": 1}},
-    "three faults": {"assumed": {"faults": 3}},
+    "Pi 0.5": {"printed": {"Pi": 0.5}},
+    "Pi 0.5, stop at 15 cm": {"printed": {"Pi": 0.5}, "assumed": {"stop_radius": 0.15}},
+    "Pi 0.005": {"printed": {"Pi": 0.005}},
     "faults up to 0.2 rad": {"assumed": {"fault": (0.05, 0.2)}},
     "all landmarks in sight": {"assumed": {"visibility": 1.0}},
-    "exact start and bearings": {
-        "assumed": {"initial_error": (0.0, 0.0, 0.0), "bearing_sigma": 0.0}
-    },
+    "samples every 0.1 s": {"printed": {"sample_time": 0.1}},
+    "samples every 0.025 s": {"printed": {"sample_time": 0.025}},
+    "for 200 s": {"assumed": {"longest": 200.0, "circle_time": 200.0}},
 }
-"""What the printed order may depend on: name to what is changed in `PaperSettings`."""
+"""What else the order may depend on: name to what is changed in `PaperSettings`."""
+LONG = "for 200 s"
 
 
 BLOCK, SLOW_BLOCK = 250, 10
 """Layouts in a block of filters, and of the robust localiser and the bound."""
 
 
+class Reading(NamedTuple):
+    """One way to read what the paper leaves open: values of `Assumed`."""
+
+    initial_error: Start
+    meaning_of_Q: Literal["input", "state"]
+    stop_radius: float
+    faults: int
+    disturbance: tuple[float, float]
+
+
+class Grid(Strict):
+    """Values that are run in every combination, beside those of `paper.assumed`.
+
+    M needs none: the PI-EKF runs with that of `paper.printed` and with H'.
+    """
+
+    initial_error: tuple[tuple[NonNegative, NonNegative, NonNegative], ...] = (
+        (0.0, 0.0, 0.0),
+        (0.05, 0.1, 0.1),
+    )
+    meaning_of_Q: tuple[Literal["input", "state"], ...] = ("input", "state")
+    stop_radius: tuple[Positive, ...] = (0.05, 0.15, 0.25)
+    faults: tuple[Annotated[int, Field(ge=0)], ...] = (2, 1, 3)
+    disturbance: tuple[tuple[NonNegative, NonNegative], ...] = ((0.0, 0.0), (0.02, 0.2))
+
+
 class LayoutSettings(Strict):
     """How much of it is computed."""
 
     layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
-    """Random layouts and fault sets of the main question."""
+    """Random layouts and fault sets of every reading."""
     varied: Annotated[int, Field(ge=1, le=1_000_000)] = 2000
     """The first so many of them for each of `VARIANTS`."""
     searched: Annotated[int, Field(ge=2, le=1_000_000)] = 500
     """The first so many to choose the gains of the search by, and as many to judge them by."""
     robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
-    """The first so many for the robust localiser and the bound, which take seconds each."""
+    """The first so many for the robust localiser and the bound."""
+    grid: Grid = Grid()
     paper: PaperSettings = PaperSettings()
     """What all of it starts from; its `runs` is not used."""
+
+    def axis(self, name: str) -> tuple[Any, ...]:
+        """Return the values of one field of `Reading`, those of `paper` first."""
+        own = getattr(self.paper.assumed, name)
+        return tuple(dict.fromkeys((own, *getattr(self.grid, name))))
+
+    def readings(self, case: CaseName) -> list[Reading]:
+        """Return every reading of a case; the first is that of `paper`."""
+        fixed = FIXED.get(case, set())
+        axes = (self.axis(k)[: 1 if k in fixed else None] for k in Reading._fields)
+        return [Reading(*values) for values in product(*axes)]
+
+    def bounded(self, case: CaseName) -> list[Reading]:
+        """Return the readings of a case that the bound depends on: of start and disturbance."""
+        first = self.readings(case)[0]
+        return [
+            first._replace(initial_error=start, disturbance=noise)
+            for start, noise in product(self.axis("initial_error"), self.axis("disturbance"))
+        ]
+
+    def read(self, reading: Reading) -> PaperSettings:
+        """Return the settings of a reading."""
+        return changed(self.paper, {"assumed": reading._asdict()})
 
 
 class Block(NamedTuple):
@@ -95,8 +148,14 @@ class Outcome:
     names: tuple[str, ...]
     rmse: np.ndarray
     """(names, layouts, 3)"""
+    theta_far: np.ndarray
+    """(names, layouts), RMSE of theta farther than `FAR` from home."""
+    final: np.ndarray
+    """(names, layouts, 3), errors at the end."""
     final_distance: np.ndarray
     """(names, layouts), true distance from home at the end [m]."""
+    moved: np.ndarray
+    """(layouts,), how many landmarks were moved."""
 
     def of(self, name: str) -> np.ndarray:
         """Return the RMSE of one filter, shape (layouts, 3)."""
@@ -105,19 +164,26 @@ class Outcome:
 
 def run_block(block: Block) -> Arrays:
     """Run every filter of a block through its worlds; layout k is the same in any block."""
-    worlds = [draw_world(block.case, block.settings, k) for k in range(block.first, block.last)]
-    shape = len(block.names), len(worlds)
-    rmse, distance = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
-    for j, name in enumerate(block.names):
-        if name in FILTERS:
-            rmse[j], distance[j] = run_many(name, block.case, worlds, block.settings)
-            continue
-        for i, world in enumerate(worlds):
-            if name == BOUND:
-                rmse[j, i] = bound_rmse(block.case, world, block.settings)
-            else:
-                rmse[j, i], distance[j, i] = run_robust(block.case, world, block.settings)
-    return {"rmse": rmse, "final_distance": distance}
+    settings, case = block.settings, block.case
+    worlds = [draw(case, settings, k) for k in range(block.first, block.last)]
+    kept = [_errors(name, case, worlds, settings) for name in block.names]
+    arrays = {f.name: np.array([getattr(e, f.name) for e in kept]) for f in fields(Errors)}
+    return {**arrays, "moved": np.array([w.moved.sum() for w in worlds])}
+
+
+def _errors(name: str, case: CaseName, worlds: Sequence[World], settings: PaperSettings) -> Errors:
+    """Run one filter, the robust localiser or the bound through worlds."""
+    if name in FILTERS and settings.measurements == "model":
+        return run_many(name, case, worlds, settings)
+    one = {ROBUST: run_robust, BOUND: bound_errors}.get(name, partial(_run_one, name))
+    parts = [one(case, world, settings) for world in worlds]
+    columns = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Errors))
+    return Errors(*columns)
+
+
+def _run_one(name: str, case: CaseName, world: World, settings: PaperSettings) -> Errors:
+    run = run_filter(name, case, world, settings)
+    return errors_over(run.errors, run.pose)
 
 
 def changed(paper: PaperSettings, change: Mapping[str, Mapping[str, Any]]) -> PaperSettings:
@@ -143,6 +209,7 @@ class Question:
         text = json.dumps([tree, self.case, self.names], sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
         size = BLOCK if set(self.names) <= set(FILTERS) else SLOW_BLOCK
+        size = size if self.settings.measurements == "model" else 1
         blocks = {}
         for first in range(0, self.layouts, size):
             last = min(first + size, self.layouts)
@@ -151,9 +218,9 @@ class Question:
         return blocks
 
 
-def open_store(folder: Path) -> BlockStore:
+def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
     """Return the store of a folder; the names of its blocks tell their settings."""
-    return BlockStore(folder, {"study": "the paper's cases over many layouts"}, MARKER)
+    return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
 
 
 def ask(
@@ -173,28 +240,38 @@ def ask(
 
 
 def _outcome(names: tuple[str, ...], parts: list[Arrays]) -> Outcome:
-    rmse, distance = (
-        np.concatenate([part[key] for part in parts], axis=1) for key in ("rmse", "final_distance")
+    return Outcome(
+        names,
+        *(np.concatenate([part[f.name] for part in parts], axis=1) for f in fields(Errors)),
+        np.concatenate([part["moved"] for part in parts]),
     )
-    return Outcome(names, rmse, distance)
 
 
-def main_questions(settings: LayoutSettings) -> dict[str, Question]:
-    """Return the filters as assumed over all layouts, and over the first robust and bound."""
-    asked = {}
-    for case in STUDIED:
-        asked[f"main-{case}"] = Question(settings.paper, case, FILTERS, settings.layouts)
-        limited = min(settings.robust, settings.layouts)
-        asked[f"robust-{case}"] = Question(settings.paper, case, (ROBUST, BOUND), limited)
-    return asked
-
-
-def varied_questions(settings: LayoutSettings) -> dict[str, Question]:
-    """Return each of `VARIANTS` in each case."""
-    filters = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF")
-    number = min(settings.varied, settings.layouts)
+def grid_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
+    """Return every reading of every case, for the paper's filters and dead reckoning."""
     return {
-        f"{name}, {case}": Question(changed(settings.paper, change), case, filters, number)
-        for name, change in VARIANTS.items()
+        (case, reading): Question(settings.read(reading), case, FILTERS, settings.layouts)
         for case in STUDIED
+        for reading in settings.readings(case)
     }
+
+
+def bound_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
+    """Return the first layouts for the robust localiser and the bound."""
+    number = min(settings.robust, settings.layouts)
+    return {
+        (case, reading): Question(settings.read(reading), case, (ROBUST, BOUND), number)
+        for case in STUDIED
+        for reading in settings.bounded(case)
+    }
+
+
+def varied_questions(settings: LayoutSettings) -> dict[tuple[str, CaseName, Start], Question]:
+    """Return each of `VARIANTS` in each case and from each start."""
+    number = min(settings.varied, settings.layouts)
+    asked = {}
+    for case, start in product(STUDIED, settings.axis("initial_error")):
+        paper = settings.read(settings.readings(case)[0]._replace(initial_error=start))
+        for name, change in VARIANTS.items():
+            asked[name, case, start] = Question(changed(paper, change), case, FILTERS, number)
+    return asked

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from homeward.engine.batch.homing import run_homing
 from homeward.engine.choice import Engine
 from homeward.engine.interpreter import Interpreter
 from homeward.simulation.closed_loop import closed_loop_function
-from homeward.studies.paper.cases import control_law, fill, filter_kind
+from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
 
@@ -21,24 +21,70 @@ DRAWN = ("mask", "noise", "disturbance")
 """Those that differ from sample to sample."""
 
 
+FAR = 0.2
+"""Nearer to home than this [m] its direction, theta, says little."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What is kept of one filter's runs; infinite where it diverged."""
+
+    rmse: np.ndarray
+    """(runs, 3), of R [m], theta, alpha [rad] over each run."""
+    theta_far: np.ndarray
+    """(runs,), RMSE of theta [rad] over the samples farther than `FAR` from home."""
+    final: np.ndarray
+    """(runs, 3), the size of the last sample's errors of R [m], theta, alpha [rad]."""
+    final_distance: np.ndarray
+    """(runs,), true distance from home at the end [m]."""
+
+
+def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
+    """Return what is kept of one run, with a leading axis of one.
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, 3)
+        Of R [m], theta, alpha [rad] at each sample; no number where the filter diverged.
+    pose : ndarray, shape (k, 3)
+        The true one.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.square(error)
+        distance = np.hypot(pose[:, 0], pose[:, 1])
+        far = square[distance > FAR, 1]
+        rmse, theta = np.sqrt(square.mean(axis=0)), np.sqrt(far.mean() if far.size else np.nan)
+    lost = not np.isfinite(rmse).all()
+    none = np.full(3, np.inf)
+    return Errors(
+        (none if lost else rmse)[None],
+        np.array([np.inf if lost else theta]),
+        (none if lost else np.abs(error[-1]))[None],
+        distance[-1:],
+    )
+
+
 def run_many(
     name: str,
     case: CaseName,
     worlds: Sequence[World],
     settings: PaperSettings,
     engine: Engine = "auto",
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Errors:
     """Run one of `homeward.studies.paper.cases.FILTERS` through worlds, each as `run_filter` does.
 
-    Returns
-    -------
-    rmse : ndarray, shape (worlds, 3)
-        Of R [m], theta, alpha [rad] over each run; infinite where the filter diverged.
-    final_distance : ndarray, shape (worlds,)
-        True distance from home at the end [m].
+    Parameters
+    ----------
+    name, case, settings
+        As for `run_filter`.
+    worlds : sequence of World
+        Of as many samples each.
+    engine : {"auto", "interpreter", "native"}
+        See `homeward.filters.settings.Engine`.
     """
     # The first wrong landmark comes first everywhere, so that one compiled filter serves all.
     worlds = [_rolled(world) for world in worlds]
+    settings = filter_settings(name, settings)
     kind = filter_kind(name, worlds[0], settings)
     law = control_law(case, settings)
     given = Interpreter(closed_loop_function(kind, law)).inputs
@@ -62,10 +108,23 @@ def run_many(
             "noise": np.array([w.noise[:last] for w in worlds]),
             "disturbance": np.array([w.disturbance[:last] for w in worlds]),
         },
+        history=("error", "pose"),
         engine=engine,
         threads=1,
     )
-    return result.rmse, result.final_distance
+    error, pose = result.history["error"], result.history["pose"]
+    far = np.hypot(pose[..., 0], pose[..., 1]) > FAR
+    square = np.square(error[..., 1], where=far, out=np.zeros(far.shape))
+    with np.errstate(invalid="ignore"):
+        theta = np.sqrt(square.sum(axis=1) / far.sum(axis=1))
+    final = np.abs(error[np.arange(len(worlds)), result.samples - 1])
+    lost = result.diverged
+    return Errors(
+        result.rmse,
+        np.where(lost, np.inf, theta),
+        np.where(lost[:, None], np.inf, final),
+        result.final_distance,
+    )
 
 
 def _rolled(world: World) -> World:

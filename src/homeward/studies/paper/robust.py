@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from homeward.angles import wrap
@@ -21,6 +23,7 @@ from homeward.estimator import Status
 from homeward.frames import Polar, Pose, bearing, from_polar, polar_covariance_to_pose, to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.trajectories import advance
+from homeward.studies.paper.many import Errors, errors_over
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
 
@@ -61,27 +64,23 @@ def drive_of(world: World, settings: PaperSettings) -> Drive:
     )
 
 
-def run_robust(case: CaseName, world: World, settings: PaperSettings) -> tuple[np.ndarray, float]:
+def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
     """Run the robust localiser through a world, closing the loop in Cases 1 to 3.
 
     It is told the noise as it is, which the paper's filters are not; homing ends as for them.
-
-    Returns
-    -------
-    rmse : ndarray, shape (3,)
-        Of R [m], theta, alpha [rad], over the samples with a pose; NaN when there was none.
-    final_distance : float
-        True distance from home at the end [m].
+    Errors are over the samples with a pose, NaN when there was none.
     """
     printed, assumed = settings.printed, settings.assumed
     estimator = make_estimator("robust", drive_of(world, settings))
     speed, dt, pose = printed.speed_cm / 100, printed.sample_time, world.start
     errors: list[np.ndarray] = []
+    poses: list[Pose] = []
     for k, visible in enumerate(world.visible):
         answer = estimator.estimate(k * dt)
         believed = answer.polar
         if believed is not None:
             errors.append(polar_error(believed, pose))
+            poses.append(pose)
         twist = Twist(speed, assumed.circle_turn_rate)
         if case != "4":
             sure = answer.status in (Status.LOCALISED, Status.COASTING)
@@ -94,8 +93,11 @@ def run_robust(case: CaseName, world: World, settings: PaperSettings) -> tuple[n
         sightings = {str(i): float(wrap(seen[i])) for i in np.flatnonzero(visible)}
         if sightings:
             estimator.bearings((k + 1) * dt, sightings)
-    rmse = np.sqrt(np.mean(np.square(errors), axis=0)) if errors else np.full(3, np.nan)
-    return rmse, float(np.hypot(pose.x, pose.y))
+    distance = np.array([np.hypot(pose.x, pose.y)])
+    if not errors:
+        nothing = np.full((1, 3), np.nan)
+        return Errors(nothing, nothing[:, 0], nothing, distance)
+    return replace(errors_over(np.array(errors), np.array(poses)), final_distance=distance)
 
 
 def polar_error(believed: Polar, true: Pose) -> np.ndarray:
@@ -106,8 +108,8 @@ def polar_error(believed: Polar, true: Pose) -> np.ndarray:
     )
 
 
-def bound_rmse(case: CaseName, world: World, settings: PaperSettings) -> np.ndarray:
-    """Return the Cramer-Rao bound on the RMSE of R [m], theta, alpha [rad] over a run, shape (3,).
+def bound_errors(case: CaseName, world: World, settings: PaperSettings) -> Errors:
+    """Return the Cramer-Rao bound on the errors over a run.
 
     Along the path that the truth steers; which home bearings are wrong counts as known.
     """
@@ -130,7 +132,7 @@ def bound_rmse(case: CaseName, world: World, settings: PaperSettings) -> np.ndar
         moved=world.faults != 0,
         start_covariance=polar_covariance_to_pose(to_polar(world.start), start),
     )
-    return np.asarray(np.sqrt(np.mean(_polar_variances(poses, bound), axis=0)))
+    return errors_over(np.sqrt(_polar_variances(poses, bound)), poses)
 
 
 def _true_path(

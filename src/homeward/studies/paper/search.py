@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.studies.blocks.finish import Where
 from homeward.studies.blocks.store import BlockStore
-from homeward.studies.paper.layouts import STUDIED, LayoutSettings, Outcome, Question, ask, changed
+from homeward.studies.paper.layouts import LayoutSettings, Outcome, Question, ask, changed
 from homeward.studies.paper.world import CaseName
 
 SCALES = tuple(float(g) for g in np.logspace(-5, -0.5, 19))
@@ -20,8 +20,14 @@ DRAWN, REFINED, BEST = 40, 20, 4
 
 Gains = tuple[float, float, float, float]
 """The diagonal of Pi: for R, theta, alpha, and every bearing."""
-Integral = float | Literal["own"]
-FAMILIES = ("as printed", "free Pi, M ones", "free Pi, M own")
+Integral = float | Literal["HT", "own"]
+FAMILIES: dict[str, Integral] = {
+    "Pi a number, M ones": 1.0,
+    "Pi a number, M = H'": "HT",
+    "free Pi, M ones": 1.0,
+    "free Pi, M own": "own",
+}
+SEARCHED: tuple[CaseName, ...] = ("2", "4")
 
 
 @dataclass(frozen=True)
@@ -78,21 +84,22 @@ def search(
     where: Where,
     progress: Callable[[float], None] | None = None,
 ) -> Search:
-    """Search the best Pi and M: as printed, and with gains of their own for each kind of state.
+    """Search the best Pi and M from the start of `settings.paper`.
 
-    As printed, Pi times the identity and M times ones act by their product alone, so one number is
-    searched. The first `searched` layouts choose, the next as many judge.
+    With Pi times the identity one number is searched, otherwise gains of their own for each kind of
+    state. The first `searched` layouts choose, the next as many judge.
     """
     rounds = _Rounds(settings, store, where, progress)
     ekf = rounds.reference()
-    tried = rounds.costs([("as printed", g, 1.0) for g in SCALES], ekf)
+    one, another, *free = FAMILIES
+    tried = rounds.costs([(f, g, FAMILIES[f]) for f in (one, another) for g in SCALES], ekf)
     rng = np.random.default_rng(0)
     drawn = [_draw(rng) for _ in range(DRAWN)]
-    for family, M in zip(FAMILIES[1:], (1.0, "own"), strict=True):
-        integral: Integral = 1.0 if M == 1.0 else "own"
-        found = rounds.costs([(family, g, integral) for g in drawn], ekf)
+    for family in free:
+        M = FAMILIES[family]
+        found = rounds.costs([(family, g, M) for g in drawn], ekf)
         for width in (0.5, 0.2):
-            near = [(family, _near(rng, t.Pi, width), integral, t.case) for t in _leaders(found)]
+            near = [(family, _near(rng, t.Pi, width), M, t.case) for t in _leaders(found)]
             found += rounds.costs_of(near, ekf)
         tried += found
     return Search(tuple(tried), tuple(rounds.judge(tried)))
@@ -117,9 +124,9 @@ class _Rounds:
     def reference(self) -> dict[CaseName, np.ndarray]:
         """Return the EKF's errors on the layouts that choose."""
         n = self._n
-        asked = {case: Question(self._settings.paper, case, ("EKF",), n) for case in STUDIED}
+        asked = {case: Question(self._settings.paper, case, ("EKF",), n) for case in SEARCHED}
         answers = self._ask(asked)
-        return {case: answers[case].of("EKF") for case in STUDIED}
+        return {case: answers[case].of("EKF") for case in SEARCHED}
 
     def costs(
         self,
@@ -127,7 +134,7 @@ class _Rounds:
         ekf: dict[CaseName, np.ndarray],
     ) -> list[Tried]:
         """Return the costs of gains in every case."""
-        return self.costs_of([(*g, case) for g in gains for case in STUDIED], ekf)
+        return self.costs_of([(*g, case) for g in gains for case in SEARCHED], ekf)
 
     def costs_of(
         self,
@@ -153,13 +160,13 @@ class _Rounds:
                 key=lambda t: t.chosen_by,
             )
             for family in FAMILIES
-            for case in STUDIED
+            for case in SEARCHED
         ]
         asked: dict[Any, Question] = {
             i: self._question(t.Pi, t.M, t.case, 2 * n) for i, t in enumerate(best)
         }
         others = ("EKF", "A-EKF (all)")
-        asked |= {c: Question(self._settings.paper, c, others, 2 * n) for c in STUDIED}
+        asked |= {c: Question(self._settings.paper, c, others, 2 * n) for c in SEARCHED}
         answers = self._ask(asked)
         return [
             Best(
@@ -194,7 +201,7 @@ def _draw(rng: np.random.Generator) -> Gains:
 def _leaders(tried: list[Tried]) -> list[Tried]:
     """Return the best few of each case, as often as they are to be varied."""
     leaders = []
-    for case in STUDIED:
+    for case in SEARCHED:
         ordered = sorted((t for t in tried if t.case == case), key=lambda t: t.chosen_by)
         leaders += [t for t in ordered[:BEST] for _ in range(REFINED // BEST)]
     return leaders

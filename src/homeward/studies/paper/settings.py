@@ -36,8 +36,9 @@ class Printed(Strict):
     """Of each parameter of the A-EKF, every sample [rad^2]."""
     Pi: Finite | tuple[Finite, Finite, Finite, Finite] = 0.05
     """Times the identity; or its diagonal: for R, theta, alpha, and every bearing."""
-    M: Finite | Literal["own"] = 1.0
-    """Every entry; or "own": ones, but each bearing is steered by its own innovation alone."""
+    M: Finite | Literal["HT", "own"] = 1.0
+    """Every entry; or "HT": H', each innovation steers its own bearing and nothing else; or "own":
+    the same for the bearings, and ones for the pose."""
 
 
 class Assumed(Strict):
@@ -63,8 +64,9 @@ class Assumed(Strict):
     """Of the measured bearings [rad]."""
     disturbance: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     """Of the true twist, every sample: [m/s] and [rad/s]."""
-    initial_error: tuple[NonNegative, NonNegative, NonNegative] = (0.05, 0.1, 0.1)
-    """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]."""
+    initial_error: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]; zero is the
+    start as printed."""
     meaning_of_Q: Literal["input", "state"] = "input"
     """The covariance of (v [cm/s], omega [rad/s]), as the equations use it, or of the n states
     (R in cm), as its printed size says."""
@@ -103,7 +105,7 @@ class PaperSettings(Strict):
     runs: Annotated[int, Field(ge=1, le=100_000)] = 100
     """Random layouts, faults and noises per case."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Of the first of them, which is the one drawn in the figures."""
+    """Of the first of them."""
 
     @model_validator(mode="after")
     def _at_least_one_sample(self) -> Self:

@@ -1,4 +1,4 @@
-"""The paper's two tables of RMSE, with ours beside them."""
+"""The paper's tables of RMSE, ours beside them, and what is counted over layouts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.studies.paper.cases import Reproduction
+from homeward.studies.paper.layouts import Outcome
+from homeward.studies.paper.reproduction import Reproduction
 from homeward.studies.paper.world import CaseName
 
 TO_PAPER_UNITS = np.array([100.0, 1.0, 1.0])
@@ -24,7 +25,14 @@ PRINTED: dict[CaseName, dict[str, tuple[float, float, float]]] = {
         "PI-EKF": (0.2739, 0.0307, 0.0386),
     },
 }
-"""RMSE of R [cm], theta, alpha [rad], as the paper prints them."""
+PRINTED["1"] = PRINTED["4"]
+"""RMSE of R [cm], theta, alpha [rad], as the paper prints them; Table 3 twice, since its caption
+says closed loop, which is Case 1, and its text open loop, which is Case 4."""
+
+
+def printed_of(case: CaseName, name: str) -> tuple[float, float, float] | None:
+    """Return what the paper prints of one of `FILTERS` in a case, where it does."""
+    return PRINTED.get(case, {}).get(name.split(" ")[0])
 
 
 @dataclass(frozen=True)
@@ -35,14 +43,14 @@ class Row:
     filter: str
     printed: tuple[float, float, float] | None
     """What the paper prints, where it does."""
-    shown: np.ndarray
-    """(3,), RMSE of the run drawn in the figures."""
     median: np.ndarray
     """(3,), over all runs."""
     low: np.ndarray
     """(3,), 5 % of runs are better than this."""
     high: np.ndarray
     """(3,), 5 % are worse."""
+    theta_far: float
+    """Median RMSE of theta over the samples farther than 20 cm from home [rad]."""
     home_share: float
     """Share of runs that ended truly within twice the stop radius of home."""
     home_distance_median: float
@@ -52,21 +60,20 @@ class Row:
 def rows(result: Reproduction) -> list[Row]:
     """Return a row for each case and filter."""
     table = []
-    for case, by_filter in result.rmse.items():
-        for name, rmse in by_filter.items():
-            scaled = rmse * TO_PAPER_UNITS
-            low, median, high = _quantiles(scaled)
-            distance = result.final_distance[case][name]
+    for case, outcome in result.outcomes.items():
+        for k, name in enumerate(outcome.names):
+            low, median, high = _quantiles(outcome.of(name) * TO_PAPER_UNITS)
+            distance = outcome.final_distance[k]
             within = distance < 2 * result.settings.assumed.stop_radius
             table.append(
                 Row(
                     case=case,
                     filter=name,
-                    printed=PRINTED.get(case, {}).get(name.split(" ")[0]),
-                    shown=scaled[0],
+                    printed=printed_of(case, name),
                     median=median,
                     low=low,
                     high=high,
+                    theta_far=float(np.nanmedian(outcome.theta_far[k])),
                     home_share=float(np.mean(within)),
                     home_distance_median=float(np.median(distance)),
                 )
@@ -90,23 +97,35 @@ def printed_order(case: CaseName, column: int) -> tuple[str, ...]:
     return tuple(sorted(PRINTED[case], key=lambda name: PRINTED[case][name][column]))
 
 
-def ordering_share(result: Reproduction, case: CaseName, column: int) -> float:
-    """Return the share of runs whose errors are in the printed order in one column.
-
-    A-EKF stands for the one with all parameters.
+def order_share(outcome: Outcome, order: tuple[str, ...], a_ekf: str) -> np.ndarray:
+    """Return the shares of layouts in which errors have an order: R, theta, alpha, and all three.
 
     Parameters
     ----------
-    result : Reproduction
-        Of all runs.
-    case : one of the cases
-        The paper prints Cases 2 and 4.
-    column : int
-        0: R, 1: theta, 2: alpha.
+    outcome : Outcome
+        Of one case.
+    order : tuple of str
+        Three of the paper's names, least error first.
+    a_ekf : str
+        Which of `FILTERS` stands for the A-EKF, of which the paper has one.
     """
-    rmse = result.rmse[case]
-    ours = {"A-EKF": "A-EKF (all)"}
-    least, middle, most = (
-        rmse[ours.get(name, name)][:, column] for name in printed_order(case, column)
-    )
-    return float(np.mean((least < middle) & (middle < most)))
+    ours = {"A-EKF": a_ekf}
+    least, middle, most = (outcome.of(ours.get(name, name)) for name in order)
+    holds = (least < middle) & (middle < most)
+    return np.append(holds.mean(axis=0), holds.all(axis=1).mean())
+
+
+def printed_order_shares(outcome: Outcome, case: CaseName, a_ekf: str) -> list[float]:
+    """Return the share with the order that the table prints, for R, theta and alpha."""
+    return [float(order_share(outcome, printed_order(case, k), a_ekf)[k]) for k in range(3)]
+
+
+def better_shares(outcome: Outcome, name: str, other: str) -> np.ndarray:
+    """Return the shares of layouts in which one errs less than another: R, theta, alpha."""
+    return np.asarray(np.mean(outcome.of(name) < outcome.of(other), axis=0))
+
+
+def beats_printed(outcome: Outcome, case: CaseName, name: str) -> float:
+    """Return the share of layouts with errors below the printed ones in all three."""
+    below = outcome.of(name) * TO_PAPER_UNITS < np.array(printed_of(case, name))
+    return float(below.all(axis=1).mean())

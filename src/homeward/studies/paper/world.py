@@ -78,7 +78,7 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     settings : PaperSettings
         What is drawn from.
     run : int
-        From 0 on; the first one is drawn in the figures.
+        From 0 on.
     """
     printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
     steps = round(duration(case, settings) / printed.sample_time)
