@@ -6,23 +6,51 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from studies.chores import in_this_process
 from typer.testing import CliRunner
 
+from homeward.cli import options
 from homeward.cli.main import app
-from homeward.report.paper_figures import FIGURES
-from homeward.studies.paper.cases import FILTERS, reproduce, run_filter
-from homeward.studies.paper.settings import Assumed, PaperSettings
-from homeward.studies.paper.tables import PRINTED, ordering_share, printed_order, rows
+from homeward.report.paper_claims import verdict
+from homeward.report.paper_figures import DRAWN, FIGURES, figures_of
+from homeward.report.paper_page import found, sentences
+from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
+from homeward.studies.paper.layouts import open_store
+from homeward.studies.paper.reproduction import reproduce
+from homeward.studies.paper.settings import Assumed, PaperSettings, Printed
+from homeward.studies.paper.tables import (
+    PRINTED,
+    beats_printed,
+    better_shares,
+    printed_order,
+    printed_order_shares,
+    rows,
+)
 from homeward.studies.paper.world import CASES, draw_world
+
+OFF = (0.05, 0.1, 0.1)
+"""A start that is off."""
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch):
+    """Compute blocks in this process: workers have tests of their own."""
+    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
 
 
 def call(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+def reproduced(folder, **settings):
+    return reproduce(PaperSettings(**settings), open_store(folder))
+
+
 @pytest.fixture(scope="module")
-def result():
-    return reproduce(PaperSettings(runs=4))
+def result(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+        return reproduced(tmp_path_factory.mktemp("paper"), runs=4)
 
 
 def test_page_and_figures_are_written(tmp_path):
@@ -30,7 +58,7 @@ def test_page_and_figures_are_written(tmp_path):
     answer = call("reproduce", "--out", out, "--runs", "2", "--seed", "5")
     assert answer.exit_code == 0, answer.output
     page = (out / "paper.html").read_text()
-    for words in ("leaves open", "wrong in it", "0.3778", "1.9091", "0.0174"):
+    for words in ("leaves open", "wrong in it", "0.3778", "1.9091", "0.0174", "What holds: "):
         assert words in page
     for name in FIGURES:
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -62,7 +90,9 @@ def test_wrong_options_are_one_line(tmp_path, option, word):
 def test_every_case_and_filter_has_a_row(result):
     table = rows(result)
     assert [(r.case, r.filter) for r in table] == [(c, f) for c in CASES for f in FILTERS]
-    assert sum(r.printed is not None for r in table) == len(PRINTED) * len(FILTERS)
+    assert sum(r.printed is not None for r in table) == len(PRINTED) * (len(FILTERS) - 1)
+    # Table 3 stands beside the closed loop of its caption and the open loop of its text.
+    assert PRINTED["1"] == PRINTED["4"]
     for row in table:
         assert np.all(row.low <= row.median)
         assert np.all(row.median <= row.high)
@@ -73,17 +103,141 @@ def test_the_order_is_the_one_that_the_paper_prints(result):
     assert printed_order("2", 2) == ("PI-EKF", "EKF", "A-EKF")
     assert printed_order("4", 0) == ("PI-EKF", "EKF", "A-EKF")
     assert printed_order("4", 1) == ("EKF", "PI-EKF", "A-EKF")
-    rmse = {name: np.full((4, 3), value) for name, value in (("EKF", 1.0), ("PI-EKF", 2.0))}
-    rmse["A-EKF (all)"] = np.array([[3.0, 3.0, 3.0]] * 3 + [[1.5, 1.5, 1.5]])
-    made_up = replace(result, rmse={"4": rmse})
-    assert [ordering_share(made_up, "4", k) for k in range(3)] == [0.0, 0.75, 0.0]
+    errors = np.ones((len(FILTERS), 4, 3))
+    errors[FILTERS.index("PI-EKF")] = 2.0
+    errors[FILTERS.index("A-EKF (all)")] = np.array([3.0, 3.0, 3.0, 1.5])[:, None]
+    errors[FILTERS.index("A-EKF (one)")] = 3.0
+    made_up = replace(result.outcomes["4"], rmse=errors)
+    assert printed_order_shares(made_up, "4", "A-EKF (all)") == [0.0, 0.75, 0.0]
+    assert printed_order_shares(made_up, "4", "A-EKF (one)") == [0.0, 1.0, 0.0]
 
 
-def test_runs_are_the_same_whatever_else_is_run(result):
-    alone = reproduce(PaperSettings(runs=2))
+def test_runs_are_the_same_whatever_else_is_run(result, tmp_path):
+    alone = reproduced(tmp_path, runs=2)
     for case in CASES:
-        for name in FILTERS:
-            np.testing.assert_array_equal(alone.rmse[case][name], result.rmse[case][name][:2])
+        np.testing.assert_allclose(
+            alone.outcomes[case].rmse, result.outcomes[case].rmse[:, :2], rtol=1e-9
+        )
+
+
+def test_from_the_exact_start_no_filter_beats_dead_reckoning(result):
+    """The truth follows the command exactly, so that bearings can only mislead."""
+    for case in CASES:
+        outcome = result.outcomes[case]
+        alone = outcome.of(DEAD_RECKONING)
+        assert np.all(alone[:, 0] < 1e-4)
+        for name in FILTERS[:-1]:
+            assert np.all(alone[:, 0] < outcome.of(name)[:, 0])
+
+
+def test_a_start_that_is_off_dead_reckoning_keeps():
+    settings = PaperSettings(assumed=Assumed(initial_error=OFF))
+    world = draw_world("4", settings, 0)
+    run = run_filter(DEAD_RECKONING, "4", world, settings)
+    first, last = np.abs(run.errors[[0, -1]])
+    np.testing.assert_allclose(last[2], first[2], rtol=1e-3)
+
+
+def test_m_is_a_choice_and_a_row_of_its_own():
+    """M = H' with Pi times the identity is "own" with gains for the bearings alone."""
+    world = draw_world("2", PaperSettings(), 1)
+    own = PaperSettings(printed=Printed(Pi=(0, 0, 0, 0.05), M="own"))
+    chosen = PaperSettings(printed=Printed(M="HT"))
+    expected = run_filter("PI-EKF", "2", world, own).errors
+    for name, settings in ((PI_HT, PaperSettings()), ("PI-EKF", chosen)):
+        np.testing.assert_array_equal(run_filter(name, "2", world, settings).errors, expected)
+
+
+def test_with_m_of_ht_and_the_exact_start_the_pi_ekf_beats_the_ekf(tmp_path):
+    """What the issue gives as 87, 83 and 87 % of 100 layouts, and 42, 44 and 12 with ones."""
+    outcome = reproduced(tmp_path, runs=40).outcomes["2"]
+    assert np.all(better_shares(outcome, PI_HT, "EKF") > 0.7)
+    assert np.all(better_shares(outcome, "PI-EKF", "EKF") < 0.6)
+    assert 0.0 < beats_printed(outcome, "2", "EKF") < 0.5
+
+
+def test_the_verdict_follows_the_settings(result, tmp_path):
+    exact = sentences(result)
+    assert len(exact) == 3
+    assert "exact start" in exact[1]
+    assert "odometry beats every filter" in exact[2]
+    noisy = Assumed(initial_error=OFF, disturbance=(0.2, 2.0), longest=2, circle_time=2)
+    other = sentences(reproduced(tmp_path, runs=4, assumed=noisy, printed=Printed(M=0.5)))
+    assert "start off by 5 cm" in other[1]
+    assert "M = 0.5" in other[0]
+    assert "does not move as commanded" in other[2]
+    assert "odometry beats every filter" not in other[2]
+
+
+def test_the_verdict_follows_the_results(result):
+    swapped = {}
+    for case, outcome in result.outcomes.items():
+        errors = outcome.rmse.copy()
+        errors[FILTERS.index("PI-EKF")] = 1e-9
+        errors[FILTERS.index("A-EKF (one)")] = 9.0
+        swapped[case, result_reading(result)] = replace(outcome, rmse=errors)
+    words = " ".join(verdict(swapped, 1.0))
+    assert "the PI-EKF with M of ones, as printed under 1 of 1" in words
+    assert "the A-EKF of one parameter under 0 of 1" in words
+    assert "beats the EKF in 100, 100 and 100 %" in words
+
+
+def result_reading(result):
+    from homeward.studies.paper.layouts import Reading
+
+    return Reading(*(getattr(result.settings.assumed, field) for field in Reading._fields))
+
+
+def test_what_was_found_wrong_follows_the_settings(result, tmp_path):
+    words = " ".join(found(result))
+    assert "q = 7 of these settings is 10 of 10" in words
+    assert "With M = 1 in every entry" in words
+    assert "no filter can do better" in words
+    short = Assumed(longest=1, circle_time=1, initial_error=OFF, meaning_of_Q="state")
+    printed = Printed(landmarks=2, M="HT")
+    other = " ".join(found(reproduced(tmp_path, runs=2, assumed=short, printed=printed)))
+    assert "q = 2 of these settings is 4 of 5: home is not determined" in other
+    assert "here it is n x n" in other
+    assert "in every entry" not in other
+    assert "no filter can do better" not in other
+
+
+def test_figures_over_time_show_a_run_in_the_middle_and_say_so(tmp_path):
+    result = reproduced(tmp_path, runs=30)
+    for name, (case, drawn) in DRAWN.items():
+        shown = result.shown[case]
+        caption, _ = figures_of(result)[name]
+        for filter_ in drawn:
+            assert f"{filter_} {shown.percentile[filter_]:.0f}" in caption
+        # Run 0 was the 90th to 97th; no run is nearer to the middle for all filters at once.
+        ranks = [
+            100 * (np.argsort(np.argsort(result.outcomes[case].of(n)[:, 0])) + 0.5) / 30
+            for n in FILTERS
+        ]
+        worst = np.abs(np.array(ranks) - 50).max(axis=0)
+        assert worst[shown.number] == worst.min()
+        again = result.outcomes[case].of("EKF")[shown.number]
+        errors = shown.runs["EKF"].errors
+        np.testing.assert_allclose(np.sqrt(np.mean(errors**2, axis=0)), again, rtol=1e-6)
+
+
+def test_a_stopped_reproduction_goes_on_from_its_blocks(tmp_path, monkeypatch):
+    words = ["reproduce", "--runs", "2", "--set", "assumed.longest=1", "--out", tmp_path / "paper"]
+    assert call(*words).exit_code == 0
+
+    def compute(function, arguments):
+        raise AssertionError(f"{len(arguments)} blocks computed again")
+
+    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)
+    assert call(*words).exit_code == 0
+
+
+def test_in_a_pipe_progress_is_told_in_lines(tmp_path, monkeypatch):
+    monkeypatch.setattr(options, "PIPED_S", 0.0)
+    words = ("--runs", "1", "--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
+    answer = call("reproduce", *words, "--out", tmp_path / "paper")
+    assert "the paper's cases: 100%" in answer.stderr
+    assert "%" not in answer.stderr.splitlines()[0].split(":")[0]
 
 
 def test_without_any_error_the_ekf_is_exact_and_comes_home():
@@ -92,8 +246,8 @@ def test_without_any_error_the_ekf_is_exact_and_comes_home():
     for k in range(3):
         run = run_filter("EKF", "1", draw_world("1", settings, k), settings)
         assert run.arrived
-        assert run.final_distance < 0.055
-        assert np.all(run.rmse < [2e-3, 2e-2, 2e-3])
+        assert np.hypot(*run.pose[-1, :2]) < 0.055
+        assert np.all(np.sqrt(np.mean(run.errors**2, axis=0)) < [2e-3, 2e-2, 2e-3])
 
 
 def test_faults_are_those_of_the_case():
@@ -113,7 +267,8 @@ def test_meanings_of_Q_and_R_matter():
         for r in ("variance", "deviation"):
             settings = PaperSettings(assumed=Assumed(meaning_of_Q=q, meaning_of_R=r))
             world = draw_world("2", settings, 1)
-            rmse[q, r] = tuple(run_filter("EKF", "2", world, settings).rmse)
+            errors = run_filter("EKF", "2", world, settings).errors
+            rmse[q, r] = tuple(np.mean(errors**2, axis=0))
     assert len(set(rmse.values())) == 4
     assert np.all(np.isfinite(list(rmse.values())))
 

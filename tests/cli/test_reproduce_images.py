@@ -5,12 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from studies.chores import in_this_process
 from typer.testing import CliRunner
 
 from homeward.angles import wrap
 from homeward.cli.main import app
 from homeward.frames import Pose, bearing
-from homeward.studies.paper.cases import run_filter
+from homeward.studies.paper.cases import DEAD_RECKONING, run_filter
+from homeward.studies.paper.layouts import Block, Question, run_block
 from homeward.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
@@ -59,7 +61,7 @@ def test_inside_of_a_wall_nothing_is_seen(world):
 def test_a_filter_runs_on_images(world):
     run = run_filter("EKF", "2", world, SETTINGS)
     assert len(run.t) == 40
-    assert np.isfinite(run.rmse).all()
+    assert np.isfinite(run.errors).all()
     # Some image told something: the bearings' variances have shrunk.
     assert run.variance[-1, 3:].min() < run.variance[0, 3:].min()
 
@@ -67,12 +69,13 @@ def test_a_filter_runs_on_images(world):
 @pytest.mark.parametrize("moved", [0, 1, 7])
 def test_the_panorama_s_legend_names_what_is_drawn(world, moved):
     some = replace(world, moved=np.arange(7) < moved)
-    figure = draw_panorama(SimpleNamespace(worlds={"2": some}), "2")
+    figure = draw_panorama(SimpleNamespace(shown={"2": SimpleNamespace(world=some)}), "2")
     named = [text.get_text() for text in figure.legends[0].get_texts()]
     assert named == ["features", *["landmarks"] * (moved < 7), *["moved"] * (moved > 0)]
 
 
-def test_the_page_has_the_panorama(tmp_path):
+def test_the_page_has_the_panorama(tmp_path, monkeypatch):
+    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
     out = tmp_path / "paper"
     words = ["--measurements", "images", "--runs", "1", "--set", "images.width=512"]
     changes = ("longest=0.2", "circle_time=0.2", "faults=0", "single_fault=0", "several_faults=[]")
@@ -83,3 +86,19 @@ def test_the_page_has_the_panorama(tmp_path):
     page = (out / "paper.html").read_text()
     assert "extracted features" in page
     assert "rendered panoramas of 512" in page
+    assert "Case 2: 0 moved landmarks asked for, obtained 0 in one run." in answer.stdout
+    assert "Faults asked for and obtained" in page
+
+
+def test_dead_reckoning_looks_at_no_image(world):
+    blind = replace(world, sight=SimpleNamespace())  # which cannot measure
+    assert np.isfinite(run_filter(DEAD_RECKONING, "2", blind, SETTINGS).errors).all()
+
+
+def test_faults_obtained_are_counted_where_fewer_came_than_were_asked_for(world, monkeypatch):
+    """Rooms decide how many landmarks lie on moved boxes; the blocks keep what they gave."""
+    some = replace(world, moved=np.arange(7) < 1)
+    monkeypatch.setattr("homeward.studies.paper.layouts.draw", lambda *_: some)
+    block = Block(SETTINGS, "2", (DEAD_RECKONING,), 0, 1)
+    assert run_block(block)["moved"].tolist() == [1]
+    assert len(Question(SETTINGS, "2", (DEAD_RECKONING,), 3).blocks()) == 3

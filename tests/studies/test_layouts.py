@@ -1,5 +1,8 @@
 """The paper's cases over many layouts: the same runs, in blocks, and what is counted of them."""
 
+import re
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from report.figure_faults import faults
@@ -8,34 +11,41 @@ from typer.testing import CliRunner
 
 from homeward.cli.main import app
 from homeward.report.layout_figures import FIGURES
-from homeward.report.layout_page import headline
+from homeward.report.layout_page import CLAIMED, grid_table, headline
+from homeward.report.paper_claims import claims, command
 from homeward.studies.blocks.finish import Where
 from homeward.studies.paper.cases import FILTERS, run_filter
-from homeward.studies.paper.layout_study import (
-    CLAIMED,
-    all_order_share,
-    better_share,
-    layout_settings,
-    order_share,
-    printed_shares,
-    study_layouts,
-)
+from homeward.studies.paper.layout_study import layout_settings, study_layouts
 from homeward.studies.paper.layouts import (
     BOUND,
+    LONG,
     ROBUST,
+    STUDIED,
+    VARIANTS,
     Block,
+    LayoutSettings,
     Outcome,
     Question,
+    grid_questions,
     open_store,
     run_block,
 )
-from homeward.studies.paper.many import run_many
-from homeward.studies.paper.robust import bound_rmse, run_robust
+from homeward.studies.paper.many import FAR, errors_over, run_many
+from homeward.studies.paper.robust import bound_errors, run_robust
 from homeward.studies.paper.search import cost
 from homeward.studies.paper.settings import Assumed, PaperSettings, Printed
+from homeward.studies.paper.tables import (
+    PRINTED,
+    beats_printed,
+    better_shares,
+    order_share,
+    printed_order_shares,
+)
 from homeward.studies.paper.world import draw_world
 
 SETTINGS = PaperSettings()
+OFF = PaperSettings(assumed=Assumed(initial_error=(0.05, 0.1, 0.1)))
+"""A start that is off."""
 
 
 def call(*words):
@@ -51,13 +61,29 @@ def here(monkeypatch):
 @pytest.mark.parametrize("case", ["2", "4"])
 @pytest.mark.parametrize("name", FILTERS)
 def test_many_at_once_are_the_runs_one_by_one(case, name):
-    short = PaperSettings(assumed=Assumed(longest=5, circle_time=5))
+    short = PaperSettings(assumed=Assumed(longest=5, circle_time=5, initial_error=(0.05, 0.1, 0.1)))
     worlds = [draw_world(case, short, k) for k in range(3)]
-    rmse, distance = run_many(name, case, worlds, short, engine="interpreter")
+    many = run_many(name, case, worlds, short, engine="interpreter")
     for k, world in enumerate(worlds):
         run = run_filter(name, case, world, short)
-        np.testing.assert_allclose(rmse[k], run.rmse, rtol=1e-7)
-        np.testing.assert_allclose(distance[k], run.final_distance, rtol=1e-7)
+        one = errors_over(run.errors, run.pose)
+        for field in fields(one):
+            together, alone = (getattr(e, field.name) for e in (many, one))
+            np.testing.assert_allclose(together[k], alone[0], rtol=1e-6, err_msg=field.name)
+
+
+def test_theta_is_also_told_where_home_is_far():
+    error, pose = np.zeros((4, 3)), np.zeros((4, 3))
+    pose[:, 0] = 2 * FAR, 1.5 * FAR, FAR / 2, FAR / 4
+    error[:, 1] = 0.3, 0.4, 2.0, -3.0
+    kept = errors_over(error, pose)
+    assert kept.theta_far[0] == pytest.approx(np.sqrt((0.09 + 0.16) / 2))
+    assert kept.rmse[0, 1] > 1
+    assert kept.final[0].tolist() == [0, 3, 0]
+    error[2] = np.nan
+    lost = errors_over(error, pose)
+    assert np.isinf(lost.rmse).all()
+    assert np.isinf([lost.theta_far[0], lost.final[0, 0]]).all()
 
 
 def test_a_layout_is_the_same_in_any_block():
@@ -86,48 +112,76 @@ def test_free_gains_contain_the_printed_ones():
     free = PaperSettings(printed=Printed(Pi=(0.05, 0.05, 0.05, 0.05)))
     own = PaperSettings(printed=Printed(Pi=(0.05, 0.05, 0.05, 0.0), M="own"))
     ones = PaperSettings(printed=Printed(Pi=(0.05, 0.05, 0.05, 0.0)))
-    as_printed = run_filter("PI-EKF", "2", world, SETTINGS).rmse
-    np.testing.assert_array_equal(run_filter("PI-EKF", "2", world, free).rmse, as_printed)
+    errors = [run_filter("PI-EKF", "2", world, s).errors for s in (SETTINGS, free, own, ones)]
+    np.testing.assert_array_equal(errors[0], errors[1])
     # "own" differs in the rows of the bearings alone, which no gain lets through here.
-    np.testing.assert_array_equal(
-        run_filter("PI-EKF", "2", world, own).rmse, run_filter("PI-EKF", "2", world, ones).rmse
-    )
+    np.testing.assert_array_equal(errors[2], errors[3])
 
 
 def test_without_gains_the_pi_ekf_is_the_ekf():
     none = PaperSettings(printed=Printed(Pi=0.0))
     world = draw_world("4", none, 0)
     np.testing.assert_allclose(
-        run_filter("PI-EKF", "4", world, none).rmse, run_filter("EKF", "4", world, none).rmse
+        run_filter("PI-EKF", "4", world, none).errors, run_filter("EKF", "4", world, none).errors
     )
 
 
 def test_the_robust_localiser_comes_home_near_the_bound():
     errors, bounds = [], []
     for k in range(3):
-        world = draw_world("2", SETTINGS, k)
-        rmse, distance = run_robust("2", world, SETTINGS)
-        assert distance < 0.1
-        errors.append(rmse)
-        bounds.append(bound_rmse("2", world, SETTINGS))
+        world = draw_world("2", OFF, k)
+        ran = run_robust("2", world, OFF)
+        assert ran.final_distance[0] < 0.1
+        errors.append(ran.rmse[0])
+        bounds.append(bound_errors("2", world, OFF).rmse[0])
     rms = [np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, bounds)]
     assert np.all(rms[0] < 3 * rms[1])
     assert np.all(np.array(bounds) > 0)
 
 
+def test_from_the_exact_start_the_bound_is_nothing_and_from_5_cm_above_what_is_printed():
+    bounds = [bound_errors("2", draw_world("2", s, 0), s).rmse[0, 0] * 100 for s in (SETTINGS, OFF)]
+    assert bounds[0] < 0.01
+    assert bounds[1] > max(row[0] for row in PRINTED["2"].values())
+
+
 def outcome(**rmse):
     names = {"EKF": "EKF", "PI": "PI-EKF", "all": "A-EKF (all)"}
     values = np.array([np.tile(np.array(v, float)[:, None], 3) for v in rmse.values()])
-    return Outcome(tuple(names[k] for k in rmse), values, np.zeros(values.shape[:2]))
+    none = np.zeros(values.shape[:2])
+    names = tuple(names[k] for k in rmse)
+    return Outcome(names, values, none, np.zeros_like(values), none, none[0])
 
 
 def test_orders_are_counted_right():
     made_up = outcome(EKF=[3, 3, 1, np.inf], all=[2, 4, 2, 2], PI=[1, 1, 3, 1])
-    assert order_share(made_up, CLAIMED, 0) == 0.5
-    assert all_order_share(made_up, CLAIMED) == 0.5
-    assert better_share(made_up, "PI-EKF", "EKF", 1) == 0.75
+    shares = order_share(made_up, CLAIMED, "A-EKF (all)")
+    np.testing.assert_array_equal(shares, 0.5)
+    assert better_shares(made_up, "PI-EKF", "EKF")[1] == 0.75
     # Case 4 prints PI-EKF < EKF < A-EKF for R and alpha, EKF < PI-EKF < A-EKF for theta.
-    assert printed_shares(made_up, "4") == [0.25, 0.0, 0.25]
+    assert printed_order_shares(made_up, "4", "A-EKF (all)") == [0.25, 0.0, 0.25]
+    small = outcome(EKF=[0.0, 0.001, 1.0])
+    assert beats_printed(small, "2", "EKF") == pytest.approx(2 / 3)
+
+
+def test_the_grid_has_every_reading_once_the_settings_own_first():
+    settings = LayoutSettings(layouts=1)
+    asked = grid_questions(settings)
+    assert len({name for question in asked.values() for name in question.blocks()}) == len(asked)
+    assert {case: len(settings.readings(case)) for case in STUDIED} == {"1": 24, "2": 72, "4": 8}
+    assert settings.read(settings.readings("2")[0]) == settings.paper
+    mine = layout_settings({"assumed": {"stop_radius": 0.1}, "grid": {"faults": [4]}})
+    assert mine.axis("stop_radius") == (0.1, 0.05, 0.15, 0.25)
+    assert mine.axis("faults") == (2, 4)
+    assert mine.readings("2")[0].stop_radius == 0.1
+
+
+def test_the_literal_reading_of_q_agrees_with_the_issue():
+    """Q n x n and exact start: Case 4 has EKF .481 .013 .007 over 100 layouts."""
+    literal = PaperSettings(assumed=Assumed(meaning_of_Q="state"))
+    ran = run_block(Block(literal, "4", ("EKF",), 0, 100))
+    median = np.median(ran["rmse"][0], axis=0) * [100, 1, 1]
+    np.testing.assert_allclose(median, [0.481, 0.013, 0.007], rtol=0.1)
 
 
 def test_the_cost_is_a_ratio_of_errors():
@@ -146,33 +200,53 @@ def test_settings_go_where_they_belong():
 
 def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, monkeypatch):
     short = ("--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
-    words = ["reproduce", "--study", "--runs", "4", *short, "--out", tmp_path / "out"]
+    few = ("--set", "grid.stop_radius=[0.15]", "--set", "grid.faults=[1]")
+    words = ["reproduce", "--study", "--runs", "4", *short, *few, "--out", tmp_path / "out"]
     sizes = ["--set", "varied=2", "--set", "searched=2", "--set", "robust=2"]
+    monkeypatch.setattr("homeward.studies.paper.search.DRAWN", 4)
+    monkeypatch.setattr("homeward.studies.paper.search.REFINED", 4)
+    short_ones = {k: VARIANTS[k] for k in ("Pi 0.5", LONG)} | {LONG: {"assumed": {"longest": 2}}}
+    monkeypatch.setattr("homeward.studies.paper.layouts.VARIANTS", short_ones)
     answer = call(*words, *sizes)
     assert answer.exit_code == 0, answer.output
     page = (tmp_path / "out" / "layouts.html").read_text()
-    for text in ("4 random layouts", "16.7 %", "free Pi, M own", "as its table prints"):
+    for text in ("4 random layouts", "What holds: ", "free Pi, M own", "as its table prints"):
         assert text in page
+    # Every link of the contents leads somewhere.
+    links = re.findall(r'<a href="#([^"]+)">', page)
+    assert len(links) > 8
+    assert all(f'id="{link}"' in page for link in links)
     for name in FIGURES:
         assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     table = np.genfromtxt(tmp_path / "out" / "layouts.csv", delimiter=",", dtype=str)
-    assert len(table) == 1 + 2 * 4 * len(FILTERS) + 2 * 2 * len((ROBUST, BOUND))
+    assert len(table) == 1 + 3 * 2 * (4 * len(FILTERS) + 2 * len((ROBUST, BOUND)))
 
     def compute(function, arguments):
         raise AssertionError(f"{len(arguments)} blocks computed again")
 
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)
     values = {"assumed": {"longest": 1, "circle_time": 1}, "varied": 2, "searched": 2, "robust": 2}
+    values["grid"] = {"stop_radius": [0.15], "faults": [1]}
     study = study_layouts(layout_settings(values, 4), open_store(tmp_path / "out"), Where())
     assert headline(study) in answer.stdout
     for _, draw in FIGURES.values():
         assert faults(draw(study)) == [], draw.__name__
+    judged = claims(study)
+    assert {c.verdict for c in judged} <= {
+        *("holds", "holds in most layouts", "holds in part", "does not hold"),
+        *("the tables speak against it", "the tables allow it"),
+    }
+    for c in judged:
+        assert any(character.isdigit() for character in c.figure)
+    assert len(grid_table(study)) == 1 + 3 * 8 + 4 * 8 - 8 * 2 + 16
+    off = study.reading("2", initial_error=(0.05, 0.1, 0.1))
+    assert "--set 'assumed.initial_error=[0.05,0.1,0.1]'" in command(study, off)
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--workers", "2"], "need --study"),
+        (["--workers", "2", "--scheduler", "tcp://x:1"], "one of them"),
         (["--study", "--set", "varied=0"], "varied"),
         (["--study", "--set", "assumed.speed=1"], "speed"),
         (["--study", "--runs", "0"], "layouts"),

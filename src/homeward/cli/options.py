@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,8 @@ from homeward.cli.terminal import INTERRUPTED, refuse
 from homeward.drives.yaml_text import parse_yaml
 from homeward.errors import InputError, printable
 
+PIPED_S = 30.0
+"""In a pipe, progress is told so often [s]."""
 Robot = Annotated[int | None, typer.Option(help="MRCLAM: which robot.")]
 HomePose = Annotated[
     str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
@@ -126,7 +129,10 @@ def resumable() -> Iterator[None]:
 
 @contextmanager
 def progress(words: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on a terminal's standard error while the block runs; yield its teller."""
+    """Show on standard error how far the block is; yield its teller.
+
+    A bar on a terminal; in a pipe a line now and then, so that long work is not silent.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -141,4 +147,13 @@ def progress(words: str) -> Iterator[Callable[[float], None]]:
     )
     with bar:
         task = bar.add_task(printable(words), total=1.0)
-        yield lambda fraction: bar.update(task, completed=fraction)
+        said = time.monotonic()
+
+        def tell(fraction: float) -> None:
+            nonlocal said
+            bar.update(task, completed=fraction)
+            if not console.is_terminal and time.monotonic() - said >= PIPED_S:
+                said = time.monotonic()
+                typer.echo(f"{printable(words)}: {fraction:.0%}", err=True)
+
+        yield tell

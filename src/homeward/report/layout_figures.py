@@ -124,8 +124,8 @@ def draw_grid(study: LayoutStudy) -> Figure:
             axes.set_yticks(range(len(rows)), [_row_words(row) for row in rows], fontsize=7)
             axes.set_title(f"{name} < EKF [% of layouts]", loc="left", fontsize=9)
             axes.grid(False)
-        words = [_column_words(c, r) for c, r in columns]
-        panels[-1].set_xticks(range(len(words)), words, fontsize=7)
+        below = [_column_words(c, r) for c, r in columns]
+        panels[-1].set_xticks(range(len(below)), below, fontsize=7)
     return figure
 
 

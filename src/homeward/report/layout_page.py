@@ -182,14 +182,14 @@ def ratio_table(study: LayoutStudy) -> list[list[str]]:
 
 def headline(study: LayoutStudy) -> str:
     """Say in three sentences what came out."""
-    return " ".join(verdict(study.grid))
+    return " ".join(verdict(study.grid, study.settings.paper.printed.M))
 
 
 def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
     settings = study.settings.model_dump(mode="json")
     return render(
         "layouts.html.j2",
-        verdict=verdict(study.grid),
+        verdict=verdict(study.grid, study.settings.paper.printed.M),
         figures=pictures,
         printed=[
             (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED

@@ -17,13 +17,6 @@ from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed
 from homeward.studies.paper.world import CaseName
 
 Readings = Mapping[tuple[CaseName, Reading], Outcome]
-RIVALS = {
-    "A-EKF (one)": "the A-EKF of one parameter",
-    "A-EKF (all)": "the A-EKF of all",
-    "PI-EKF": "the PI-EKF with M as set",
-    PI_HT: "the PI-EKF with M = H'",
-}
-"""Of `FILTERS`, those that the paper holds against the EKF."""
 MOST = 0.5
 """A thing that is so in more layouts than this is so in most of them."""
 
@@ -60,44 +53,58 @@ def start_words(reading: Reading) -> str:
     return f"start off by {100 * R:g} cm, {theta:g}, {alpha:g} rad"
 
 
-def verdict(readings: Readings) -> list[str]:
+def rivals(M: float | str) -> dict[str, str]:
+    """Return those of `FILTERS` that the paper holds against the EKF, as words."""
+    own = "M of ones, as printed" if M == 1 else "M = H'" if M == "HT" else f"M = {M}"
+    return {
+        "A-EKF (one)": "the A-EKF of one parameter",
+        "A-EKF (all)": "the A-EKF of all",
+        "PI-EKF": f"the PI-EKF with {own}",
+        PI_HT: "the PI-EKF with M = H'",
+    }
+
+
+def verdict(readings: Readings, M: float | str) -> list[str]:
     """Say in three sentences what holds, under which reading, and why.
 
     Parameters
     ----------
     readings : mapping of (case, Reading) to Outcome
-        One or more readings of Cases 2 and 4; the first of them is the one as printed.
+        One or more readings of Cases 2 and 4; the first of them is that of the settings.
+    M : float or str
+        Of the row "PI-EKF".
     """
+    called = rivals(M)
     moved = {reading: o for (case, reading), o in readings.items() if case == "2"}
     printed = next(iter(moved))
-    shares = {(r, n): better_shares(o, n, "EKF") for r, o in moved.items() for n in RIVALS}
-    wins = {n: sum(bool(np.all(shares[r, n] > MOST)) for r in moved) for n in RIVALS}
+    shares = {(r, n): better_shares(o, n, "EKF") for r, o in moved.items() for n in called}
+    wins = {n: sum(bool(np.all(shares[r, n] > MOST)) for r in moved) for n in called}
     best, name = max(
         ((r, n) for r in moved for n in ("PI-EKF", PI_HT)), key=lambda k: shares[k].min()
     )
-    told = [f"{words} under {wins[n]} of {len(moved)}" for n, words in RIVALS.items()]
+    told = [f"{words} under {wins[n]} of {len(moved)}" for n, words in called.items()]
     what = (
         "What holds: in Case 2, where landmarks were moved, the error is smaller than the EKF's in "
         "most layouts, for R, theta and alpha alike, with "
         f"{listing(told)} {'reading' if len(moved) == 1 else 'readings'}."
     )
     which = (
-        f"Under which reading: {RIVALS[name]} does best with {reading_words(best, '2')}, where it "
+        f"Under which reading: {called[name]} does best under {reading_words(best, '2')}, where it "
         f"beats the EKF in {triple(shares[best, name])} of the layouts and all three printed "
-        f"figures in {percent(beats_printed(moved[best], '2', name))}; {RIVALS['PI-EKF']} and "
-        f"{reading_words(printed, '2')} does so in {triple(shares[printed, 'PI-EKF'])} and in "
+        f"figures in {percent(beats_printed(moved[best], '2', name))}; {called['PI-EKF']}, under "
+        f"{reading_words(printed, '2')}, does so in {triple(shares[printed, 'PI-EKF'])} and in "
         f"{percent(beats_printed(moved[printed], '2', 'PI-EKF'))}."
     )
-    return [what, which, _why(readings, best, name)]
+    return [what, which, _why(readings, best, name, called[name])]
 
 
-def _why(readings: Readings, best: Reading, name: str) -> str:
+def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
     """Say what dead reckoning does under the best reading, and where the motion is disturbed."""
     here = readings["2", best]
     alone, ours, ekf = (median(here, n) for n in (DEAD_RECKONING, name, "EKF"))
     words = (
         f"Why: there dead reckoning, which is told of no bearing, is off by {alone[0]:.2g} cm in "
-        f"the median, {RIVALS[name]} by {ours[0]:.2g} and the EKF by {ekf[0]:.2g} cm"
+        f"the median, {called} by {ours[0]:.2g} and the EKF by {ekf[0]:.2g} cm"
     )
     if alone[0] < min(ours[0], ekf[0]):
         words += (
@@ -117,7 +124,7 @@ def _why(readings: Readings, best: Reading, name: str) -> str:
         words += (
             "; where the robot does not move as commanded ({:g} m/s and {:g} rad/s a sample, Case "
             "4), ".format(*same[0].disturbance)
-            + f"dead reckoning is off by {alone[0]:.2g} cm, {RIVALS[name]} by {ours[0]:.2g} and "
+            + f"dead reckoning is off by {alone[0]:.2g} cm, {called} by {ours[0]:.2g} and "
             f"the EKF by {ekf[0]:.2g}, and it beats the EKF in {triple(share)}"
         )
     return words + "."
@@ -142,9 +149,9 @@ def _start_claims(study: LayoutStudy) -> list[Claim]:
             below += sum(row[0] < bounds[case] for row in PRINTED[case].values())
         table.append(
             Claim(
-                "X_r(0) is the start of the estimate (ours otherwise: it is off)",
+                "Not the paper's: the first estimate is off",
                 start_words(reading),
-                "our assumption is refuted" if below == 6 else "our assumption is possible",
+                "the tables speak against it" if below == 6 else "the tables allow it",
                 f"{below} of the six printed R lie below the Cramér-Rao bound of it, "
                 f"{bounds['2']:.2f} cm in Case 2 and {bounds['4']:.2f} cm in Case 4",
                 command(study, reading),

@@ -71,7 +71,8 @@ def sentences(result: Reproduction) -> list[str]:
     """Say in three sentences what came out, under the one reading of the settings."""
     assumed = result.settings.assumed
     reading = Reading(*(getattr(assumed, field) for field in Reading._fields))
-    return verdict({(case, reading): outcome for case, outcome in result.outcomes.items()})
+    readings = {(case, reading): outcome for case, outcome in result.outcomes.items()}
+    return verdict(readings, result.settings.printed.M)
 
 
 def fault_rows(result: Reproduction) -> list[tuple[CaseName, int, str]]:

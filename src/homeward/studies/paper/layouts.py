@@ -240,11 +240,8 @@ def ask(
 
 
 def _outcome(names: tuple[str, ...], parts: list[Arrays]) -> Outcome:
-    return Outcome(
-        names,
-        *(np.concatenate([part[f.name] for part in parts], axis=1) for f in fields(Errors)),
-        np.concatenate([part["moved"] for part in parts]),
-    )
+    columns = {f.name: np.concatenate([p[f.name] for p in parts], axis=1) for f in fields(Errors)}
+    return Outcome(names=names, moved=np.concatenate([p["moved"] for p in parts]), **columns)
 
 
 def grid_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
