@@ -177,8 +177,8 @@ def test_the_verdict_follows_the_results(result):
         errors[FILTERS.index("A-EKF (one)")] = 9.0
         swapped[case, result_reading(result)] = replace(outcome, rmse=errors)
     words = " ".join(verdict(swapped, 1.0))
-    assert "the PI-EKF with M of ones, as printed under 1 of 1" in words
-    assert "the A-EKF of one parameter under 0 of 1" in words
+    assert "the PI-EKF with M of ones (as printed) under 1 of 1" in words
+    assert "the A-EKF of one parameter (the first wrong one) under 0 of 1" in words
     assert "beats the EKF in 100, 100 and 100 %" in words
 
 

@@ -205,7 +205,9 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     sizes = ["--set", "varied=2", "--set", "searched=2", "--set", "robust=2"]
     monkeypatch.setattr("homeward.studies.paper.search.DRAWN", 4)
     monkeypatch.setattr("homeward.studies.paper.search.REFINED", 4)
-    short_ones = {k: VARIANTS[k] for k in ("Pi 0.5", LONG)} | {LONG: {"assumed": {"circle_time": 2}}}
+    short_ones = {k: VARIANTS[k] for k in ("Pi 0.5", LONG)} | {
+        LONG: {"assumed": {"circle_time": 2}}
+    }
     monkeypatch.setattr("homeward.studies.paper.layouts.VARIANTS", short_ones)
     answer = call(*words, *sizes)
     assert answer.exit_code == 0, answer.output

@@ -55,9 +55,9 @@ def start_words(reading: Reading) -> str:
 
 def rivals(M: float | str) -> dict[str, str]:
     """Return those of `FILTERS` that the paper holds against the EKF, as words."""
-    own = "M of ones, as printed" if M == 1 else "M = H'" if M == "HT" else f"M = {M}"
+    own = "M of ones (as printed)" if M == 1 else "M = H'" if M == "HT" else f"M = {M}"
     return {
-        "A-EKF (one)": "the A-EKF of one parameter",
+        "A-EKF (one)": "the A-EKF of one parameter (the first wrong one)",
         "A-EKF (all)": "the A-EKF of all",
         "PI-EKF": f"the PI-EKF with {own}",
         PI_HT: "the PI-EKF with M = H'",
@@ -124,8 +124,8 @@ def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
         words += (
             "; where the robot does not move as commanded ({:g} m/s and {:g} rad/s a sample, Case "
             "4), ".format(*same[0].disturbance)
-            + f"dead reckoning is off by {alone[0]:.2g} cm, {called} by {ours[0]:.2g} and "
-            f"the EKF by {ekf[0]:.2g}, and it beats the EKF in {triple(share)}"
+            + f"dead reckoning is off by {alone[0]:.2g} cm, the EKF by {ekf[0]:.2g} and "
+            f"{called} by {ours[0]:.2g}, less than the EKF in {triple(share)}"
         )
     return words + "."
 
