@@ -1,7 +1,7 @@
 """Make the pictures of docs/reproduction.md again: `.venv/bin/python docs/make_study_pictures.py`.
 
-The studies behind them are computed for that in out/, or finished from what is there: half an hour
-of a processor for the paper's layouts, and ten minutes for the two tuning studies.
+The studies behind them are computed for that in out/, or finished from what is there: 45
+minutes of a processor for the paper's layouts, and ten minutes for the two tuning studies.
 """
 
 import argparse

@@ -22,7 +22,7 @@ from homeward.errors import InputError
 if TYPE_CHECKING:
     from homeward.studies.paper.tables import Row
 
-IMAGE_RUNS = 3
+IMAGE_RUNS = 10
 """Layouts per case when every sample must be rendered."""
 
 
@@ -42,7 +42,7 @@ def reproduce(
         typer.Option(help="Bearings from the model's equations, or from rendered panoramas."),
     ] = Measurements.MODEL,
     runs: Annotated[
-        int | None, typer.Option(help="Random layouts per case [100; images: 3; study: 10000].")
+        int | None, typer.Option(help="Random layouts per case [100; images: 10; study: 10000].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of the first of them [0].")] = None,
     study: Annotated[
