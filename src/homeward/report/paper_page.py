@@ -22,7 +22,7 @@ from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS, better_shares
 from homeward.studies.paper.world import CaseName, fault_count
 
 SETTINGS_FILE = "reproduce.yaml"
-"""Written last: a folder that holds it is a whole reproduction of ours."""
+"""Tells that the folder is ours; it holds the settings once all is written."""
 PAGE = "paper.html"
 
 
