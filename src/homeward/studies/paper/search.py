@@ -51,8 +51,6 @@ class Best:
     """(layouts, 3), RMSE of R [m], theta, alpha [rad]."""
     ekf: np.ndarray
     """(layouts, 3), of the EKF in the same layouts."""
-    a_ekf: np.ndarray
-    """(layouts, 3), of the A-EKF with all parameters."""
 
     @property
     def cost(self) -> float:
@@ -165,16 +163,10 @@ class _Rounds:
         asked: dict[Any, Question] = {
             i: self._question(t.Pi, t.M, t.case, 2 * n) for i, t in enumerate(best)
         }
-        others = ("EKF", "A-EKF (all)")
-        asked |= {c: Question(self._settings.paper, c, others, 2 * n) for c in SEARCHED}
+        asked |= {c: Question(self._settings.paper, c, ("EKF",), 2 * n) for c in SEARCHED}
         answers = self._ask(asked)
         return [
-            Best(
-                t,
-                answers[i].of("PI-EKF")[n:],
-                answers[t.case].of("EKF")[n:],
-                answers[t.case].of("A-EKF (all)")[n:],
-            )
+            Best(t, answers[i].of("PI-EKF")[n:], answers[t.case].of("EKF")[n:])
             for i, t in enumerate(best)
         ]
 

@@ -53,8 +53,6 @@ class Row:
     """Median RMSE of theta over the samples farther than 20 cm from home [rad]."""
     home_share: float
     """Share of runs that ended truly within twice the stop radius of home."""
-    home_distance_median: float
-    """Median of the true distance from home at the end [m]."""
 
 
 def rows(result: Reproduction) -> list[Row]:
@@ -75,7 +73,6 @@ def rows(result: Reproduction) -> list[Row]:
                     high=high,
                     theta_far=float(np.nanmedian(outcome.theta_far[k])),
                     home_share=float(np.mean(within)),
-                    home_distance_median=float(np.median(distance)),
                 )
             )
     return table
