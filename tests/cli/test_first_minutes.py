@@ -253,7 +253,9 @@ def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
             time.sleep(0.01)
         running.send_signal(signal.SIGINT)
         said = running.stderr.read()
-        assert running.wait(60) == 130, said
+        # 130 in a shell either way: where it comes within code that is run from a string, as a
+        # dataclass is made, CPython ends by the signal itself, though it was caught.
+        assert running.wait(60) in (130, -signal.SIGINT), said
     assert said in ("homeward: stopped\n", "")  # typer says nothing while it reads the words
 
 
