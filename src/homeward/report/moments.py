@@ -47,7 +47,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
     rows = _chosen(track, drive.sightings, most)
     names = sorted({*track.history.landmark, *drive.sightings.landmark.tolist()}, key=natural)
-    number = {name: i for i, name in enumerate(names)}
+    number = {landmark: i for i, landmark in enumerate(names)}
     history, known = _history(track, names, rows)
     reasons = list(dict.fromkeys(track.reason[row] for row in rows))
     statuses = list(STATUS_COLOURS)
