@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -77,16 +78,10 @@ def compiled(text: str, architecture: str) -> bytes:
         nvrtc.nvrtcDestroyProgram(program)
     if trusted:
         with cache.workshop() as workshop:
-            cache.keep(key, _written(f"{workshop}/code.cubin", code))
+            file = Path(workshop) / "code.cubin"
+            file.write_bytes(code)
+            cache.keep(key, file)
     return bytes(code)
-
-
-def _written(path: str, code: bytearray) -> Any:
-    from pathlib import Path
-
-    file = Path(path)
-    file.write_bytes(code)
-    return file
 
 
 def _checked(answer: tuple[Any, ...]) -> Any:

@@ -21,7 +21,6 @@
 #define BY_STORED(i) T(i, 7)
 #define INNOVATION(i) T(i, 0)
 #define TARGET(i) T(i, 1)
-#define LARGEST 1e9f
 
 #if GROUP == 1
 #define LANE 0

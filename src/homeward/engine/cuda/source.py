@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.engine.batch.job import Job
+from homeward.engine.batch.job import LARGEST, Job
 from homeward.engine.cuda.device import CudaError
 from homeward.engine.cuda.parts import parts_of, summed, template
 from homeward.engine.cuda.variables import Variables
@@ -114,6 +114,7 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
         "STRIDE": BLOCK if group == 1 else 1,
         "SLOTS": slots,
         "TEMP": temporary,
+        "LARGEST": f"((REAL){LARGEST!r})",
         "SUMS": max(len(summed(job)), 1),
         "STOP": "false" if job.stop is None else f"({job.stop} != (REAL)0)",
         "PARAMETERS": "{" + ", ".join(str(_parameter(kind, i)) for i in range(q)) + "}",
