@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from commands import call, first_seconds, refused
 from typer.testing import CliRunner
 
 import homeward
@@ -23,7 +24,6 @@ from homeward.cli.main import COMMANDS, app
 from homeward.cli.settings import _models
 from homeward.drives.drive import Sightings
 from homeward.drives.keys import ANY, keys
-from homeward.drives.opening import sample_drive
 from homeward.drives.settings import nested, validated
 from homeward.errors import InputError, needs_extra
 from homeward.registry import ESTIMATORS
@@ -31,16 +31,6 @@ from homeward.studies import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [command.__name__ for command in COMMANDS]
-
-
-def call(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def refused(result):
-    assert result.exit_code == 2, result.output
-    (line,) = result.stderr.strip().splitlines()
-    return line
 
 
 def program(*words, **options):
@@ -67,13 +57,7 @@ def on_terminal(width, *words):
 @pytest.fixture
 def short(tmp_path):
     """The first five seconds of the sample drive, and the folder in which commands run."""
-    folder = tmp_path / "short"
-    shutil.copytree(sample_drive(), folder)
-    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
-        head, *rows = (folder / name).read_text().splitlines()
-        kept = [row for row in rows if float(row.split(",")[0]) <= 5.0]
-        (folder / name).write_text("\n".join([head, *kept]) + "\n")
-    return folder
+    return first_seconds(tmp_path / "short", 5.0)
 
 
 def test_the_version_is_said_in_every_way():

@@ -5,24 +5,13 @@ import shutil
 
 import pytest
 import yaml
-from typer.testing import CliRunner
+from commands import call, refused
 
-from homeward.cli.main import app
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import read_settings
 from homeward.studies.single_run import sample_drive
-
-
-def call(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def refused(result):
-    assert result.exit_code == 2, result.output
-    (line,) = result.stderr.strip().splitlines()
-    return line
 
 
 @pytest.fixture

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from typer.testing import CliRunner
+from commands import call, first_seconds, refused
 
-from homeward.cli.main import app
 from homeward.studies.single_run import sample_drive
 
 WRITTEN = {
@@ -24,29 +23,10 @@ WRITTEN = {
 }
 
 
-def call(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def refused(result):
-    """A single line on standard error, exit status 2, no traceback."""
-    assert result.exit_code == 2, result.output
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1, result.stderr
-    assert "Traceback" not in result.output
-    return lines[0]
-
-
 @pytest.fixture
 def short(tmp_path):
     """The first ten seconds of the sample drive."""
-    folder = tmp_path / "short"
-    shutil.copytree(sample_drive(), folder)
-    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
-        head, *rows = (folder / name).read_text().splitlines()
-        kept = [row for row in rows if float(row.split(",")[0]) <= 10.0]
-        (folder / name).write_text("\n".join([head, *kept]) + "\n")
-    return folder
+    return first_seconds(tmp_path / "short", 10.0)
 
 
 def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_path):
