@@ -1,0 +1,85 @@
+"""SE(2) and the bearing model with their Jacobians, on arrays; values are those of `frames`.
+
+All that the localiser linearises is put together from these by the chain rule; tests hold them
+against the derivatives of `homeward.frames` by CasADi. Poses are (..., 3): x [m], y [m], heading
+[rad], the heading not wrapped.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+LEAST_SQUARE = 1e-6
+"""Where a camera stands on what it sees, derivatives are those at this squared distance [m^2]."""
+
+
+class Sight(NamedTuple):
+    """Bearings of places from eyes, and their derivatives."""
+
+    bearing: np.ndarray
+    """(...): from the eye's axis [rad], not wrapped."""
+    by_place: np.ndarray
+    """(..., 2): by the place; by the eye's position it is minus that, by its heading -1."""
+    offset: np.ndarray
+    """(..., 2): of the place from the eye [m]."""
+
+
+def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
+    """Return the bearings of places (..., 2) [m] from eyes (..., 3)."""
+    offset = places - eyes[..., :2]
+    dx, dy = offset[..., 0], offset[..., 1]
+    square = np.maximum(dx * dx + dy * dy, LEAST_SQUARE)
+    by_place = np.empty_like(offset)
+    np.divide(dy, square, out=by_place[..., 0])
+    np.negative(by_place[..., 0], out=by_place[..., 0])
+    np.divide(dx, square, out=by_place[..., 1])
+    return Sight(np.arctan2(dy, dx) - eyes[..., 2], by_place, offset)
+
+
+def rotation(heading: float | np.ndarray) -> np.ndarray:
+    """Return what turns (x, y, heading) of a pose's frame into those outside, shape (..., 3, 3)."""
+    c, s = np.cos(heading), np.sin(heading)
+    matrix = np.zeros((*np.shape(heading), 3, 3))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = c
+    matrix[..., 1, 0], matrix[..., 0, 1] = s, -s
+    matrix[..., 2, 2] = 1.0
+    return matrix
+
+
+def lever(shift: np.ndarray) -> np.ndarray:
+    """Return the derivative of ``compose(a, b)`` by a, (..., 3, 3).
+
+    Its `shift` (..., 2 or 3) is how far the result lies from a, in the frame of both [m]. By b it
+    is ``rotation(a.heading)``.
+    """
+    matrix = np.zeros((*np.shape(shift)[:-1], 3, 3))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = matrix[..., 2, 2] = 1.0
+    matrix[..., 0, 2], matrix[..., 1, 2] = -shift[..., 1], shift[..., 0]
+    return matrix
+
+
+def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return poses b, given in the frames of a, where a are given."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x, y, heading = b[..., 0], b[..., 1], b[..., 2]
+    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    result[..., 0] = a[..., 0] + c * x - s * y
+    result[..., 1] = a[..., 1] + s * x + c * y
+    result[..., 2] = a[..., 2] + heading
+    return result
+
+
+def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return poses b as seen from poses a.
+
+    Its derivative by b is ``rotation(a.heading)`` transposed; by a it is minus that, times
+    ``lever(b - a)``.
+    """
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    d = np.asarray(b - a)
+    x, y = d[..., 0], d[..., 1]
+    result = np.empty(d.shape)
+    result[..., 0], result[..., 1], result[..., 2] = c * x + s * y, c * y - s * x, d[..., 2]
+    return result
