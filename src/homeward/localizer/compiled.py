@@ -9,28 +9,20 @@ from __future__ import annotations
 
 from homeward.engine.native.program import Program
 
-_SOURCES = ("shared.h", "window.c", "gaussian.c", "home.c", "verdict.c", "motion.c")
+_SOURCES = ("shared.h", "home.c", "verdict.c")
 _FUNCTIONS = {
-    "residuals": "i" + 6 * "a",
-    "add_sightings": "iiiid" + 10 * "a",
-    "add_odometry": "iid" + 10 * "a",
-    "eliminate": "ii" + 6 * "a",
-    "substitute": "ii" + 3 * "a",
-    "move_on": "i" + 6 * "a",
-    "predict": "ii" + 7 * "a",
-    "correct": "ii" + 5 * "a",
-    "agree": "iid" + 4 * "a" + "b",
     "spread_home": "s" + 3 * "a",
     "solve_home": "s" + 9 * "a",
     "fit_home": "sid" + 13 * "a",
     "judge_home": "sdd" + 8 * "a" + "d" + 5 * "a",
     "doubt_home": "sd" + 8 * "a",
     "from_home": "ii" + 12 * "a",
-    "integrate": "iaaaddi" + 5 * "a",
 }
 _MAY_FAIL = (
-    *("add_sightings", "eliminate", "predict", "correct", "agree"),
-    *("solve_home", "fit_home", "judge_home", "doubt_home"),
+    "solve_home",
+    "fit_home",
+    "judge_home",
+    "doubt_home",
 )
 """Where an index is out of range or a matrix not positive definite."""
 

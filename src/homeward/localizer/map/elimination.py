@@ -1,8 +1,8 @@
 """Block-tridiagonal elimination (Schur complement) of a chain of poses with shared unknowns.
 
-The Hessian is block tridiagonal in the poses and dense in the shared unknowns. The poses are
-eliminated one after the other, oldest first, which leaves what is known of the newest pose and the
-shared unknowns; the others follow by substitution.
+The Hessian is block tridiagonal in the poses and dense in the shared unknowns. All poses but the
+newest are eliminated at once by a banded Cholesky factor, which leaves what is known of the newest
+pose and the shared unknowns; the others follow by substitution.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
-from homeward.localizer.compiled import compiled
+BAND = 6
+"""Diagonals of the lower half of the chain of poses: a block of three and the next one."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,9 @@ class NormalEquations:
 class Elimination:
     """Normal equations of which all poses but the newest are eliminated."""
 
-    inverse: np.ndarray
-    """(w - 1, 3, 3): covariance of each pose, were all that comes after it known."""
     gains: np.ndarray
-    """(w - 1, 3, 3 + a + 1): it times the couplings to the next pose, to the shared unknowns, and
-    the slope."""
+    """(3 (w - 1), 3 + a + 1): inverse of their Hessian times their couplings to the newest pose, to
+    the shared unknowns, and the slope."""
     information: np.ndarray
     """(3 + a, 3 + a): on the newest pose and the shared unknowns."""
     gradient: np.ndarray
@@ -65,43 +65,35 @@ def eliminate(e: NormalEquations) -> Elimination:
     Raises
     ------
     numpy.linalg.LinAlgError
-        When one is not fixed.
+        When they are not fixed.
     """
-    w, a = len(e.own), len(e.common)
-    own, slope, rows = e.own.copy(), e.slope.copy(), e.shared.copy()
-    inverse, gains = np.empty((w - 1, 3, 3)), np.empty((w - 1, 3, 4 + a))
-    native = compiled()
-    if native is None:
-        _eliminate(own, e.next, rows, slope, inverse, gains)
-    elif native.eliminate(w, a, own, e.next, rows, slope, inverse, gains):
-        raise np.linalg.LinAlgError("a pose is not fixed")
-    flat = rows[:-1].reshape(-1, a).T
-    eliminated = flat @ gains[:, :, 3:].reshape(-1, a + 1)
+    a, n = len(e.common), 3 * (len(e.own) - 1)
     information = np.empty((3 + a, 3 + a))
-    information[:3, :3], information[:3, 3:], information[3:, :3] = own[-1], rows[-1], rows[-1].T
-    information[3:, 3:] = e.common - eliminated[:, :-1]
-    gradient = np.concatenate([slope[-1], e.common_slope - eliminated[:, -1]])
-    return Elimination(inverse, gains, 0.5 * (information + information.T), gradient)
+    information[:3, :3], information[:3, 3:] = e.own[-1], e.shared[-1]
+    information[3:, :3], information[3:, 3:] = e.shared[-1].T, e.common
+    gradient = np.concatenate([e.slope[-1], e.common_slope])
+    if not n:
+        return Elimination(np.empty((0, 4 + a)), information, gradient)
+    factor, failed = lapack.dpbtrf(_banded(e.own[:-1], e.next[:-1]), lower=1, overwrite_ab=1)
+    if failed:
+        raise np.linalg.LinAlgError("a pose is not fixed")
+    couplings = np.zeros((4 + a, n)).T  # in columns, as LAPACK has them
+    couplings[-3:, :3] = e.next[-1]
+    couplings[:, 3:-1], couplings[:, -1] = e.shared[:-1].reshape(n, a), e.slope[:-1].ravel()
+    gains, _ = lapack.dpbtrs(factor, couplings, lower=1)
+    eliminated = couplings[:, :-1].T @ gains
+    information -= eliminated[:, :-1]
+    gradient -= eliminated[:, -1]
+    return Elimination(gains, 0.5 * (information + information.T), gradient)
 
 
-def _eliminate(
-    own: np.ndarray,
-    following: np.ndarray,
-    rows: np.ndarray,
-    slope: np.ndarray,
-    inverse: np.ndarray,
-    gains: np.ndarray,
-) -> None:
-    """Eliminate pose after pose: `own`, `rows` and `slope` become what they are at its turn."""
-    for k, coupling in enumerate(following):
-        inverse[k] = np.linalg.inv(own[k])
-        gains[k, :, :3] = inverse[k] @ coupling
-        gains[k, :, 3:-1] = inverse[k] @ rows[k]
-        gains[k, :, -1] = inverse[k] @ slope[k]
-        passed = coupling.T @ gains[k]
-        own[k + 1] -= passed[:, :3]
-        rows[k + 1] -= passed[:, 3:-1]
-        slope[k + 1] -= passed[:, -1]
+def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
+    """Return a chain of blocks as LAPACK's lower band, shape (BAND, 3 w)."""
+    band = np.zeros((BAND, len(own), 3))
+    for column in range(3):
+        band[: 3 - column, :, column] = own[:, column:, column].T
+        band[3 - column : 6 - column, :-1, column] = following[:, column, :].T
+    return band.reshape(BAND, -1)
 
 
 def solve(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,28 +114,14 @@ def solve(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         When they are singular.
     """
     left = eliminate(e)
-    covariance = np.linalg.inv(left.information)
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = positive_inverse(left.information)
     tail = covariance @ left.gradient
-    return _substitute(left.gains, tail), tail[3:], covariance
-
-
-def _substitute(gains: np.ndarray, tail: np.ndarray) -> np.ndarray:
-    """Return the steps of the poses, (w, 3), from that of the newest and what they share."""
-    poses = np.empty((len(gains) + 1, 3))
-    poses[-1] = tail[:3]
-    native = compiled()
-    if native is not None:
-        native.substitute(len(poses), tail.size - 3, gains, tail, poses)
-        return poses
-    poses[:-1] = gains[:, :, -1] - gains[:, :, 3:-1] @ tail[3:]
-    for k in range(len(gains) - 1, -1, -1):
-        poses[k] -= gains[k, :, :3] @ poses[k + 1]
-    return poses
+    poses = left.gains[:, -1] - left.gains[:, :-1] @ tail
+    return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
 
 
 def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariances of all poses, one after the other (for the whole of a drive).
+    """Return the covariances of all poses (for the whole of a drive).
 
     Returns
     -------
@@ -155,13 +133,38 @@ def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         Covariance of the shared unknowns.
     """
     left = eliminate(e)
-    own, lever = np.empty_like(e.own), np.empty_like(e.shared)
-    own[-1] = np.linalg.inv(left.information[:3, :3])
-    lever[-1] = own[-1] @ left.information[:3, 3:]
-    for k in range(len(own) - 2, -1, -1):
-        gain = left.gains[k, :, :3]
-        own[k] = left.inverse[k] + gain @ own[k + 1] @ gain.T
-        lever[k] = left.gains[k, :, 3:-1] - gain @ lever[k + 1]
-    common = np.linalg.inv(left.information)[3:, 3:]
+    newest = np.linalg.inv(left.information[:3, :3])
+    by_shared = newest @ left.information[:3, 3:]
+    gains = left.gains[:, 3:-1] - left.gains[:, :3] @ by_shared
+    lever = np.concatenate([gains, by_shared]).reshape(e.shared.shape)
+    common = positive_inverse(left.information)[3:, 3:]
+    own = _diagonal_of_inverse(e.own, e.next, newest)
     own += lever @ common @ lever.transpose(0, 2, 1)
-    return own, lever, 0.5 * (common + common.T)
+    return own, lever, common
+
+
+def _diagonal_of_inverse(own: np.ndarray, following: np.ndarray, newest: np.ndarray) -> np.ndarray:
+    """Return the diagonal blocks of a chain's inverse, the last of which is `newest` (3, 3)."""
+    found, gains, passed = own.copy(), np.empty_like(following), np.zeros((3, 3))
+    for k, coupling in enumerate(following):
+        found[k] = np.linalg.inv(own[k] - passed)  # were all that comes after it known
+        gains[k] = found[k] @ coupling
+        passed = coupling.T @ gains[k]
+    found[-1] = newest
+    for k in range(len(following) - 1, -1, -1):
+        found[k] += gains[k] @ found[k + 1] @ gains[k].T
+    return found
+
+
+def positive_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse of a symmetric positive definite matrix, to the last bit symmetric.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When it is not positive definite.
+    """
+    _, inverse, failed = lapack.dposv(matrix, np.eye(len(matrix)), overwrite_b=1)
+    if failed:
+        raise np.linalg.LinAlgError("not positive definite")
+    return np.asarray(0.5 * (inverse + inverse.T))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
 from homeward.localizer.map.state import TRUSTED
@@ -37,25 +37,12 @@ def add_odometry(
     """
     if len(poses) < 2:
         return
-    native = compiled()
-    if native is not None:
-        sums = (e.own, e.next, e.shared, e.common, e.slope, e.common_slope)
-        arguments = (poses, _turns(poses), calibration, steps, *sums)
-        native.add_odometry(len(poses), len(e.common), TRUSTED, *arguments)
-        return
     a, b = poses[:-1], poses[1:]
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    d = b - a
-    local = np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1], d[:, 2]], axis=1)
     by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
-    error = steps[:, FREE] + by_calibration @ calibration - local
-    jacobian = np.zeros((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = -c
-    jacobian[:, 0, 1], jacobian[:, 1, 0] = -s, s
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = local[:, 1], -local[:, 0]
-    jacobian[:, 2, 2], jacobian[:, 2, 5] = -1.0, 1.0
-    jacobian[:, 0, 3] = jacobian[:, 1, 4] = c
-    jacobian[:, 0, 4], jacobian[:, 1, 3] = s, -s
+    error = steps[:, FREE] + by_calibration @ calibration - between(a, b)
+    back = rotation(a[:, 2]).transpose(0, 2, 1)
+    jacobian = np.empty((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
+    jacobian[:, :, :3], jacobian[:, :, 3:6] = -back @ lever(b - a), back
     jacobian[:, :, 6:] = -by_calibration
     information = np.linalg.inv(steps[:, NOISE].reshape(-1, 3, 3))
     square = np.einsum("ki,kij,kj->k", error, information, error)
@@ -102,13 +89,6 @@ def add_sightings(
     w, n, m = len(poses), len(positions), len(rows)
     if not m:
         return
-    native = compiled()
-    if native is not None:
-        sums = (e.own, e.shared, e.common, e.slope, e.common_slope)
-        arguments = (poses, _turns(poses), calibration, positions, rows, *sums)
-        if native.add_sightings(w, n, m, first, TRUSTED, *arguments):
-            raise IndexError("a sighting from no pose, or of no landmark")
-        return
     pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)
     residual, jacobian = bearing_residuals(poses[pose], calibration, positions[landmark], rows)
     sigma = rows[:, SIGMA]
@@ -144,8 +124,3 @@ def _sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int)
     flat = group[:, None] * size + np.arange(size)
     total = np.bincount(flat.ravel(), blocks.ravel(), groups * size)
     return np.asarray(total.reshape(groups, *blocks.shape[1:]))
-
-
-def _turns(poses: np.ndarray) -> np.ndarray:
-    """Return cosine and sine of the headings of poses (w, 3), shape (w, 2)."""
-    return np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)

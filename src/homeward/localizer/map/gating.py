@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from homeward.estimator import Innovation
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import rotation
+from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.motion.preintegration import Motion
@@ -107,13 +106,7 @@ def consistent_subset(
     m, kept = residual.size, np.ones(residual.size, bool)
     finest = FINEST**2 + ROUNDING * innovation_covariance.diagonal().max(initial=0.0)
     innovation_covariance = innovation_covariance + finest * np.eye(m)
-    native = compiled()
-    if native is not None:
-        native.agree(
-            m, FEWEST, gate, residual, innovation_covariance, np.empty((m, m)), np.empty(m), kept
-        )
-    else:
-        _data_snooping(kept, residual, innovation_covariance, gate)
+    _data_snooping(kept, residual, innovation_covariance, gate)
     if (~kept).sum() <= MOST_LEFT_OUT * m:
         return kept
     enough = likely.sum() >= max(FEWEST, LEAST_LIKELY * m)
@@ -125,10 +118,9 @@ def _data_snooping(
 ) -> None:
     """Leave out those that do not agree with the others, in `kept`."""
     try:
-        root = np.linalg.inv(np.linalg.cholesky(innovation_covariance))
+        information = positive_inverse(innovation_covariance)
     except np.linalg.LinAlgError:  # nothing can be told
         return
-    information = root.T @ root
     while kept.sum() >= FEWEST:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
         worst = int(squares.argmax())
@@ -144,9 +136,7 @@ def _from_motion(
 ) -> np.ndarray:
     """Return the covariance of residuals (m, m) that comes from a motion's noise."""
     heading = marginal.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
-    c, s = math.cos(heading), math.sin(heading)
-    to_map = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     off = prediction.jacobian[:, HEAD:]
-    by_motion = off @ to_map[:2]  # less the sign, which does not matter
+    by_motion = off @ rotation(heading)[:2]  # less the sign, which does not matter
     by_motion[:, 2] = 1.0
     return np.asarray(by_motion @ motion.covariance @ by_motion.T)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import compose, lever, rotation, sight
 from homeward.localizer.motion.preintegration import (
     CALIBRATION,
     CAMERA_X,
@@ -61,16 +60,10 @@ def sighting_rows(
     -------
     ndarray, shape (m, COLUMNS)
     """
-    x, y, turn = motion.delta.tolist()
-    c, s = math.cos(turn), math.sin(turn)
-    at_x, at_y = mount[0] + calibration[CAMERA_X], mount[1] + calibration[CAMERA_Y]
-    swung_x, swung_y = c * at_x - s * at_y, s * at_x + c * at_y
-    jacobian = motion.jacobian.copy()
-    jacobian[0] -= swung_y * jacobian[2]
-    jacobian[1] += swung_x * jacobian[2]
-    jacobian[2, CAMERA_YAW] += 1.0
-    jacobian[:2, CAMERA_X : CAMERA_Y + 1] += [[c, -s], [s, c]]
-    offset = np.array([x + swung_x, y + swung_y, turn + mount[2] + calibration[CAMERA_YAW]])
+    camera = [CAMERA_X, CAMERA_Y, CAMERA_YAW]
+    offset = compose(motion.delta, mount + calibration[camera])
+    jacobian = lever(offset - motion.delta) @ motion.jacobian
+    jacobian[:, camera] += rotation(motion.delta[2])
     rows = np.empty((len(frame.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
     rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
@@ -102,7 +95,8 @@ def cameras(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.
     -------
     ndarray, shape (m, 3)
     """
-    return np.asarray(poses + _arms(rows, poses, calibration))
+    offsets = rows[:, OFFSET] + rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC) @ calibration
+    return compose(poses, offsets)
 
 
 def directions(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.ndarray:
@@ -121,7 +115,7 @@ def bearing_residuals(
 
     Parameters
     ----------
-    poses : ndarray, shape (m, 3)
+    poses : ndarray, shape (m, 3) or (3,)
         Of the rows' keyframes.
     calibration : ndarray, shape (7,)
         As it is believed to be.
@@ -137,26 +131,20 @@ def bearing_residuals(
     jacobian : ndarray, shape (m, 12)
         By keyframe's pose, calibration and landmark.
     """
-    native = compiled()
-    if native is not None:
-        residual, jacobian = np.empty(len(rows)), np.empty((len(rows), 5 + NC))
-        arguments = (poses, calibration, positions, rows, residual, jacobian)
-        native.residuals(len(rows), *arguments)
-        return residual, jacobian
-    arms = _arms(rows, poses, calibration)
-    sight = positions - poses[:, :2] - arms[:, :2]
-    square = np.maximum((sight * sight).sum(axis=1), 1e-6)
-    gx, gy = -sight[:, 1] / square, sight[:, 0] / square
-    expected = np.arctan2(sight[:, 1], sight[:, 0]) - poses[:, 2] - arms[:, 2]
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    by_offset = np.stack([-(gx * c + gy * s), gx * s - gy * c, -np.ones(len(rows))], axis=1)
+    by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
+    eyes = compose(poses, rows[:, OFFSET] + by_calibration @ calibration)
+    seen = sight(eyes, positions)
+    gx, gy = seen.by_place.T
+    arm, c, s = eyes - poses, np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    by_offset = np.empty((len(rows), 1, 3))
+    by_offset[:, 0, 0], by_offset[:, 0, 1] = -c * gx - s * gy, s * gx - c * gy
+    by_offset[:, 0, 2] = -1.0
     jacobian = np.empty((len(rows), 5 + NC))
     jacobian[:, 0], jacobian[:, 1] = -gx, -gy
-    jacobian[:, 2] = gx * arms[:, 1] - gy * arms[:, 0] - 1.0
-    by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
-    jacobian[:, 3 : 3 + NC] = (by_offset[:, None, :] @ by_calibration)[:, 0]
-    jacobian[:, 3 + NC], jacobian[:, 4 + NC] = gx, gy
-    return np.asarray(wrap(rows[:, BEARING] - expected)), jacobian
+    jacobian[:, 2] = gx * arm[:, 1] - gy * arm[:, 0] - 1.0
+    jacobian[:, 3 : 3 + NC] = (by_offset @ by_calibration)[:, 0]
+    jacobian[:, 3 + NC :] = seen.by_place
+    return np.asarray(wrap(rows[:, BEARING] - seen.bearing)), jacobian
 
 
 def without_landmark(rows: np.ndarray, number: int) -> np.ndarray:
@@ -164,12 +152,3 @@ def without_landmark(rows: np.ndarray, number: int) -> np.ndarray:
     rows = rows[rows[:, LANDMARK] != number]
     rows[:, LANDMARK] -= rows[:, LANDMARK] > number
     return rows
-
-
-def _arms(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.ndarray:
-    """Return how the camera's pose differs from the keyframe's, in the odometry frame (m, 3)."""
-    arms = rows[:, OFFSET] + rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC) @ calibration
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = arms[:, 0], arms[:, 1]
-    arms[:, 0], arms[:, 1] = c * x - s * y, s * x + c * y
-    return np.asarray(arms)

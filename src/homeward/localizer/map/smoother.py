@@ -10,10 +10,9 @@ back is marginalised.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from homeward.localizer.geometry import compose
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.map.sightings import (
@@ -114,11 +113,8 @@ class Window:
 
     def add_keyframe(self, t: float, motion: Motion) -> int:
         """Add a keyframe at `t` [s], reached from the last one by `motion`; return its number."""
-        x, y, psi = self.poses[-1].tolist()
-        c, s = math.cos(psi), math.sin(psi)
-        dx, dy, turn = motion.delta.tolist()
-        pose = np.array([[x + c * dx - s * dy, y + s * dx + c * dy, psi + turn]])
-        self.poses = np.concatenate([self.poses, pose])
+        pose = compose(self.poses[-1], motion.delta)
+        self.poses = np.concatenate([self.poses, pose[None]])
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))

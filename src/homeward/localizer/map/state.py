@@ -6,12 +6,12 @@ Kalman filter; the window keeps the sightings, and its next solution replaces th
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import compose, lever, rotation
 from homeward.localizer.map.sightings import LANDMARK, NC, SIGMA, bearing_residuals
 from homeward.localizer.motion.preintegration import Motion
 
@@ -78,25 +78,14 @@ class Marginal:
     def propagate(self, motion: Motion, calibration: np.ndarray) -> Marginal:
         """Propagate: move the newest pose on by a motion, linearised at a calibration (7,)."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        native = compiled()
-        if native is not None:
-            arguments = (motion.delta, motion.covariance, motion.jacobian, calibration)
-            native.move_on(mean.size, *arguments, mean, covariance)
-            return Marginal(mean, covariance)
-        x, y, psi = self.mean[:3].tolist()
-        c, s = math.cos(psi), math.sin(psi)
-        delta = motion.delta + motion.jacobian @ (self.mean[3:HEAD] - calibration)
-        dx, dy, turn = delta.tolist()
-        step_x, step_y = c * dx - s * dy, s * dx + c * dy
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        by_head = np.zeros((3, HEAD))
-        by_head[[0, 1, 2], [0, 1, 2]] = 1.0
-        by_head[0, 2], by_head[1, 2] = -step_y, step_x
-        by_head[:, 3:] = rotation @ motion.jacobian
-        mean[:3] = x + step_x, y + step_y, psi + turn
+        pose = self.mean[:3]
+        mean[:3] = compose(pose, motion.delta + motion.jacobian @ (self.calibration - calibration))
+        turn = rotation(pose[2])
+        by_head = np.empty((3, HEAD))
+        by_head[:, :3], by_head[:, 3:] = lever(mean[:3] - pose), turn @ motion.jacobian
         covariance[:3] = by_head @ self.covariance[:HEAD]
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
-        covariance[:3, :3] += rotation @ motion.covariance @ rotation.T
+        covariance[:3, :3] += turn @ motion.covariance @ turn.T
         return Marginal(mean, covariance)
 
     def predict_bearings(self, rows: np.ndarray) -> Prediction:
@@ -107,21 +96,10 @@ class Marginal:
         rows : ndarray, shape (m, COLUMNS)
             Of the table of sightings, with their landmarks' numbers.
         """
-        native = compiled()
-        if native is not None:
-            size, m = self.mean.size, len(rows)
-            residual, jacobian = np.empty(m), np.empty((m, HEAD + 2))
-            correlated, innovation_covariance = np.empty((m, size)), np.empty((m, m))
-            found = (residual, jacobian, correlated, innovation_covariance)
-            arguments = (self.mean, self.covariance, rows, *found)
-            if native.predict(size, m, *arguments):
-                raise IndexError("a sighting of no landmark")
-            return Prediction(*found)
         number = rows[:, LANDMARK].astype(int)
         at = HEAD + 2 * number
-        poses = np.tile(self.mean[:3], (len(rows), 1))
         residual, jacobian = bearing_residuals(
-            poses, self.mean[3:HEAD], self.positions[number], rows
+            self.mean[:3], self.calibration, self.positions[number], rows
         )
         head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
         p = self.covariance
@@ -139,27 +117,18 @@ class Marginal:
         numpy.linalg.LinAlgError
             When `seen` has no spread.
         """
+        if not seen.residual.size:
+            return self
         innovation_covariance = seen.innovation_covariance.copy()
         variance = innovation_covariance.diagonal()
         innovation_covariance.flat[:: len(innovation_covariance) + 1] = np.maximum(
             seen.residual**2 / TRUSTED**2, variance
         )
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        native = compiled()
-        if native is not None:
-            arguments = (
-                seen.residual.copy(),
-                seen.correlated.copy(),
-                innovation_covariance,
-                mean,
-                covariance,
-            )
-            if native.correct(mean.size, len(innovation_covariance), *arguments):
-                raise np.linalg.LinAlgError("the sightings have no spread")
-            return Marginal(mean, covariance)
-        gain = np.linalg.solve(innovation_covariance, seen.correlated)
-        covariance -= seen.correlated.T @ gain
-        return Marginal(mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
+        _, gain, failed = lapack.dposv(innovation_covariance, seen.correlated)
+        if failed:
+            raise np.linalg.LinAlgError("the sightings have no spread")
+        covariance = self.covariance - seen.correlated.T @ gain
+        return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
     def places(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where landmarks (k,) stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""

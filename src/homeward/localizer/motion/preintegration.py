@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import between, compose, lever, rotation
 
 OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag")
 CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
@@ -55,13 +55,10 @@ class Motion:
         """Return the composition: this motion, then another."""
         if self is Motion.identity():
             return later
-        c, s = math.cos(self.delta[2]), math.sin(self.delta[2])
-        x, y, turn = later.delta.tolist()
-        step = np.array([c * x - s * y, s * x + c * y, turn])
-        first = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
-        second = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        delta = compose(self.delta, later.delta)
+        first, second = lever(delta - self.delta), rotation(self.delta[2])
         return Motion(
-            self.delta + step,
+            delta,
             first @ self.covariance @ first.T + second @ later.covariance @ second.T,
             first @ self.jacobian + second @ later.jacobian,
             self.path + later.path,
@@ -70,9 +67,7 @@ class Motion:
 
     def inverse(self) -> Motion:
         """Return the inverse motion, taken for exact and known."""
-        x, y, turn = self.delta.tolist()
-        c, s = math.cos(turn), math.sin(turn)
-        delta = np.array([-c * x - s * y, s * x - c * y, -turn])
+        delta = between(self.delta, np.zeros(3))
         return Motion(delta, np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
 
 
@@ -100,14 +95,6 @@ def integrate(
     by_bend : ndarray, shape (BENDS,)
         Its length by how much the robot turned per metre [m].
     """
-    native = compiled()
-    if native is not None:
-        delta, lengths, by_bend = np.empty(3), np.empty(2), np.empty(BENDS)
-        covariance, jacobian = np.empty((3, 3)), np.empty((3, len(CALIBRATION)))
-        given, found = (pieces, calibration, rates), (delta, covariance, jacobian, lengths, by_bend)
-        figures = (straightest, BEND, BENDS)
-        native.integrate(len(pieces), *given, *figures, *found)
-        return Motion(delta, covariance, jacobian, *lengths.tolist()), by_bend
     shift, swing, dt, v, omega = pieces.T
     moving = (v != 0.0) | (omega != 0.0)
     rate = moving * ((1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS])
@@ -130,16 +117,16 @@ def integrate(
 
     # a turn in piece i swings everything that comes after its middle
     swing_x, swing_y = y - 0.5 * along_y - delta[1], delta[0] - x + 0.5 * along_x
-    ones, zeros = np.ones(dt.size), np.zeros(dt.size)
-    by_turn = np.array([swing_x, swing_y, ones])
-    by_path = np.array([c, s, zeros])
-    by_slip = np.array([-s, c, zeros])
-    steady = moving * dt
-    covariance = (
-        (by_turn * (heading * steady + swing)) @ by_turn.T
-        + (by_path * (along * steady + shift)) @ by_path.T
-        + (by_slip * (across * steady + shift)) @ by_slip.T
-    )
+    n, steady = dt.size, moving * dt
+    by_error = np.zeros((3, 3, n))  # by the turn of each piece, its length, and a shift across it
+    by_error[0, 0], by_error[1, 0], by_error[2, 0] = swing_x, swing_y, 1.0
+    by_error[0, 1], by_error[1, 1] = c, s
+    by_error[0, 2], by_error[1, 2] = -s, c
+    by_turn, by_path = by_error[:, 0], by_error[:, 1]
+    variances = np.array([heading, along, across]) * steady
+    variances += np.array([swing, shift, shift])
+    flat = by_error.reshape(3, 3 * n)
+    covariance = (flat * variances.ravel()) @ flat.T
     jacobian = np.zeros((3, len(CALIBRATION)))
     jacobian[:, TURN_SCALE] = by_turn @ (omega * dt)
     jacobian[:, TURN_BIAS] = by_turn @ steady

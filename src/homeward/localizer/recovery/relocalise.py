@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
+from homeward.localizer.geometry import compose, lever, sight
 
 HEADINGS = 120
 MOST_LINES = 14
@@ -120,18 +121,11 @@ def _candidates(lines: SightLines) -> np.ndarray:
     return np.array(chosen)
 
 
-def _residuals(
-    poses: np.ndarray, lines: SightLines
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (k, m), the gradient of a bearing by landmark (x, y), and camera offsets."""
-    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-    ox = c * lines.cameras[:, 0] - s * lines.cameras[:, 1]
-    oy = s * lines.cameras[:, 0] + c * lines.cameras[:, 1]
-    dx = lines.positions[:, 0] - poses[:, 0, None] - ox
-    dy = lines.positions[:, 1] - poses[:, 1, None] - oy
-    square = np.maximum(dx * dx + dy * dy, 1e-4)
-    expected = np.arctan2(dy, dx) - poses[:, 2, None] - lines.cameras[:, 2]
-    return np.asarray(wrap(lines.bearings - expected)), -dy / square, dx / square, ox, oy
+def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (k, m), how a bearing changes with its landmark's place, and the cameras."""
+    eyes = compose(poses[:, None], lines.cameras)
+    seen = sight(eyes, lines.positions)
+    return np.asarray(wrap(lines.bearings - seen.bearing)), seen.by_place, eyes
 
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
@@ -139,15 +133,12 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
     pose, longest = start.copy(), LONGEST * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
-        r, gx, gy, ox, oy = (a[0] for a in _residuals(pose[None], lines))
-        cov = lines.covariances
-        variance = (
-            lines.sigmas**2
-            + cov[:, 0, 0] * gx * gx
-            + 2.0 * cov[:, 0, 1] * gx * gy
-            + cov[:, 1, 1] * gy * gy
+        r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
+        variance = lines.sigmas**2 + np.einsum(
+            "mi,mij,mj->m", by_place, lines.covariances, by_place
         )
-        jacobian = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
+        by_eye = np.column_stack([-by_place, -np.ones(len(r))])
+        jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
         weight = 1.0 / (variance * np.maximum(r * r / (variance * AGREES**2), 1.0))
         information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
         covariance = np.linalg.inv(information)
