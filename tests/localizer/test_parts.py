@@ -259,11 +259,10 @@ def sighted(*fits):
 
 def test_more_must_fit_from_elsewhere_than_from_here():
     slip = SlipDetector()
-    assert slip.suspicion(sighted(True, True, False), Motion.identity()) is None
-    suspicion = slip.suspicion(sighted(True, False, False, False), Motion.identity())
-    assert suspicion is not None
-    assert suspicion[1] == 1 + 5
-    assert slip.suspicion(sighted(True, True, True, True, True), Motion.identity()) is None
+    assert not slip.suspects(sighted(True, True, False), Motion.identity())
+    assert slip.suspects(sighted(True, False, False, False), Motion.identity())
+    assert slip.search.fewest == 1 + 5
+    assert not slip.suspects(sighted(True, True, True, True, True), Motion.identity())
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():

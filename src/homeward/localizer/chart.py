@@ -30,7 +30,6 @@ from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
-from homeward.localizer.recovery.detectors import BAD_FIT_SHARE, GOOD_FIT_SHARE
 from homeward.localizer.settings import LocalizerSettings
 
 NO_BEARINGS_S = 2.0
@@ -100,17 +99,7 @@ class Chart:
     @property
     def is_lost(self) -> bool:
         """Whether the robot does not know where in the map it is."""
-        return self.mapper.kidnapping.since is not None
-
-    @property
-    def fits_badly(self) -> bool:
-        """Whether too little fits of what was seen lately, or the robot is lost."""
-        return self.is_lost or self.mapper.kidnapping.fitting < BAD_FIT_SHARE
-
-    @property
-    def fits_well(self) -> bool:
-        """Whether nearly all fits of what was seen lately."""
-        return not self.is_lost and self.mapper.kidnapping.fitting >= GOOD_FIT_SHARE
+        return self.mapper.monitor.is_lost
 
     @property
     def has_pose(self) -> bool:
@@ -137,7 +126,7 @@ class Chart:
             )
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self.is_lost:
-            words = complaint or self.mapper.kidnapping.why.words
+            words = complaint or self.mapper.monitor.reason.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         motion, moved = self.mapper.motion(t), None
         if motion is not Motion.identity():

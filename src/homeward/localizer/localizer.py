@@ -174,9 +174,7 @@ class Localizer:
     @property
     def spells_lost(self) -> list[tuple[float, float]]:
         """From when until when the map that home is found in knows nothing of the robot [s]."""
-        lost = self.mapper.kidnapping
-        now = [(lost.since, math.inf)] if lost.since is not None else []
-        return [(-math.inf, self.mapper.begun), *lost.spells, *now]
+        return [(-math.inf, self.mapper.begun), *self.mapper.monitor.spells_lost]
 
     def problem(self, marginal: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a Gaussian of this map."""
@@ -222,7 +220,7 @@ class Localizer:
             innovations = self._chart.add_bearings(frame, self._t)
             if self._beside is not None:
                 innovations = self._update_beside(self._beside, frame, innovations)
-            elif self._chart.fits_badly:
+            elif self._chart.mapper.monitor.fits_badly:
                 self._begin_beside(frame.t)
         return () if self._reorder.waits else tuple(innovations)
 
@@ -250,7 +248,7 @@ class Localizer:
         self._lead = max(0, self._lead + gained)
         if self._lead >= CLEARLY and self._is_sure(beside):
             self._chart, self.counts, self._beside = beside, beside.counts, None
-        elif self._chart.fits_well and self._is_sure(self._chart):
+        elif self._chart.mapper.monitor.fits_well and self._is_sure(self._chart):
             self._beside = None
         elif beside.is_lost:
             self._begin_beside(frame.t)

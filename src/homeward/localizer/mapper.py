@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Innovation
-from homeward.frames import Pose, compose
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.gating import gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
@@ -21,18 +21,10 @@ from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import Odometry, calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.reasons import Reason, Rejection
+from homeward.localizer.reasons import Rejection
 from homeward.localizer.recovery.common_motion import carried_since
-from homeward.localizer.recovery.detectors import (
-    LOST_RAD,
-    RELOCALISABLE_RAD,
-    KidnapDetector,
-    RelocalisationBuffer,
-    SlipDetector,
-    odometry_lost,
-    pose_reset,
-)
-from homeward.localizer.recovery.scene_change import SceneChangeDetector
+from homeward.localizer.recovery.monitor import Health, Monitor
+from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
 
 MOST_PER_KEYFRAME = 12
@@ -47,6 +39,23 @@ LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
 """... and when a landmark moved by more of its distance [1], or the robot turned by more [rad]."""
 DRIFT_S, DRIFT_SHARE = 600.0, 0.2
 """The calibration drifts by this share of its a-priori deviation in this time [s]."""
+
+
+class Gated(NamedTuple):
+    """Gated frame: which of its bearings fit the map."""
+
+    frame: WeighedFrame
+    """Of m landmarks."""
+    motion: Motion
+    """Since the newest keyframe."""
+    new_keyframe: bool
+    """Whether that is at this frame."""
+    rows: np.ndarray
+    """(m, COLUMNS): of the table of sightings."""
+    innovations: list[Innovation]
+    """Of the landmarks that are mapped ..."""
+    prediction: Prediction
+    """... and what the map says of them."""
 
 
 class Mapper:
@@ -81,11 +90,7 @@ class Mapper:
         self.window: Window = self._new_window(self.extrinsics.sigmas)
         if self._keeps:
             self.window.keep_closed()
-        self.kidnapping, self._slip, self._scene = (
-            KidnapDetector(),
-            SlipDetector(),
-            SceneChangeDetector(),
-        )
+        self.monitor = Monitor(self._start_told)
         self.landmarks = Landmarks(self._settings.parallax)
         self._taken: dict[str, int] = {}
         self.begin(t)
@@ -153,65 +158,67 @@ class Mapper:
         if not self.has_odometry:
             self._reject(Rejection.NO_ODOMETRY, len(sightings))
             return [], False
+        frame = self._weigh(t, sightings, sigmas)
+        motion = self._odometry.advance(t, self.window.calibration)
+        before = self.monitor.assess_odometry(motion, self.marginal, self.landmarks)
+        match before:
+            case Health.NO_MAP:
+                motion = self._reset_map(t)
+            case Health.LOST:
+                return [], self._relocalise(frame, motion)
+            case Health.ODOMETRY_LOST:
+                return [], self._begin_search(frame, before)
+        gated = self._gate(frame, motion)
+        match self.monitor.assess_innovations(
+            gated.innovations, frame, gated.motion, self.marginal
+        ):
+            case Health.OK:
+                solved = self._update(gated)
+            case Health.SLIPPED:
+                solved = self._relocalise(frame, gated.motion) or self._update(gated)
+            case lost:
+                solved = self._begin_search(frame, lost)
+        return gated.innovations, solved or before is Health.NO_MAP
+
+    def _weigh(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float]
+    ) -> WeighedFrame:
+        """Give each bearing of `t` [s] its noise."""
         self.noise.add_bearings(t, sightings, sigmas)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        frame = WeighedFrame(t, names, bearings, self.noise.sigmas(names, sigmas))
-        motion = self._odometry.advance(t, self.window.calibration)
-        gone = self.kidnapping.since is None and odometry_lost(motion, self.marginal)
-        map_reset = not self.landmarks.mapped and (gone or self._lost_its_origin())
-        if map_reset:
-            motion = self._reset_map(t)
-        elif gone:
-            self._begin_relocalisation(t)
-        if self.kidnapping.since is not None:
-            return [], self._relocalise(frame)
-        new_keyframe = self._wants_keyframe(t, motion)
+        return WeighedFrame(t, names, bearings, self.noise.sigmas(names, sigmas))
+
+    def _gate(self, frame: WeighedFrame, motion: Motion) -> Gated:
+        """Gate a frame, seen after a motion, at a new keyframe where one is due."""
+        new_keyframe = self._wants_keyframe(frame.t, motion)
         if new_keyframe:
-            self._add_keyframe(t, motion)
+            self._add_keyframe(frame.t, motion)
         since = Motion.identity() if new_keyframe else motion
         rows = self._rows(since, frame)
-        arguments = self.marginal, motion, new_keyframe, names, rows, self._settings.gate
-        innovations, prediction = gate_bearings(*arguments)
-        if self.kidnapping.was_kidnapped(innovations):
-            self._begin_relocalisation(t)
-            return innovations, self._relocalise(frame)
-        place = np.array(
-            compose(Pose(*self.marginal.mean[:3].tolist()), Pose(*since.delta.tolist()))
-        )
-        if self._scene.has_changed(names, innovations, place, self.marginal.positions):
-            self._begin_relocalisation(t, Reason.SCENE_CHANGED)
-            return innovations, self._relocalise(frame)
-        suspicion = self._slip.suspicion(innovations, since)
-        if suspicion and self._reset_pose(*suspicion, since, frame):
-            return innovations, True
-        fits = {i.landmark: i.accepted for i in innovations}
+        arguments = self.marginal, motion, new_keyframe, frame.names, rows, self._settings.gate
+        return Gated(frame, since, new_keyframe, rows, *gate_bearings(*arguments))
+
+    def _update(self, gated: Gated) -> bool:
+        """Let the map learn what it did not reject; return whether there is a new solution."""
+        frame, since, new_keyframe, rows, innovations, prediction = gated
         if not new_keyframe:
             widened = inflate_by_odometry(
                 rows, since, len(self._between) + 1, prediction, self.marginal
             )
             if widened is None:
-                self._reject(Rejection.VAGUE_ODOMETRY, len(names))
-                return innovations, map_reset
+                self._reject(Rejection.VAGUE_ODOMETRY, len(frame.names))
+                return False
             rows[:, SIGMA] = widened
-        refused = self.landmarks.refused(fits)
-        kept = self._keep(t, names, rows, fits)
-        changed = self.kidnapping.others_fit(refused) and self.landmarks.reinitialise(
-            self.window, refused
-        )
+        fits = {i.landmark: i.accepted for i in innovations}
+        at_fault = self.monitor.at_fault(self.landmarks.refused(fits))
+        kept = self._keep(frame, rows, fits)
+        changed = self.landmarks.reinitialise(self.window, at_fault)
         if new_keyframe or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
         if changed and self._was_carried():
-            self._begin_relocalisation(t)
-            return innovations, self._relocalise(frame)
-        return innovations, new_keyframe or changed or map_reset
-
-    def _lost_its_origin(self) -> bool:
-        """Return whether the way from the origin, which nothing else holds, is not known any more.
-
-        All that is mapped later would be as vague as that, and nothing linear in it.
-        """
-        return not self._start_told and bool(self.marginal.covariance[2, 2] > LOST_RAD**2)
+            return self._begin_search(frame, Health.CARRIED)
+        return new_keyframe or changed
 
     def _wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
@@ -231,7 +238,7 @@ class Mapper:
             self._due = not self._take(self.marginal.update(seen))
         self.marginal = self.marginal.propagate(motion, linearised)
         self.window.adopt(self.marginal)
-        self._slip.add_keyframe(motion)
+        self.monitor.add_keyframe(motion)
         self._odometry.restart(t)
         self._taken.clear()
         self._between = []
@@ -244,10 +251,9 @@ class Mapper:
         rows[:, LANDMARK] = self.landmarks.number(frame.names)
         return rows
 
-    def _keep(
-        self, t: float, names: list[str], rows: np.ndarray, fits: Mapping[str, bool]
-    ) -> np.ndarray:
-        """Put what was not rejected at `t` [s] into the window; return which (m,), bool."""
+    def _keep(self, frame: WeighedFrame, rows: np.ndarray, fits: Mapping[str, bool]) -> np.ndarray:
+        """Put what was not rejected of a frame into the window; return which (m,), bool."""
+        t, names = frame.t, frame.names
         kept = np.zeros(len(names), bool)
         for i, name in enumerate(names):
             taken = self._taken[name] = self._taken.get(name, 0) + 1
@@ -341,35 +347,24 @@ class Mapper:
         """Count sightings that were not used."""
         self._counts.reject(why.words, number)
 
-    def _begin_relocalisation(self, t: float, why: Reason = Reason.LOST) -> None:
-        """Begin to look for the robot in its map, from where it is at `t` [s]."""
-        self._odometry.restart(t)
-        self.kidnapping.begin(t, why)
-        self._slip.clear()
+    def _begin_search(self, frame: WeighedFrame, why: Health) -> bool:
+        """Look for the robot in its map from now on; return whether it is found at once."""
+        self._odometry.restart(frame.t)
+        self.monitor.begin_search(frame.t, why)
+        return self._relocalise(frame, Motion.identity())
 
-    def _relocalise(self, frame: WeighedFrame) -> bool:
-        """Gather sight lines of a lost robot; return whether they tell where it is."""
-        motion = self.motion(frame.t)
-        if motion.covariance[2, 2] > RELOCALISABLE_RAD**2:
-            self._begin_relocalisation(frame.t)
-            motion = Motion.identity()
-        if self._reset_pose(self.kidnapping.search, 0, motion, frame):
-            return True
-        self._reject(Rejection.LOST, len(frame.names))
-        return False
-
-    def _reset_pose(
-        self, search: RelocalisationBuffer, fewest: int, motion: Motion, frame: WeighedFrame
-    ) -> bool:
-        """Look from where in the map so many sightings fit; move the robot there if it is told."""
+    def _relocalise(self, frame: WeighedFrame, motion: Motion) -> bool:
+        """Look for the robot in its map, and move it where it is found; return whether it is."""
+        search = self.monitor.search
         way = search.motion_since(motion)
         search.add_sightings(frame.names, self._rows(way, frame))
-        found = search.find(self.landmarks, self.marginal, self.window.calibration, fewest)
+        found = search.find(self.landmarks, self.marginal, self.window.calibration)
         if found is None:
+            if self.monitor.is_lost:
+                self._reject(Rejection.LOST, len(frame.names))
             return False
         self._add_keyframe(frame.t, pose_reset(self.window.poses[-1], *found).compose(way))
-        self.kidnapping.end(frame.t)
-        self._slip.clear()
-        self._keep(frame.t, frame.names, self._rows(Motion.identity(), frame), {})
+        self.monitor.end_search(frame.t)
+        self._keep(frame, self._rows(Motion.identity(), frame), {})
         self._correct(None)
         return True
