@@ -1,0 +1,103 @@
+"""The monitor says whether the robot is where the map says, and how it shows that it is not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.estimator import Innovation
+from homeward.localizer.map.landmarks import Landmark, Landmarks
+from homeward.localizer.map.sightings import NC, WeighedFrame
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.reasons import Reason
+from homeward.localizer.recovery.monitor import Health, Monitor
+
+NAMES = [f"L{i}" for i in range(6)]
+LANDMARKS = Landmarks(0.06)
+LANDMARKS.mapped = {name: Landmark(name, i) for i, name in enumerate(NAMES)}
+
+
+def known(heading_sigma=0.01):
+    """A robot at the origin, amid landmarks 2 m away."""
+    around = np.linspace(0.0, math.tau, len(NAMES), endpoint=False)
+    places = 2.0 * np.stack([np.cos(around), np.sin(around)], axis=1)
+    covariance = 1e-4 * np.eye(HEAD + 2 * len(NAMES))
+    covariance[2, 2] = heading_sigma**2
+    return Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
+
+
+def drifted(shift=0.0, turn=0.0):
+    """A motion to where the robot was, so uncertain in either way [m] and in its turn [rad]."""
+    return Motion(np.zeros(3), np.diag([shift, shift, turn]) ** 2, np.zeros((3, NC)))
+
+
+def seen(monitor, off, sigmas_off=10.0, names=NAMES):
+    """What the monitor says when the first landmarks are off and the others are not."""
+    innovations = [
+        Innovation(n, sigmas_off * 0.01 * (i < off), 0.01, i >= off or sigmas_off < 4.0)
+        for i, n in enumerate(names)
+    ]
+    frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
+    return monitor.assess_innovations(innovations, frame, drifted(), known())
+
+
+@pytest.mark.parametrize(
+    ("motion", "health"),
+    [
+        (drifted(0.1, 0.1), Health.OK),
+        (drifted(turn=1.0), Health.ODOMETRY_LOST),
+        (drifted(shift=3.0), Health.ODOMETRY_LOST),
+    ],
+)
+def test_odometry_that_predicts_no_bearing_is_lost(motion, health):
+    assert Monitor(origin_given=False).assess_odometry(motion, known(), LANDMARKS) is health
+
+
+def test_an_origin_that_nothing_holds_is_no_map():
+    nothing = Landmarks(0.06)
+    monitor, far = Monitor(origin_given=False), drifted(turn=1.0)
+    assert monitor.assess_odometry(far, known(), nothing) is Health.NO_MAP
+    assert monitor.assess_odometry(drifted(), known(1.0), nothing) is Health.NO_MAP
+    held = Monitor(origin_given=True)
+    assert held.assess_odometry(drifted(), known(1.0), nothing) is Health.OK
+    assert monitor.assess_odometry(drifted(), known(1.0), LANDMARKS) is Health.OK
+
+
+def test_most_bearings_off_are_a_kidnapping_and_some_are_not():
+    few, most = Monitor(origin_given=False), Monitor(origin_given=False)
+    assert {seen(few, 2) for _ in range(10)} == {Health.OK}
+    assert few.fits_badly is False
+    assert Health.KIDNAPPED in [seen(most, 6) for _ in range(3)]
+    assert most.fits_badly
+
+
+def test_one_landmark_that_is_off_is_at_fault_and_not_the_robot():
+    monitor = Monitor(origin_given=False)
+    assert {seen(monitor, 1, names=["L0"]) for _ in range(20)} <= {Health.OK, Health.SLIPPED}
+    assert monitor.at_fault(["L0"]) == []  # nothing else tells where the robot is
+    for _ in range(3):
+        seen(monitor, 1)
+    assert monitor.at_fault(["L0"]) == ["L0"]
+
+
+def test_large_innovations_that_pass_the_gate_may_be_a_slip():
+    assert seen(Monitor(origin_given=False), 4, sigmas_off=3.5) is Health.SLIPPED
+
+
+def test_a_lost_robot_is_looked_for_until_it_is_found():
+    monitor = Monitor(origin_given=False)
+    monitor.begin_search(5.0, Health.SCENE_CHANGED)
+    search = monitor.search
+    assert (monitor.is_lost, monitor.fits_well) == (True, False)
+    assert monitor.reason is Reason.SCENE_CHANGED
+    assert monitor.spells_lost == [(5.0, math.inf)]
+    assert monitor.assess_odometry(drifted(turn=0.1), known(), LANDMARKS) is Health.LOST
+    # Sight lines of a longer way do not hold together: the search begins anew, the spell does not.
+    again = monitor.assess_odometry(drifted(turn=0.5), known(), LANDMARKS)
+    assert again is Health.ODOMETRY_LOST
+    monitor.begin_search(8.0, again)
+    assert monitor.search is not search
+    assert monitor.reason is Reason.SCENE_CHANGED
+    monitor.end_search(9.0)
+    assert (monitor.is_lost, monitor.spells_lost) == (False, [(5.0, 9.0)])
