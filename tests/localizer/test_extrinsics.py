@@ -39,7 +39,7 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     assert rig.wrong_share() < 0.25  # in one bend it cannot be told
     assert rig.wrong_share(len(rig.answers) // 2) == 0
     assert not rig.moved()
-    window = rig.localizer.mapper.window
+    window = rig.localizer.chart.map.smoother
     yaw, x, y = window.calibration[MOUNT]
     assert (x, y, yaw) == pytest.approx(tuple(mount), abs=0.03)
     (note,) = (n for n in rig.localizer.notes if "camera" in n)
@@ -59,14 +59,14 @@ def test_only_what_nobody_told_is_named():
 def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
     rig.drive(60)
-    assert not rig.localizer.mapper.extrinsics.denied
+    assert not rig.localizer.chart.extrinsics.denied
     assert not any("camera" in n for n in rig.localizer.notes)
 
 
 def test_what_was_told_is_not_doubted():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0, "yaw": 0.3})
     rig.drive(60)
-    assert np.abs(rig.localizer.mapper.window.calibration[MOUNT]).max() < 0.02
+    assert np.abs(rig.localizer.chart.map.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
     wrong = Extrinsics(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
     assert not wrong.denies(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))

@@ -41,12 +41,12 @@ def test_odometry_gone_and_back():
 def test_odometry_that_begins_late_costs_its_delay_only(law):
     rig = Rig(ring(10))
     assert rig.drive(20, law, feel=False).pose is None
-    assert not rig.localizer.mapper.has_odometry
+    assert not rig.localizer.chart.odometry.has_twists
     assert rig.drive(6).status is Status.LOCALISED
     assert rig.error() < 0.1
     assert rig.drive(40).status is Status.LOCALISED
     assert rig.wrong_share() == 0
-    assert rig.localizer.mapper.has_odometry
+    assert rig.localizer.chart.odometry.has_twists
 
 
 def test_a_robot_without_a_map_is_not_lost_in_it():

@@ -235,7 +235,7 @@ def test_a_landmark_driven_straight_at_stands_on_a_ray_at_any_distance():
 def test_a_landmark_too_far_to_be_mapped_is_judged_by_its_direction(fault):
     rig = Rig({**ring(7), "tower": (90.0, 40.0)}, seed=3, faults={"tower": fault})
     rig.drive(30)
-    assert "tower" not in rig.localizer.mapper.landmarks.mapped
+    assert "tower" not in rig.localizer.chart.map.landmarks.mapped
     (tower,) = [m for m in rig.localizer.landmarks() if m.landmark == "tower"]
     assert tower.moved is (fault > 0)
     assert rig.moved() == ({"tower"} if fault else set())

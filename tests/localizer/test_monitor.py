@@ -1,30 +1,30 @@
 """The monitor says whether the robot is where the map says, and how it shows that it is not."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from homeward.estimator import Innovation
-from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import NC, WeighedFrame
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.reasons import Reason
 from homeward.localizer.recovery.monitor import Health, Monitor
 
 NAMES = [f"L{i}" for i in range(6)]
-LANDMARKS = Landmarks(0.06)
-LANDMARKS.mapped = {name: Landmark(name, i) for i, name in enumerate(NAMES)}
 
 
-def known(heading_sigma=0.01):
-    """A robot at the origin, amid landmarks 2 m away."""
+def known(heading_sigma=0.01, mapped=NAMES):
+    """What a map says of a robot at the origin, amid landmarks 2 m away."""
     around = np.linspace(0.0, math.tau, len(NAMES), endpoint=False)
     places = 2.0 * np.stack([np.cos(around), np.sin(around)], axis=1)
     covariance = 1e-4 * np.eye(HEAD + 2 * len(NAMES))
     covariance[2, 2] = heading_sigma**2
-    return Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
+    state = Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
+    return SimpleNamespace(state=state, landmarks=SimpleNamespace(mapped=mapped))
 
 
 def drifted(shift=0.0, turn=0.0):
@@ -39,7 +39,8 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
         for i, n in enumerate(names)
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
-    return monitor.assess_innovations(innovations, frame, drifted(), known())
+    gated = Gated(frame, drifted(), False, np.zeros((0, 6)), None, innovations)
+    return monitor.assess_innovations(gated, known())
 
 
 @pytest.mark.parametrize(
@@ -51,17 +52,16 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
     ],
 )
 def test_odometry_that_predicts_no_bearing_is_lost(motion, health):
-    assert Monitor(origin_given=False).assess_odometry(motion, known(), LANDMARKS) is health
+    assert Monitor(origin_given=False).assess_odometry(motion, known()) is health
 
 
 def test_an_origin_that_nothing_holds_is_no_map():
-    nothing = Landmarks(0.06)
     monitor, far = Monitor(origin_given=False), drifted(turn=1.0)
-    assert monitor.assess_odometry(far, known(), nothing) is Health.NO_MAP
-    assert monitor.assess_odometry(drifted(), known(1.0), nothing) is Health.NO_MAP
+    assert monitor.assess_odometry(far, known(mapped=[])) is Health.NO_MAP
+    assert monitor.assess_odometry(drifted(), known(1.0, mapped=[])) is Health.NO_MAP
     held = Monitor(origin_given=True)
-    assert held.assess_odometry(drifted(), known(1.0), nothing) is Health.OK
-    assert monitor.assess_odometry(drifted(), known(1.0), LANDMARKS) is Health.OK
+    assert held.assess_odometry(drifted(), known(1.0, mapped=[])) is Health.OK
+    assert monitor.assess_odometry(drifted(), known(1.0)) is Health.OK
 
 
 def test_most_bearings_off_are_a_kidnapping_and_some_are_not():
@@ -92,9 +92,9 @@ def test_a_lost_robot_is_looked_for_until_it_is_found():
     assert (monitor.is_lost, monitor.fits_well) == (True, False)
     assert monitor.reason is Reason.SCENE_CHANGED
     assert monitor.spells_lost == [(5.0, math.inf)]
-    assert monitor.assess_odometry(drifted(turn=0.1), known(), LANDMARKS) is Health.LOST
+    assert monitor.assess_odometry(drifted(turn=0.1), known()) is Health.LOST
     # Sight lines of a longer way do not hold together: the search begins anew, the spell does not.
-    again = monitor.assess_odometry(drifted(turn=0.5), known(), LANDMARKS)
+    again = monitor.assess_odometry(drifted(turn=0.5), known())
     assert again is Health.ODOMETRY_LOST
     monitor.begin_search(8.0, again)
     assert monitor.search is not search

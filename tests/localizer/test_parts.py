@@ -17,10 +17,18 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.map import elimination
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import NC, WeighedFrame, bearing_residuals, sighting_rows
+from homeward.localizer.map.sightings import Frames, bearing_residuals
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.odometry import Odometry
-from homeward.localizer.motion.preintegration import CALIBRATION, LAG, TURN_SCALE, Motion
+from homeward.localizer.motion.preintegration import (
+    CALIBRATION,
+    LAG,
+    NC,
+    TURN_SCALE,
+    Motion,
+    camera_on_robot,
+)
 from homeward.localizer.recovery.detectors import SlipDetector
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
@@ -71,6 +79,13 @@ def integrated(calibration, until=3.0):
     odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
     drive(odometry)
     return odometry.motion(until, calibration)
+
+
+def test_a_pose_that_nothing_fixes_is_an_error():
+    e = elimination.NormalEquations.zeros(3, 5)
+    e.common[:] = np.eye(5)
+    with pytest.raises(np.linalg.LinAlgError):
+        elimination.solve(e)
 
 
 def test_motion_is_linear_in_its_calibration_as_it_says():
@@ -134,12 +149,12 @@ def test_bearings_have_the_derivatives_they_say():
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
-    look = WeighedFrame(1.7, ["a"], 0.4 * one, 0.01 * one)
-    row = sighting_rows(0, look, motion, mount, calibration)
+    frames = Frames()
+    frames.add(0, motion.compose(camera_on_robot(mount, calibration)))
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):
-        return bearing_residuals(x[None, :3].copy(), x[3 : 3 + NC], x[None, 3 + NC :], row)
+        return bearing_residuals(0.4 * one, *frames.eyes(x[:3], x[3 : 3 + NC]), x[None, 3 + NC :])
 
     _, jacobian = expected(x)
     for i in range(x.size):
@@ -266,7 +281,7 @@ def test_more_must_fit_from_elsewhere_than_from_here():
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
-    landmarks = Landmarks(0.06)
+    landmarks = Landmarks(Smoother(np.ones(4), np.ones(NC), np.ones(3), 0.0), 0.06)
     landmarks.mapped["a"] = Landmark("a", 0)
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, True])
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, True])

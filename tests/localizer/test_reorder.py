@@ -58,7 +58,7 @@ def test_late_bearings_give_the_answers_that_they_give_in_order(rig, late):
     assert [a.t for a in answers] == [a.t for a in expected]
     assert [a.pose for a in answers] == [a.pose for a in expected]
     assert localizer.counts == ordered.counts
-    assert localizer.mapper.noise.sigma == ordered.mapper.noise.sigma
+    assert localizer.chart.noise.sigma == ordered.chart.noise.sigma
 
 
 @pytest.mark.parametrize("late", [0.1, 0.3, 0.8])

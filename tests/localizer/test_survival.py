@@ -56,7 +56,7 @@ def test_wrong_bearings_from_the_start_bend_no_map(seed):
 
     rig.drive(20, see=wild)
     assert rig.wrong_share() < 0.02
-    assert abs(rig.localizer.mapper.window.calibration[TURN_SLIP]) < 0.1
+    assert abs(rig.localizer.chart.map.calibration[TURN_SLIP]) < 0.1
     assert rig.answers[-1][0].status is Status.LOCALISED
 
 
@@ -197,7 +197,7 @@ def test_a_camera_worse_than_expected_is_found_out_before_it_is_believed(sigma, 
     rig.localizer = Localizer({n: HomeBearing(b.bearing) for n, b in rig.home.items()})
     noise = np.random.default_rng(seed)
     rig.drive(40, see=lambda seen: {n: b + sigma * noise.normal() for n, b in seen.items()})
-    assert rig.localizer.mapper.noise.sigma == pytest.approx(sigma, rel=0.3)
+    assert rig.localizer.chart.noise.sigma == pytest.approx(sigma, rel=0.3)
     assert not any(m.moved for m in rig.localizer.landmarks())
     assert rig.wrong_share() <= 0.02
 
@@ -215,9 +215,9 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     rig.localizer = Localizer(home, rig.settings.model_copy(update={"sensor": sensor}))
     assert NOISY_NOTE not in rig.localizer.notes
     assert rig.drive(60).status is Status.LOCALISED
-    assert rig.localizer.mapper.noise.scale == pytest.approx(10.0, rel=0.25)
+    assert rig.localizer.chart.noise.scale == pytest.approx(10.0, rel=0.25)
     assert NOISY_NOTE in rig.localizer.notes
-    assert not rig.localizer.mapper.extrinsics.denied  # what the noise alone had said of it
+    assert not rig.localizer.chart.extrinsics.denied  # what the noise alone had said of it
     assert not rig.moved()
     assert rig.wrong_share() <= 0.05
 
@@ -240,7 +240,7 @@ def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
 def test_bearings_as_noisy_as_was_given_are_not_doubted():
     rig = Rig(ring(10), faults={"L1": 0.5})
     rig.drive(60, see=lambda seen: {n: b for n, b in seen.items() if rig.rng.random() < 0.7})
-    assert rig.localizer.mapper.noise.scale == 1.0
+    assert rig.localizer.chart.noise.scale == 1.0
     assert NOISY_NOTE not in rig.localizer.notes
 
 

@@ -1,43 +1,39 @@
-"""A chart: one map in the odometry frame, home found in it, and what both say of the robot."""
+"""A chart: one map in the odometry frame, home found in it, and what both say of the robot.
+
+`Chart.add_bearings` is the heart of the localiser.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.localizer.home.hypotheses import (
-    PROBABLE,
-    Hypotheses,
-    Seed,
-    propagate,
-    search,
-    seeds,
-    seeds_for,
-    try_seed,
-    update,
-)
-from homeward.localizer.home.observation import HomeObservation
-from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.tracker import HomeTracker
+from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.mapper import Mapper
+from homeward.localizer.map.gating import Gated
+from homeward.localizer.map.map import Map
+from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import HEAD
+from homeward.localizer.motion.extrinsics import Extrinsics
+from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
+from homeward.localizer.reasons import Rejection
+from homeward.localizer.recovery.common_motion import carried_since
+from homeward.localizer.recovery.monitor import Health, Monitor
+from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
 
 NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
-SEARCH_EVERY = 40
-"""Keyframes between two searches for home from scratch ..."""
-SEARCH_PATIENCE = 10
-"""... which waits so many for one at which the window is not solved."""
 
 
 class Chart:
@@ -62,22 +58,36 @@ class Chart:
         settings: LocalizerSettings,
         counts: Counts,
     ) -> None:
-        self.counts, self.mapper = counts, Mapper(drive, settings, counts)
-        self.hypotheses: Hypotheses | None = None
-        """Where home may be in the map; None where it is not found."""
-        self._home = HomeObservation(home, drive, settings)
+        self.counts = counts
+        self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
+        self.odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
+        self.extrinsics = Extrinsics(drive, settings)
+        self.home = HomeTracker(home, drive, settings, self.noise)
+        self._drive, self._settings = drive, settings
         self._integrity = IntegrityMonitor(settings, drive.odometry)
-        self._seen_from_home: list[str] = []
-        self._seeds: deque[Seed] = deque()
-        self._searched = 0
-        """Keyframe at which other places for home were last looked for."""
         self._last_accepted = -math.inf
+        self._keeps = False
+        self._begin_map(0.0)
 
     def begin(self, t: float) -> None:
         """Let the map begin at the robot, at `t` [s]."""
-        self.mapper.begin(t)
-        if self._home.has_start:
+        self._begin_map(t)
+        if self.home.observation.has_start:
             self._find_home(t)
+
+    def keep_closed(self) -> None:
+        """Keep closed keyframes too, for `conclude`; memory then grows with the drive."""
+        self._keeps = True
+        self.map.smoother.keep_closed()
+
+    def add_twist(self, t: float, v: float, omega: float) -> None:
+        """Take a twist that holds from `t` [s] on."""
+        if not self.odometry.has_twists and self._drive.start is None:
+            self._begin_map(t)  # what may have been driven before is of no interest
+        self.odometry.add(t, v, omega)
+        if t - self.odometry.done > ADVANCE_S:
+            self.odometry.run_ahead(t, self.map.calibration)
+        self.noise.add_turn_rate(t, omega)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
         """Take all sightings of one stamp; return their innovations.
@@ -89,22 +99,37 @@ class Chart:
         now : float
             The newest stamp of all [s].
         """
-        innovations, new_keyframe = self.mapper.add_bearings(*frame)
-        if any(i.accepted for i in innovations):
-            self._last_accepted = frame.t
-        if new_keyframe:
-            self._find_home(now)
-        return innovations
+        if not self.odometry.has_twists:
+            self.counts.reject(Rejection.NO_ODOMETRY.words, len(frame.sightings))
+            return []
+        seen = self.noise.weigh(frame)  # 1 measurement noise
+        motion = self.odometry.advance(seen.t, self.map.calibration)  # 2 preintegration
+        gated = None
+        health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
+        reset = health is Health.NO_MAP
+        if reset:
+            motion = self._reset_map(seen.t)
+        if reset or health is Health.OK:
+            gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
+            health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
+        changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
+        if changed or reset:
+            self._find_home(now)  # 7 resection: which home bearings are right; 8 status, covariance
+        return gated.innovations if gated is not None else []
 
-    @property
-    def is_lost(self) -> bool:
-        """Whether the robot does not know where in the map it is."""
-        return self.mapper.monitor.is_lost
+    def conclude(self, whole: Smoother) -> bool:
+        """Find home anew by what a whole drive says; see `Localizer.conclude`."""
+        found = self.home.conclude(self.map, whole.state)
+        if found:
+            self.map.adopt(whole)
+            self._integrity.update(self.home.hypotheses, True, self.home.stayed(self.map))
+        return found
 
     @property
     def has_pose(self) -> bool:
         """Whether there is a pose to give."""
-        return self.hypotheses is not None and not self.is_lost and self._integrity.fixed
+        found = self.home.hypotheses is not None
+        return found and not self.monitor.is_lost and self._integrity.fixed
 
     def estimate(
         self, t: float, innovations: tuple[Innovation, ...] = (), complaint: str | None = None
@@ -120,17 +145,16 @@ class Chart:
         complaint : str, optional
             The reason to give where there is no pose.
         """
-        if self.hypotheses is None:
-            words = complaint or why_home_is_not_found(
-                self.mapper, self._home.bearings, self._seen_from_home
-            )
+        if self.home.hypotheses is None:
+            sets = self.map.landmarks.mapped, self.home.observation.bearings, self.home.names
+            words = complaint or why_home_is_not_found(*sets, self.odometry.has_twists)
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        if self.is_lost:
-            words = complaint or self.mapper.monitor.reason.words
+        if self.monitor.is_lost:
+            words = complaint or self.monitor.reason.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        motion, moved = self.mapper.motion(t), None
+        motion, moved = self.odometry.motion(t, self.map.calibration), None
         if motion is not Motion.identity():
-            calibration = self.mapper.marginal.covariance[3:HEAD, 3:HEAD]
+            calibration = self.map.state.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             moved = motion.delta, drift
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
@@ -140,83 +164,117 @@ class Chart:
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name; without home, unless told."""
-        best = self.hypotheses.best if judge and self.hypotheses is not None else None
-        found = best is not None and self._integrity.home_is_found(best)
-        inventory = LandmarkReport(
-            self._home.given_noise(self.mapper.noise),
-            self._home.yaw(self.mapper),
-            self.mapper.landmarks,
-            self.mapper.marginal,
-            self._seen_from_home,
-            self.hypotheses if found else None,
-        )
-        return inventory.landmarks()
+        hypotheses = self.home.hypotheses if judge else None
+        if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
+            hypotheses = None
+        observed, calibration = self.home.observation, self.map.calibration
+        return LandmarkReport(
+            observed.given_noise(self.noise),
+            observed.yaw(calibration, self.extrinsics.denied),
+            self.map.landmarks,
+            self.home.names,
+            hypotheses,
+        ).landmarks()
 
-    @property
-    def stayed(self) -> np.ndarray:
-        """(q,), bool: which of the landmarks of `problem` did not move on the way."""
-        former = self.mapper.landmarks.former
-        return np.array([name not in former for name in self._seen_from_home], bool)
+    def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
+        """Gate a frame that was seen after a motion, at a new keyframe where one is due."""
+        new_keyframe = self.map.wants_keyframe(seen.t, motion)
+        if new_keyframe:
+            self.map.add_keyframe(seen.t, motion)
+            self._begin_motion(seen.t, motion)
+        gated = self.map.gate(seen, motion, new_keyframe)
+        if any(gated.fits.values()):
+            self._last_accepted = seen.t
+        return gated
 
-    def problem(self, marginal: Marginal) -> HomeProblem:
-        """Return what is known of home's landmarks by a Gaussian of this map."""
-        return self._home.problem(self._seen_from_home, self.mapper, marginal)
+    def _react(
+        self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion
+    ) -> bool:
+        """Do what the monitor's verdict asks for; return whether there is a new solution."""
+        match health:
+            case Health.OK if gated is not None:
+                return self._update(gated)
+            case Health.SLIPPED if gated is not None:
+                return self._relocalise(seen, gated.motion) or self._update(gated)
+            case Health.LOST:
+                return self._relocalise(seen, motion)
+            case _:
+                return self._begin_search(seen, health)
 
-    def home_bearing_sigmas(self) -> dict[str, float]:
-        """Return how well each home bearing is predicted by everything else [rad], by landmark."""
-        if self.hypotheses is None:
-            return {}
-        variances = self.hypotheses.best.innovations[1]
-        return dict(zip(self._seen_from_home, np.sqrt(variances).tolist(), strict=True))
+    def _update(self, gated: Gated) -> bool:
+        """Update the map by what fits; return whether there is a new solution."""
+        if not self.map.inflate(gated):
+            return False
+        refused = self.monitor.at_fault(self.map.landmarks.refused(gated.fits))
+        try:
+            changed = self.map.update(gated, refused)
+            carried = carried_since(self.map.landmarks) if changed else None
+            if carried is None:
+                return changed
+            self.map.revert_to(carried)
+        except np.linalg.LinAlgError:
+            self._give_up_map()
+            return True
+        return self._begin_search(gated.frame, Health.CARRIED)
 
-    def conclude(self, marginal: Marginal) -> Hypotheses | None:
-        """Find home anew by what a whole drive says; see `Localizer.conclude`."""
-        before = self.hypotheses.fits if self.hypotheses is not None else ()
-        found = search(self.problem(marginal), [(f.home, f.inliers) for f in before])
-        if found is not None:
-            self.mapper.marginal, self.hypotheses = marginal, found
-            self._take(found, firm=True)
-        return found
+    def _begin_search(self, seen: WeighedFrame, why: Health) -> bool:
+        """Look for the robot in its map from now on; return whether it is found at once."""
+        self.odometry.restart(seen.t)
+        self.monitor.begin_search(seen.t, why)
+        return self._relocalise(seen, Motion.identity())
 
-    def _find_home(self, t: float) -> None:
-        """Follow home as the map changes; search for it anew when there is reason to."""
-        if self.mapper.map_was_reset:
-            self._home.forget_start()
-        names = self.mapper.landmarks.seen_from(self._home.bearings)
-        problem = self._home.problem(names, self.mapper, self.mapper.marginal)
-        now = self.hypotheses
-        if now is None or names != self._seen_from_home:
-            also = seeds_for(now, self._seen_from_home, names) if now else []
-            now = search(problem, also)
-            self._seeds.clear()
-            self._seen_from_home = names
-        else:
-            before = now.max_log_evidence
-            now = (update if self.mapper.solved else propagate)(problem, now)
-            if now is not None and now.max_log_evidence < before + math.log(PROBABLE):
-                # The best set's home went astray: there may be a way back to it, or a better one.
-                now = search(problem, [(f.home, f.inliers) for f in (*now.fits, *now.unconverged)])
-            elif now is not None:
-                now = self._try_next_seed(problem, now)
-        self.hypotheses = now
-        self._integrity.mount_covariance = self._home.mount_covariance(self.mapper.marginal)
-        self._take(now, self.mapper.solved and not self._coasts(t))
+    def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
+        """Look for the robot in its map, and move it where it is found; return whether it is."""
+        search = self.monitor.search
+        way = search.motion_since(motion)
+        search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
+        found = search.find(self.map.landmarks, self.map.calibration)
+        if found is None:
+            if self.monitor.is_lost:
+                self.counts.reject(Rejection.LOST.words, len(seen.names))
+            return False
+        moved = pose_reset(self.map.state.mean[:3], *found).compose(way)
+        try:
+            self.map.reset_pose(seen, moved)
+        except np.linalg.LinAlgError:
+            self._give_up_map()
+            return True
+        self._begin_motion(seen.t, moved)
+        self.monitor.end_search(seen.t)
+        return True
 
-    def _take(self, now: Hypotheses | None, firm: bool) -> None:
-        """Let the standing be by these hypotheses."""
-        self._integrity.update(now, firm, self.stayed)
+    def _find_home(self, now: float) -> None:
+        """Follow home as the map changes, and take what that says of the pose."""
+        self.home.update(self.map)
+        observed, state = self.home.observation, self.map.state
+        self._integrity.mount_covariance = observed.mount_covariance(state)
+        firm = self.map.solved and not self._coasts(now)
+        self._integrity.update(self.home.hypotheses, firm, self.home.stayed(self.map))
+
+    def _begin_map(self, t: float) -> None:
+        """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
+        arguments = self._drive, self._settings, self.noise, self.extrinsics, self.counts
+        self.map, self.monitor = Map(*arguments, t), Monitor(self._drive.start is not None)
+        self.odometry.restart(t)
+        if self._keeps:
+            self.map.smoother.keep_closed()
+
+    def _reset_map(self, t: float) -> Motion:
+        """Throw the map away, begin another at `t` [s], and return the motion since: none."""
+        self._begin_map(t)
+        self.home.observation.forget_start()
+        return Motion.identity()
+
+    def _give_up_map(self) -> None:
+        """Throw a map away of which nothing can be made any more."""
+        self.counts.reject(Rejection.MAP_RESET.words)
+        self._reset_map(self.map.smoother.stamps[-1])
+
+    def _begin_motion(self, t: float, motion: Motion) -> None:
+        """Let odometry and monitor begin anew at a keyframe that was reached by a motion."""
+        self.odometry.restart(t)
+        self.monitor.add_keyframe(motion)
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing was accepted lately before `t` [s]."""
         return t - self._last_accepted > NO_BEARINGS_S
-
-    def _try_next_seed(self, problem: HomeProblem, now: Hypotheses) -> Hypotheses:
-        """Look now and then where else home might be, one place after the other."""
-        since = self.mapper.window.newest - self._searched
-        wait = SEARCH_PATIENCE if self.mapper.solved else 0
-        if self._seeds and since >= wait:
-            return try_seed(problem, now, self._seeds.popleft())
-        if not self._seeds and since >= SEARCH_EVERY + wait:
-            self._seeds.extend(seeds(problem))
-            self._searched = self.mapper.window.newest
-        return now

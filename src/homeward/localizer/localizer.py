@@ -26,13 +26,10 @@ from homeward.estimator import (
 from homeward.frames import Pose
 from homeward.localizer.chart import Chart
 from homeward.localizer.compiled import why_not
-from homeward.localizer.home.hypotheses import Hypotheses
-from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.bearing_noise import deviation
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
-from homeward.localizer.map.state import Marginal
-from homeward.localizer.mapper import Mapper
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_words
 from homeward.localizer.reasons import Reason, Rejection
 from homeward.localizer.settings import LocalizerSettings
@@ -85,8 +82,8 @@ class Localizer:
         if self.signs_reversed:
             words = Reason.SIGNS_REVERSED.words
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
-        noisy = (NOISY_NOTE,) if self.mapper.noise.scale > 1.0 else ()
-        extrinsics, calibration = self.mapper.extrinsics, self.mapper.window.calibration
+        noisy = (NOISY_NOTE,) if self.chart.noise.scale > 1.0 else ()
+        extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
         return (*self._notes, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
 
     @guarded
@@ -103,7 +100,7 @@ class Localizer:
             return
         self._advance(t)
         for chart in self._charts:
-            chart.mapper.add_twist(t, v, omega)
+            chart.add_twist(t, v, omega)
         self._sign_check.odometry(t, v, omega)
         self._process_due()
 
@@ -152,7 +149,7 @@ class Localizer:
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-        return self.mapper.extrinsics.found(self.mapper.window.calibration)
+        return self.chart.extrinsics.found(self.chart.map.calibration)
 
     @property
     def chart(self) -> Chart:
@@ -161,43 +158,34 @@ class Localizer:
             return self._beside
         return self._chart
 
-    @property
-    def mapper(self) -> Mapper:
-        """The map that home is found in."""
-        return self.chart.mapper
-
     def keep_closed(self) -> None:
-        """Keep everything that is said, for `Window.whole`; memory then grows with the drive."""
+        """Keep everything that is said, for `conclude`; memory then grows with the drive."""
         self._keeps = True
-        self._chart.mapper.keep_closed()
+        self._chart.keep_closed()
 
     @property
     def spells_lost(self) -> list[tuple[float, float]]:
         """From when until when the map that home is found in knows nothing of the robot [s]."""
-        return [(-math.inf, self.mapper.begun), *self.mapper.monitor.spells_lost]
-
-    def problem(self, marginal: Marginal) -> HomeProblem:
-        """Return what is known of home's landmarks by a Gaussian of this map."""
-        return self.chart.problem(marginal)
+        return [(-math.inf, self.chart.map.begun), *self.chart.monitor.spells_lost]
 
     def home_bearing_sigmas(self) -> dict[str, float]:
         """Return how well each home bearing is predicted by everything else [rad], by landmark."""
-        return self.chart.home_bearing_sigmas()
+        return self.chart.home.bearing_sigmas()
 
-    def conclude(self, marginal: Marginal) -> Hypotheses | None:
+    def conclude(self, whole: Smoother) -> bool:
         """Find home anew by what a whole drive says at its end, for `landmarks` too.
 
         Parameters
         ----------
-        marginal : Marginal
-            What the whole drive says of the newest pose, the calibration and the landmarks.
+        whole : Smoother
+            The map with all keyframes open, solved.
 
         Returns
         -------
-        Hypotheses or None
-            None when home is not found: then everything stays as it was.
+        bool
+            Whether home is found; where it is not, everything stays as it was.
         """
-        return self.chart.conclude(marginal)
+        return self.chart.conclude(whole)
 
     @property
     def _charts(self) -> tuple[Chart, ...]:
@@ -211,16 +199,16 @@ class Localizer:
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
-        return t < self._t - LATE_S or not all(c.mapper.accepts(t) for c in self._charts)
+        return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self._charts)
 
     def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
-        for frame in self._reorder.due(self._chart.mapper.last_odometry_t, self._t):
+        for frame in self._reorder.due(self._chart.odometry.newest, self._t):
             innovations = self._chart.add_bearings(frame, self._t)
             if self._beside is not None:
                 innovations = self._update_beside(self._beside, frame, innovations)
-            elif self._chart.mapper.monitor.fits_badly:
+            elif self._chart.monitor.fits_badly:
                 self._begin_beside(frame.t)
         return () if self._reorder.waits else tuple(innovations)
 
@@ -248,9 +236,9 @@ class Localizer:
         self._lead = max(0, self._lead + gained)
         if self._lead >= CLEARLY and self._is_sure(beside):
             self._chart, self.counts, self._beside = beside, beside.counts, None
-        elif self._chart.mapper.monitor.fits_well and self._is_sure(self._chart):
+        elif self._chart.monitor.fits_well and self._is_sure(self._chart):
             self._beside = None
-        elif beside.is_lost:
+        elif beside.monitor.is_lost:
             self._begin_beside(frame.t)
         return innovations if self.chart is beside else before
 
@@ -264,7 +252,7 @@ class Localizer:
         self._beside = Chart(self._stored, anywhere, self.settings, copy.deepcopy(self.counts))
         self._lead = 0
         if self._keeps:
-            self._beside.mapper.keep_closed()
+            self._beside.keep_closed()
         self._beside.begin(t)
 
     def _advance(self, t: float) -> None:

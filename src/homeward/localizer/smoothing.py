@@ -11,9 +11,10 @@ from homeward.drives.drive import Drive
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Estimate
 from homeward.frames import Pose, between
+from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.smoother import Window
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.status import IntegrityMonitor
@@ -54,14 +55,14 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     track = run(drive, localizer)
     if localizer.signs_reversed:
         return track
-    whole = localizer.mapper.window.whole()
+    whole = localizer.chart.map.smoother.whole()
     for _ in range(SOLVES):
-        marginal = whole.solve()
-    found = localizer.conclude(marginal)
-    there = None if found is None else _there(localizer, whole, found)
+        whole.solve()
+    there = _there(localizer.chart, whole) if localizer.conclude(whole) else None
     if there is None:
         return track
-    rows = _rows(track.t, there, localizer.chart.stayed, whole, drive, settings)
+    stayed = localizer.chart.home.stayed(localizer.chart.map)
+    rows = _rows(track.t, there, stayed, whole, drive, settings)
     for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
         rows[i] = _row(track, i)
     return dataclasses.replace(
@@ -88,11 +89,12 @@ def _row(track: Track, i: int) -> Estimate:
     return Estimate(t, status, reason, pose, track.covariance[i])
 
 
-def _there(localizer: Localizer, whole: Window, found: Hypotheses) -> list[Hypotheses] | None:
+def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
     """Return the hypotheses with each keyframe's pose; None when they do not fix it."""
     there: list[Hypotheses] = []
-    for marginal in whole.marginals():
-        now = with_pose(localizer.problem(marginal), found)
+    for state in whole.marginals():
+        found = chart.home.hypotheses
+        now = None if found is None else with_pose(chart.home.problem(chart.map, state), found)
         if now is None:
             return None
         there.append(now)
@@ -113,7 +115,7 @@ def _rows(
     times: np.ndarray,
     there: list[Hypotheses],
     stayed: np.ndarray,
-    whole: Window,
+    whole: Smoother,
     drive: Drive,
     settings: LocalizerSettings,
 ) -> list[Estimate]:

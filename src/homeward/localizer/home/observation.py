@@ -11,7 +11,6 @@ from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.mapper import Mapper
 from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
 from homeward.localizer.settings import LocalizerSettings
 
@@ -54,10 +53,10 @@ class HomeObservation:
         """Forget the start prior: the map does not begin there any more."""
         self._prior = None
 
-    def yaw(self, mapper: Mapper) -> float:
+    def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
         """Return the yaw of the camera on the robot, at home: as told, or as found out [rad]."""
-        found = self._same_camera and mapper.extrinsics.denied
-        return float(self._mount[2] + found * mapper.window.calibration[CAMERA_YAW])
+        found = self._same_camera and found_out
+        return float(self._mount[2] + found * calibration[CAMERA_YAW])
 
     def mount_covariance(self, marginal: Marginal) -> np.ndarray:
         """Return the covariance (2, 2) of where the camera sat on the robot [m^2]."""
@@ -70,20 +69,20 @@ class HomeObservation:
         columns = (column.tolist() for column in self._columns(names, noise))
         return {n: HomeBearing(*row) for n, *row in zip(names, *columns, strict=True)}
 
-    def problem(self, names: list[str], mapper: Mapper, marginal: Marginal) -> HomeProblem:
-        """Return what is known of landmarks of home, by a Gaussian of the map that they are in."""
-        placed = [mapper.as_home_saw(n) for n in names]
-        numbers = np.array([m.number for m in placed if m is not None], int)
-        columns = np.empty(4 + 2 * numbers.size, int)
+    def problem(
+        self, names: list[str], index: np.ndarray, state: Marginal, noise: BearingNoise
+    ) -> HomeProblem:
+        """Return what is known of landmarks of home, `index` (q,) of a state of the map."""
+        columns = np.empty(4 + 2 * index.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
-        columns[4::2], columns[5::2] = HEAD + 2 * numbers, HEAD + 1 + 2 * numbers
-        bearings, sigmas = self._columns(names, mapper.noise)
+        columns[4::2], columns[5::2] = HEAD + 2 * index, HEAD + 1 + 2 * index
+        bearings, sigmas = self._columns(names, noise)
         shift = np.zeros(3)
         if self._same_camera:
-            shift[:2] = marginal.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
+            shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
         return HomeProblem(
-            mean=marginal.mean[columns],
-            covariance=marginal.covariance[columns[:, None], columns],
+            mean=state.mean[columns],
+            covariance=state.covariance[columns[:, None], columns],
             bearings=bearings,
             sigmas=sigmas,
             mount=self._mount + shift,

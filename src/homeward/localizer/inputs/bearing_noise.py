@@ -15,11 +15,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S
+from homeward.localizer.inputs.reorder import BearingFrame
 
 LEAST = 1.0
 """It is not believed to be less than this share of its default [1]."""
@@ -42,6 +44,19 @@ LATEST = 300
 """So many of the latest are looked at: a camera may become worse on the way."""
 EXCESSIVE = 1.5
 """Given deviations are doubted where the map leaves residuals so many times larger [1]."""
+
+
+class WeighedFrame(NamedTuple):
+    """Weighed frame: what the camera saw at one stamp, each bearing with its noise."""
+
+    t: float
+    """[s]"""
+    names: list[str]
+    """Of m landmarks."""
+    bearings: np.ndarray
+    """(m,) [rad]"""
+    sigmas: np.ndarray
+    """(m,): their standard deviations [rad]."""
 
 
 class BearingNoise:
@@ -89,6 +104,14 @@ class BearingNoise:
         if sigmas:
             self._typical = sorted(sigmas)[len(sigmas) // 2]
         return np.array(sigmas)
+
+    def weigh(self, frame: BearingFrame) -> WeighedFrame:
+        """Give each bearing of a frame its noise, and learn from them."""
+        t, sightings, told = frame
+        self.add_bearings(t, sightings, told)
+        names = list(sightings)
+        bearings = np.array([sightings[n] for n in names])
+        return WeighedFrame(t, names, bearings, self.sigmas(names, told))
 
     def add_turn_rate(self, t: float, omega: float) -> None:
         """Take a turn rate that holds from `t` [s] on [rad/s]."""

@@ -6,9 +6,8 @@ import numpy as np
 
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
-from homeward.localizer.map.sightings import KEYFRAME, LANDMARK, NC, SIGMA, bearing_residuals
 from homeward.localizer.map.state import TRUSTED
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.preintegration import NC, Motion
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""
@@ -18,10 +17,10 @@ STEP = 12 + 3 * NC
 its covariance (3, 3), and its derivative by the calibration (3, 7)."""
 
 
-def step_row(motion: Motion, calibration: np.ndarray) -> np.ndarray:
-    """Return a motion that was linearised at a calibration (7,) as a row (1, STEP) of the table."""
+def step_row(motion: Motion) -> np.ndarray:
+    """Return a motion as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
-    row[0, FREE] = motion.delta - motion.jacobian @ calibration
+    row[0, FREE] = motion.free
     row[0, NOISE] = motion.covariance.ravel()
     row[0, NOISE][::4] += LEAST_VARIANCE
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
@@ -63,11 +62,11 @@ def add_odometry(
 
 def add_sightings(
     e: NormalEquations,
-    poses: np.ndarray,
-    calibration: np.ndarray,
-    positions: np.ndarray,
-    rows: np.ndarray,
-    first: int,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    sigma: np.ndarray,
+    pose: np.ndarray,
+    landmark: np.ndarray,
 ) -> None:
     """Add sightings, those with large residuals at less weight.
 
@@ -75,23 +74,14 @@ def add_sightings(
     ----------
     e : NormalEquations
         Of w poses, and the calibration and n landmarks that they share.
-    poses : ndarray, shape (w, 3)
-        Of the keyframes.
-    calibration : ndarray, shape (7,)
-        As it is believed to be.
-    positions : ndarray, shape (n, 2)
-        Of the landmarks [m].
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings, from these keyframes.
-    first : int
-        Number of the first of these keyframes.
+    residual, jacobian : ndarray, shape (m,), (m, 12)
+        Of `bearing_residuals`.
+    sigma : ndarray, shape (m,)
+        Standard deviations [rad].
+    pose, landmark : ndarray, shape (m,), int
+        From which pose each was made, and of which landmark.
     """
-    w, n, m = len(poses), len(positions), len(rows)
-    if not m:
-        return
-    pose, landmark = rows[:, KEYFRAME].astype(int) - first, rows[:, LANDMARK].astype(int)
-    residual, jacobian = bearing_residuals(poses[pose], calibration, positions[landmark], rows)
-    sigma = rows[:, SIGMA]
+    w, n = len(e.own), (len(e.common) - NC) // 2
     scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (TRUSTED * sigma), 1.0))
     columns = np.concatenate([jacobian, residual[:, None]], axis=1)
     columns *= scale[:, None]

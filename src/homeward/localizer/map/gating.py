@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from homeward.estimator import Innovation
 from homeward.localizer.geometry import rotation
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse
-from homeward.localizer.map.sightings import LANDMARK
-from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.map.state import HEAD, Prediction
 from homeward.localizer.motion.preintegration import Motion
 
 HEAVY_TAIL = 3.0
@@ -22,39 +24,53 @@ FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
 
 
+@dataclass(frozen=True)
+class Gated:
+    """Gated frame: which of its bearings fit the map."""
+
+    frame: WeighedFrame
+    """Of m landmarks."""
+    motion: Motion
+    """Since the newest keyframe."""
+    new_keyframe: bool
+    """Whether that is at this frame."""
+    rows: np.ndarray
+    """(m, COLUMNS): of the table of sightings."""
+    prediction: Prediction
+    """Of the landmarks that are mapped ..."""
+    innovations: list[Innovation]
+    """... and whether they fit that."""
+
+    @property
+    def fits(self) -> dict[str, bool]:
+        """Whether the bearing of each mapped landmark fits."""
+        return {i.landmark: i.accepted for i in self.innovations}
+
+
 def gate_bearings(
-    marginal: Marginal,
-    motion: Motion,
-    new_keyframe: bool,
-    names: list[str],
-    rows: np.ndarray,
-    gate: float,
-) -> tuple[list[Innovation], Prediction]:
-    """Gate the innovations: sightings of mapped landmarks against what the map predicts.
+    prediction: Prediction, motion: Motion, new_keyframe: bool, heading: float, gate: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gate the innovations: which sightings fit what the map predicts.
 
     Parameters
     ----------
-    marginal : Marginal
-        What is known.
+    prediction : Prediction
+        Of m mapped landmarks.
     motion : Motion
         The last one before the sightings.
     new_keyframe : bool
-        Whether the newest pose of `marginal` is the one after `motion`, not the one before.
-    names : list of str
-        Of the m sighted landmarks, mapped or not.
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings, from the newest pose.
+        Whether the newest keyframe is after `motion`, not before.
+    heading : float
+        Where `motion` begins [rad].
     gate : float
         Sightings whose innovation is larger do not fit [standard deviations].
 
     Returns
     -------
-    innovations : list of Innovation
-    prediction : Prediction
-        Both of the mapped landmarks alone.
+    accepted : ndarray, shape (m,), bool
+    sigmas : ndarray, shape (m,)
+        Standard deviations of the innovations [rad].
     """
-    known = rows[:, LANDMARK] >= 0
-    prediction = marginal.predict_bearings(rows[known])
     shift = motion.covariance[0, 0] + motion.covariance[1, 1]
     drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
     variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
@@ -62,21 +78,12 @@ def gate_bearings(
     accepted = np.abs(prediction.residual) <= gate * widened
     if accepted.sum() >= FEWEST:
         among = prediction.only(accepted)
-        by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(
-            marginal, motion, new_keyframe, among
-        )
+        by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
         accepted[accepted] = consistent_subset(
             among.residual, among.innovation_covariance + by_motion, gate, likely
         )
-    arguments = zip(
-        [n for n, k in zip(names, known.tolist(), strict=True) if k],
-        prediction.residual.tolist(),
-        np.sqrt(variance).tolist(),
-        accepted.tolist(),
-        strict=True,
-    )
-    return [Innovation(*each) for each in arguments], prediction
+    return accepted, np.sqrt(variance)
 
 
 def consistent_subset(
@@ -131,11 +138,8 @@ def _data_snooping(
         information -= np.outer(row, row) / row[worst]
 
 
-def _from_motion(
-    marginal: Marginal, motion: Motion, new_keyframe: bool, prediction: Prediction
-) -> np.ndarray:
+def _from_motion(motion: Motion, heading: float, prediction: Prediction) -> np.ndarray:
     """Return the covariance of residuals (m, m) that comes from a motion's noise."""
-    heading = marginal.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
     off = prediction.jacobian[:, HEAD:]
     by_motion = off @ rotation(heading)[:2]  # less the sign, which does not matter
     by_motion[:, 2] = 1.0

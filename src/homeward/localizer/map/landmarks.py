@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from heapq import nlargest
 
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.geometry import sight
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import (
     BEARING,
     KEYFRAME,
     LANDMARK,
     SIGMA,
-    cameras,
-    directions,
     scale_noise,
 )
-from homeward.localizer.map.smoother import Window
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import AGREES, SHARE, triangulate
 
 BASE = 5.0
@@ -50,7 +49,7 @@ class Landmark:
 
     name: str
     number: int
-    """In the window."""
+    """Its id in the smoother."""
     sightings: int = 0
     entered: int = 0
     """Keyframe at which it entered the map ..."""
@@ -99,12 +98,14 @@ class Landmarks:
 
     Parameters
     ----------
+    smoother : Smoother
+        What they enter and leave.
     parallax : float
         Angle between two sight lines that a landmark needs to enter [rad].
     """
 
-    def __init__(self, parallax: float) -> None:
-        self._parallax = parallax
+    def __init__(self, smoother: Smoother, parallax: float) -> None:
+        self.smoother, self._parallax = smoother, parallax
         self.mapped: dict[str, Landmark] = {}
         self.former: dict[str, Landmark] = {}
         """Where landmarks stood that moved during the drive."""
@@ -119,23 +120,31 @@ class Landmarks:
         came = {**self.former, **self.mapped}
         return [name for name in came if name in home][:MOST_FROM_HOME]
 
-    def number(self, names: list[str]) -> np.ndarray:
-        """Return the numbers of landmarks in the window, shape (m,); -1 of those not mapped."""
+    def ids(self, names: Iterable[str]) -> np.ndarray:
+        """Return the ids of landmarks where they stand, shape (m,); -1 of those not mapped."""
         return np.array([self.mapped[n].number if n in self.mapped else -1 for n in names], int)
 
-    def keep(self, window: Window, t: float, names: list[str], rows: np.ndarray) -> None:
-        """Take sightings of `t` [s], rows of the table, into the window or aside."""
-        lines = directions(rows, window.poses_of(rows), window.calibration).tolist()
+    def index(self, landmarks: Iterable[Landmark]) -> np.ndarray:
+        """Return which landmarks of the state these are, shape (k,)."""
+        return self.smoother.index(np.array([m.number for m in landmarks], int))
+
+    def places(self, landmarks: Iterable[Landmark]) -> tuple[np.ndarray, np.ndarray]:
+        """Return where landmarks stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
+        return self.smoother.state.places(self.index(landmarks))
+
+    def keep(self, t: float, names: list[str], rows: np.ndarray) -> None:
+        """Take sightings of `t` [s], rows of the table, into the map or aside."""
+        lines = self._directions(rows).tolist()
         for name, row, line in zip(names, rows, lines, strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
                 self._candidates.setdefault(name, Candidate(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
-                landmark.last = window.newest
+                landmark.last = self.smoother.newest
                 if not landmark.refused:
                     self._candidates.pop(name, None)
-        window.add_sightings(rows[rows[:, LANDMARK] >= 0])
+        self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
 
     def set_aside(self, t: float, name: str, row: np.ndarray) -> None:
         """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
@@ -147,27 +156,20 @@ class Landmarks:
             for row in waiting.rows:
                 scale_noise(row[None], factor)
 
-    def initialise(self, window: Window, covariance: np.ndarray) -> bool:
+    def initialise(self) -> bool:
         """Let the landmarks enter whose sight lines agree by now; return whether any did.
 
         Those seen most are tried first: where new ones come faster than they can be tried, many
         are never seen again.
-
-        Parameters
-        ----------
-        window : Window
-            The map.
-        covariance : ndarray, shape (3, 3)
-            Of the newest pose.
         """
         waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
         due = nlargest(MOST_STARTS, waiting, key=lambda name: len(self._candidates[name].rows))
-        started = [name for name in due if self._initialise(window, name)]
+        started = [name for name in due if self._initialise(name)]
         for name in due:
             if name in started:
                 self.range_mixtures.pop(name, None)
             else:
-                self._fit_range_mixture(window, name, covariance)
+                self._fit_range_mixture(name)
         return bool(started)
 
     def _is_due(self, name: str) -> bool:
@@ -175,68 +177,66 @@ class Landmarks:
         waiting = self._candidates.get(name)
         return waiting is not None and len(waiting.rows) >= waiting.due
 
-    def _initialise(self, window: Window, name: str) -> bool:
+    def _initialise(self, name: str) -> bool:
         """Let one landmark enter if its sight lines agree, even if it is mapped elsewhere."""
         waiting = self._candidates.pop(name)
         rows = np.array(waiting.rows)
-        found = self._triangulate(window, rows)
+        found = self._triangulate(rows)
         known = name in self.mapped
-        if found is None or (known and not self._has_moved(window, name, rows[found[1]], found[0])):
+        if found is None or (known and not self._has_moved(name, rows[found[1]], found[0])):
             waiting.due = MORE * len(rows)
             self._candidates[name] = waiting  # behind the others
             return False
         position, agree = found
-        if known and self._was_there(window, name, position):
-            self._drop(window, name)  # it was never elsewhere, but wrongly started
+        if known and self._was_there(name, position):
+            self._drop(name)  # it was never elsewhere, but wrongly started
         elif known:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
         rows = rows[agree]
-        rows[:, LANDMARK] = number = window.add_landmark(position)
-        window.add_sightings(rows)
+        rows[:, LANDMARK] = number = self.smoother.add_landmark(position)
+        self.smoother.add_sightings(rows)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
-        self.mapped[name] = Landmark(name, number, 0, window.newest, first, last)
-        for line in directions(rows, window.poses_of(rows), window.calibration).tolist():
+        self.mapped[name] = Landmark(name, number, 0, self.smoother.newest, first, last)
+        for line in self._directions(rows).tolist():
             self.mapped[name].seen_along(line)
         return True
 
-    def _fit_range_mixture(self, window: Window, name: str, covariance: np.ndarray) -> None:
+    def _fit_range_mixture(self, name: str) -> None:
         """Keep on what ray a landmark without a place stands, if its sight lines agree on one."""
         rows = np.array(self._candidates[name].rows)
-        eyes = cameras(rows, window.poses_of(rows), window.calibration)
-        mapped = np.hypot(*(window.positions - eyes[-1, :2]).T)
+        eyes = self.smoother.cameras(rows)[0]
+        mapped = np.hypot(*(self.smoother.positions - eyes[-1, :2]).T)
         scale = float(np.median(mapped)) if mapped.size else math.nan
-        seen = range_mixture(eyes, rows[:, BEARING], _line_sigmas(window, rows), covariance, scale)
+        now = self.smoother.state.covariance[:3, :3]
+        seen = range_mixture(eyes, rows[:, BEARING], self._line_sigmas(rows), now, scale)
         if seen is not None:
             self.range_mixtures[name] = seen
 
-    def _triangulate(
-        self, window: Window, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position and agreeing sightings of a landmark, if its base is long enough."""
-        eyes = cameras(rows, window.poses_of(rows), window.calibration)
+        eyes = self.smoother.cameras(rows)[0]
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
-        since = int(rows[0, KEYFRAME]) - window.first
-        if base < BASE * math.sqrt(sum(window.shift_variances[since:])):
+        since = int(rows[0, KEYFRAME]) - self.smoother.first
+        if base < BASE * math.sqrt(sum(self.smoother.shift_variances[since:])):
             return None
-        return triangulate(eyes, rows[:, BEARING], _line_sigmas(window, rows), self._parallax)
+        return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
-    def _has_moved(self, window: Window, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
+    def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether sightings that agree on a position (2,) show that a landmark is there."""
-        return len(rows) >= ESTABLISHED and not self._is_another(window, name, rows, position)
+        return len(rows) >= ESTABLISHED and not self._is_another(name, rows, position)
 
-    def _was_there(self, window: Window, name: str, position: np.ndarray) -> bool:
+    def _was_there(self, name: str, position: np.ndarray) -> bool:
         """Return whether what was seen of a landmark before fits a new position (2,) as well."""
-        rows = window.sightings[window.sightings[:, LANDMARK] == self.mapped[name].number]
-        off = _off(window, rows, position[None])[0]
+        rows = self.smoother.sightings
+        rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
+        off = self._off(rows, position[None])[0]
         return bool((off < AGREES * rows[:, SIGMA]).sum() >= SHARE * max(len(rows), 1))
 
-    def _is_another(
-        self, window: Window, name: str, rows: np.ndarray, position: np.ndarray
-    ) -> bool:
+    def _is_another(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether another landmark of the map explains sightings as well as a position."""
-        others = np.delete(window.positions, self.mapped[name].number, axis=0)
-        own, *off = np.median(_off(window, rows, np.vstack([position, others])), axis=1).tolist()
+        others = np.delete(self.smoother.positions, self.index([self.mapped[name]]), axis=0)
+        own, *off = np.median(self._off(rows, np.vstack([position, others])), axis=1).tolist()
         return any(each < AS_WELL * own for each in off)
 
     def refused(self, fits: Mapping[str, bool]) -> list[str]:
@@ -247,7 +247,7 @@ class Landmarks:
             landmark.refused = min(max(refused, 0), 5 * REFUSED)
         return [name for name in fits if self.mapped[name].refused >= REFUSED]
 
-    def reinitialise(self, window: Window, names: list[str]) -> bool:
+    def reinitialise(self, names: list[str]) -> bool:
         """Let landmarks start anew that are found not to be where they were; tell if any did.
 
         One that was established has moved, where its sightings since agree on another place. They
@@ -256,16 +256,16 @@ class Landmarks:
         started = False
         for name in names:
             if self.mapped[name].established and name not in self.former:
-                started |= self._is_due(name) and self._initialise(window, name)
+                started |= self._is_due(name) and self._initialise(name)
             else:
-                self._drop(window, name)
+                self._drop(name)
                 started = True
         return started
 
-    def revert_to(self, window: Window, keyframe: int) -> None:
+    def revert_to(self, keyframe: int) -> None:
         """Drop what entered after a keyframe; what is said to have moved since did not."""
         for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
-            self._drop(window, name)
+            self._drop(name)
         for name in [n for n in self.former if n not in self.mapped]:
             self.mapped[name] = self.former.pop(name)
             self.mapped[name].refused = 0
@@ -273,38 +273,35 @@ class Landmarks:
         self._candidates.clear()
         self.range_mixtures.clear()
 
-    def drop_misfits(self, window: Window) -> int:
+    def drop_misfits(self) -> int:
         """Take landmarks out on which the sightings do not agree; return how many."""
-        rows, n = window.sightings, len(window.positions)
-        number = rows[:, LANDMARK].astype(int)
-        off = np.abs(window.residuals()) > MISFIT * rows[:, SIGMA]
-        sightings, misfits = np.bincount(number, None, n), np.bincount(number, off, n)
+        rows, n = self.smoother.sightings, len(self.smoother.positions)
+        index = self.smoother.index(rows[:, LANDMARK])
+        off = np.abs(self.smoother.residuals()) > MISFIT * rows[:, SIGMA]
+        sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
         bad = (sightings >= FEWEST_TO_JUDGE) & (misfits > 0.5 * sightings)
-        names = [m.name for m in self.mapped.values() if bad[m.number]]
+        mapped = list(self.mapped.values())
+        names = [m.name for m, off in zip(mapped, bad[self.index(mapped)], strict=True) if off]
         for name in names:
-            self._drop(window, name)
+            self._drop(name)
         return len(names)
 
-    def _drop(self, window: Window, name: str) -> None:
+    def _drop(self, name: str) -> None:
         """Take a landmark out of the map; it may start anew."""
-        gone = self.mapped.pop(name)
-        window.drop_landmark(gone.number)
-        for other in [*self.mapped.values(), *self.former.values()]:
-            other.number -= other.number > gone.number
+        self.smoother.drop_landmark(self.mapped.pop(name).number)
 
-    def first_needed(self, window: Window, mature: float, since: int) -> int:
+    def first_needed(self, mature: float, since: int) -> int:
         """Return the oldest keyframe that saw a landmark which is not safely placed yet.
 
         A landmark seen from a narrow base is not where it seems, and closing a keyframe that saw it
         would keep that error for good; so keyframes stay open until their landmarks are seen from
         more sides, under the angle `mature` [rad], or entered at keyframe `since` or before.
         """
-        young = np.zeros(len(window.positions), bool)
-        for m in [*self.mapped.values(), *self.former.values()]:
-            young[m.number] = m.parallax < mature and m.entered > since
-        rows = window.sightings
-        needed = rows[young[rows[:, LANDMARK].astype(int)], KEYFRAME]
-        return int(needed.min()) if needed.size else window.newest
+        known = [*self.mapped.values(), *self.former.values()]
+        young = [m.number for m in known if m.parallax < mature and m.entered > since]
+        rows = self.smoother.sightings
+        needed = rows[np.isin(rows[:, LANDMARK], young), KEYFRAME]
+        return int(needed.min()) if needed.size else self.smoother.newest
 
     def drop_rows_before(self, first: int) -> None:
         """Lose the sightings of waiting landmarks from before keyframe `first`."""
@@ -315,17 +312,17 @@ class Landmarks:
             if not waiting.rows:
                 del self._candidates[name]
 
+    def _directions(self, rows: np.ndarray) -> np.ndarray:
+        """Return the directions of sight lines in the odometry frame, (m,) [rad], not wrapped."""
+        return np.asarray(self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING])
 
-def _off(window: Window, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return how far sightings (m) are off what places (k, 2) let expect, shape (k, m) [rad]."""
-    eyes = cameras(rows, window.poses_of(rows), window.calibration)
-    sight = places[:, None, :] - eyes[:, :2]
-    expected = np.arctan2(sight[:, :, 1], sight[:, :, 0]) - eyes[:, 2]
-    return np.asarray(np.abs(wrap(rows[:, BEARING] - expected)))
+    def _off(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return how far sightings (m) are off what places (k, 2) let expect, (k, m) [rad]."""
+        expected = sight(self.smoother.cameras(rows)[0], places[:, None]).bearing
+        return np.asarray(np.abs(wrap(rows[:, BEARING] - expected)))
 
-
-def _line_sigmas(window: Window, rows: np.ndarray) -> np.ndarray:
-    """Return the deviations of sight lines, the heading's since then included, shape (m,)."""
-    turned = np.cumsum([0.0, *window.turn_variances[::-1]])[::-1]
-    since = turned[rows[:, KEYFRAME].astype(int) - window.first]
-    return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))
+    def _line_sigmas(self, rows: np.ndarray) -> np.ndarray:
+        """Return the deviations of sight lines, the heading's since then included, shape (m,)."""
+        turned = np.cumsum([0.0, *self.smoother.turn_variances[::-1]])[::-1]
+        since = turned[rows[:, KEYFRAME].astype(int) - self.smoother.first]
+        return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))

@@ -1,74 +1,120 @@
-"""Bearing measurements: the table of sightings by keyframe, and the measurement model."""
+"""Sightings by keyframe: bearings in one table, and where the camera was at each stamp in another.
+
+The camera's pose at a stamp is that of its keyframe, and what odometry and mount add, linear in the
+calibration; all sightings of a stamp share it.
+"""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import compose, lever, rotation, sight
-from homeward.localizer.motion.preintegration import (
-    CALIBRATION,
-    CAMERA_X,
-    CAMERA_Y,
-    CAMERA_YAW,
-    Motion,
-)
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.motion.preintegration import NC, Motion
 
-NC = len(CALIBRATION)
-KEYFRAME, LANDMARK, BEARING, SIGMA, OWN, OFFSET = 0, 1, 2, 3, 4, slice(5, 8)
-OFFSET_JACOBIAN = slice(8, 8 + 3 * NC)
-COLUMNS = 8 + 3 * NC
-"""Columns of the table of sightings: numbers of keyframe and landmark, bearing [rad], its standard
-deviation [rad] with and without what the way from the keyframe adds, the camera's pose in the
-keyframe's, and its derivative by the calibration."""
+KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN = range(6)
+COLUMNS = 6
+"""Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
+bearing [rad], its standard deviation [rad] with and without what the way from the keyframe adds."""
 
 
-class WeighedFrame(NamedTuple):
-    """Weighed frame: what the camera saw at one stamp, each bearing with its noise."""
+class Frames:
+    """Where the camera was at each stamp, from its keyframe; f frames with consecutive numbers."""
 
-    t: float
-    """[s]"""
-    names: list[str]
-    """Of m landmarks."""
-    bearings: np.ndarray
-    """(m,) [rad]"""
-    sigmas: np.ndarray
-    """(m,): their standard deviations [rad]."""
+    def __init__(self) -> None:
+        self.first = 0
+        """Number of the oldest one."""
+        self.keyframes = np.zeros(0, int)
+        """(f,): numbers of their keyframes."""
+        self.free = np.zeros((0, 3))
+        """(f, 3): the camera in its keyframe's frame, were the calibration zero ..."""
+        self.jacobians = np.zeros((0, 3, NC))
+        """(f, 3, 7): ... and the derivative by it."""
+
+    @property
+    def next(self) -> int:
+        """Number of the one that comes next."""
+        return self.first + len(self.keyframes)
+
+    def add(self, keyframe: int, camera: Motion) -> None:
+        """Add a frame, whose camera is a motion away from its keyframe."""
+        self.keyframes = np.append(self.keyframes, keyframe)
+        self.free = np.concatenate([self.free, camera.free[None]])
+        self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
+
+    def drop_newest(self) -> None:
+        """Take the newest one out again."""
+        self.keyframes, self.free = self.keyframes[:-1], self.free[:-1]
+        self.jacobians = self.jacobians[:-1]
+
+    def since(self, number: int) -> Frames:
+        """Return the frames from a number on."""
+        some, begin = Frames(), number - self.first
+        some.first, some.keyframes = number, self.keyframes[begin:]
+        some.free, some.jacobians = self.free[begin:], self.jacobians[begin:]
+        return some
+
+    def take_before(self, keyframe: int) -> Frames:
+        """Take out and return the frames of keyframes before a number."""
+        old, count = Frames(), int((self.keyframes < keyframe).sum())
+        old.first = self.first
+        old.keyframes, self.keyframes = self.keyframes[:count], self.keyframes[count:]
+        old.free, self.free = self.free[:count], self.free[count:]
+        old.jacobians, self.jacobians = self.jacobians[:count], self.jacobians[count:]
+        self.first += count
+        return old
+
+    @staticmethod
+    def joined(parts: list[Frames]) -> Frames:
+        """Return what follows one after the other as one."""
+        whole = Frames()
+        whole.first = parts[0].first
+        whole.keyframes = np.concatenate([p.keyframes for p in parts])
+        whole.free = np.concatenate([p.free for p in parts])
+        whole.jacobians = np.concatenate([p.jacobians for p in parts])
+        return whole
+
+    def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the camera's poses in the odometry frame, and their Jacobians.
+
+        Parameters
+        ----------
+        poses : ndarray, shape (f, 3) or (3,)
+            Of the frames' keyframes.
+        calibration : ndarray, shape (7,)
+            As it is believed to be.
+
+        Returns
+        -------
+        eyes : ndarray, shape (f, 3)
+        by_head : ndarray, shape (f, 3, 10)
+            By keyframe's pose and calibration.
+        """
+        eyes = compose(poses, self.free + self.jacobians @ calibration)
+        by_head = np.empty((len(eyes), 3, 3 + NC))
+        by_head[:, :, :3] = lever(eyes - poses)
+        by_head[:, :, 3:] = rotation(poses[..., 2]) @ self.jacobians
+        return eyes, by_head
 
 
-def sighting_rows(
-    keyframe: int, frame: WeighedFrame, motion: Motion, mount: np.ndarray, calibration: np.ndarray
-) -> np.ndarray:
+def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray:
     """Return rows of the table for the sightings of one stamp, their landmarks still open (-1).
 
     Parameters
     ----------
-    keyframe : int
-        Its number.
+    keyframe, number : int
+        Numbers of the keyframe, and of the frame.
     frame : WeighedFrame
         Of m landmarks.
-    motion : Motion
-        From the keyframe to the stamp.
-    mount : ndarray, shape (3,)
-        Pose of the camera on the robot.
-    calibration : ndarray, shape (7,)
-        Where `motion` was linearised.
 
     Returns
     -------
     ndarray, shape (m, COLUMNS)
     """
-    camera = [CAMERA_X, CAMERA_Y, CAMERA_YAW]
-    offset = compose(motion.delta, mount + calibration[camera])
-    jacobian = lever(offset - motion.delta) @ motion.jacobian
-    jacobian[:, camera] += rotation(motion.delta[2])
     rows = np.empty((len(frame.names), COLUMNS))
-    rows[:, KEYFRAME], rows[:, LANDMARK] = keyframe, -1
+    rows[:, KEYFRAME], rows[:, FRAME], rows[:, LANDMARK] = keyframe, number, -1
     rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
-    rows[:, OFFSET] = offset - jacobian @ calibration
-    rows[:, OFFSET_JACOBIAN] = jacobian.ravel()
     return rows
 
 
@@ -79,50 +125,19 @@ def scale_noise(rows: np.ndarray, factor: float) -> None:
     rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
 
 
-def cameras(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.ndarray:
-    """Return the camera's pose at each row, in the odometry frame.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table.
-    poses : ndarray, shape (m, 3)
-        Of the rows' keyframes.
-    calibration : ndarray, shape (7,)
-        As it is believed to be.
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-    """
-    offsets = rows[:, OFFSET] + rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC) @ calibration
-    return compose(poses, offsets)
-
-
-def directions(rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray) -> np.ndarray:
-    """Return the directions of sight lines in the odometry frame, shape (m,) [rad], not wrapped.
-
-    Parameters are those of `cameras`.
-    """
-    own = rows[:, BEARING] + rows[:, OFFSET.stop - 1]
-    return np.asarray(poses[:, 2] + own + rows[:, -NC:] @ calibration)
-
-
 def bearing_residuals(
-    poses: np.ndarray, calibration: np.ndarray, positions: np.ndarray, rows: np.ndarray
+    bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return measured minus expected bearings and the Jacobian of the expected ones.
 
     Parameters
     ----------
-    poses : ndarray, shape (m, 3) or (3,)
-        Of the rows' keyframes.
-    calibration : ndarray, shape (7,)
-        As it is believed to be.
+    bearings : ndarray, shape (m,)
+        Measured from the camera's axis [rad].
+    eyes, by_head : ndarray, shape (m, 3), (m, 3, 10)
+        The camera then, and its Jacobian; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
-        Of the rows' landmarks [m].
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table.
+        Of the landmarks [m].
 
     Returns
     -------
@@ -131,24 +146,11 @@ def bearing_residuals(
     jacobian : ndarray, shape (m, 12)
         By keyframe's pose, calibration and landmark.
     """
-    by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
-    eyes = compose(poses, rows[:, OFFSET] + by_calibration @ calibration)
     seen = sight(eyes, positions)
-    gx, gy = seen.by_place.T
-    arm, c, s = eyes - poses, np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    by_offset = np.empty((len(rows), 1, 3))
-    by_offset[:, 0, 0], by_offset[:, 0, 1] = -c * gx - s * gy, s * gx - c * gy
-    by_offset[:, 0, 2] = -1.0
-    jacobian = np.empty((len(rows), 5 + NC))
-    jacobian[:, 0], jacobian[:, 1] = -gx, -gy
-    jacobian[:, 2] = gx * arm[:, 1] - gy * arm[:, 0] - 1.0
-    jacobian[:, 3 : 3 + NC] = (by_offset @ by_calibration)[:, 0]
+    by_eye = np.empty((len(bearings), 1, 3))
+    np.negative(seen.by_place, out=by_eye[:, 0, :2])
+    by_eye[:, 0, 2] = -1.0
+    jacobian = np.empty((len(bearings), 5 + NC))
+    jacobian[:, : 3 + NC] = (by_eye @ by_head)[:, 0]
     jacobian[:, 3 + NC :] = seen.by_place
-    return np.asarray(wrap(rows[:, BEARING] - seen.bearing)), jacobian
-
-
-def without_landmark(rows: np.ndarray, number: int) -> np.ndarray:
-    """Return the rows without those of a landmark; those after it move up by one number."""
-    rows = rows[rows[:, LANDMARK] != number]
-    rows[:, LANDMARK] -= rows[:, LANDMARK] > number
-    return rows
+    return np.asarray(wrap(bearings - seen.bearing)), jacobian

@@ -1,8 +1,9 @@
 """Fixed-lag smoother: the last keyframes, the calibration and the landmarks, in the odometry frame.
 
-The poses of the last keyframes stay open to correction; when some leave, what
-they say is kept as a Gaussian on the pose after them, the calibration and the landmarks (a Schur
-complement). Calibration and landmarks are shared by all poses; see `elimination` for the algebra.
+The state is one Gaussian on the newest pose, the calibration and the landmarks. The poses of the
+last keyframes stay open to correction beside it; when some leave, what they say is kept as a
+Gaussian on the pose after them, the calibration and the landmarks (a Schur complement). Between two
+solutions the state is moved on and corrected by itself, as in a Kalman filter.
 
 Home is not in here: a home bearing may turn out to be wrong, and nothing that may have to be taken
 back is marginalised.
@@ -10,22 +11,26 @@ back is marginalised.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from homeward.localizer.geometry import compose
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.sightings import (
+    BEARING,
     COLUMNS,
+    FRAME,
     KEYFRAME,
     LANDMARK,
-    NC,
+    SIGMA,
+    Frames,
     bearing_residuals,
     scale_noise,
-    without_landmark,
 )
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import MOUNT, OF_ODOMETRY, Motion
+from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.motion.preintegration import MOUNT, NC, OF_ODOMETRY, Motion
 
 FAR_M = 1e3
 """A landmark that was just entered is this uncertain a priori [m]."""
@@ -37,8 +42,18 @@ SETTLED = 2e-2
 """Smaller steps of poses [m, rad] and landmarks [distance] end it; the rest goes as its square."""
 
 
-class Window:
-    """Keyframes, calibration and landmarks, and what ties them together.
+class Closed(NamedTuple):
+    """Closed keyframes, for the whole of a drive."""
+
+    poses: np.ndarray
+    stamps: list[float]
+    sightings: np.ndarray
+    frames: Frames
+    steps: np.ndarray
+
+
+class Smoother:
+    """The map: keyframes, calibration and landmarks, and what ties them together.
 
     Parameters
     ----------
@@ -48,21 +63,22 @@ class Window:
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Of the camera's on the robot, around zero.
+    t : float
+        Of the first keyframe, the origin [s].
     """
 
     def __init__(
-        self, odometry_sigmas: np.ndarray, drift: np.ndarray, mount_sigmas: np.ndarray
+        self, odometry_sigmas: np.ndarray, drift: np.ndarray, mount_sigmas: np.ndarray, t: float
     ) -> None:
         self.first = 0
         """Number of the oldest keyframe that is still open."""
-        self.poses = np.zeros((1, 3))
-        """(w, 3), of the open keyframes in the odometry frame."""
-        self.stamps = [0.0]
+        self.stamps = [t]
         """Times of the open keyframes [s]."""
-        self.calibration = np.zeros(NC)
-        self.positions = np.zeros((0, 2))
-        """(n, 2), of the landmarks in the odometry frame [m]."""
+        self.ids = np.zeros(0, int)
+        """(n,): of the landmarks in the state, ascending; none is given twice."""
         self.sightings = np.zeros((0, COLUMNS))
+        """Those of landmarks in the state from open keyframes."""
+        self.frames = Frames()
         self.turn_variances: list[float] = []
         """Of the motion into each open keyframe but the oldest [rad^2]."""
         self.shift_variances: list[float] = []
@@ -71,68 +87,90 @@ class Window:
         """Whether the last `solve` came to rest."""
         self.mount_sigmas = mount_sigmas
         """What is believed beforehand may change; so it is never marginalised."""
+        self._older = np.zeros((0, 3))
+        """(w - 1, 3), poses of the open keyframes but the newest."""
         self._steps = np.zeros((0, STEP))
         """(w - 1, STEP): the motions from keyframe to keyframe."""
-        self._closed: list[tuple[np.ndarray, list[float], np.ndarray, np.ndarray]] | None = None
+        self._next_id = 0
+        self._closed: list[Closed] | None = None
         self._drift = drift
         of_odometry = 1.0 / np.maximum(odometry_sigmas, 1e-6) ** 2
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
-        self._prior_information = np.diag(information)
-        self._prior_gradient = np.zeros(HEAD)
-        self._prior_at = np.zeros(HEAD)
-        self._first_information = self._prior_information
+        self._first_information = np.diag(information)
+        self._prior = Prior(self._first_information)
+        self.state = Marginal(np.zeros(HEAD), np.zeros((HEAD, HEAD)))
+        """What is known of the newest pose, the calibration and the landmarks."""
+        self.solve()
 
     def keep_closed(self) -> None:
         """Keep closed keyframes too, for `whole`; memory then grows with the drive."""
         self._closed = []
 
-    def whole(self) -> Window:
-        """Return a window in which every keyframe since `keep_closed` is open, not yet solved."""
-        whole = Window(np.ones(len(OF_ODOMETRY)), self._drift, self.mount_sigmas)
+    def whole(self) -> Smoother:
+        """Return one in which every keyframe since `keep_closed` is open, not yet solved."""
+        whole = Smoother(np.ones(len(OF_ODOMETRY)), self._drift, self.mount_sigmas, 0.0)
         closed = self._closed or []
-        whole.first = self.first - sum(len(poses) for poses, _, _, _ in closed)
-        whole.poses = np.concatenate([*(poses for poses, _, _, _ in closed), self.poses])
-        whole.stamps = [t for _, stamps, _, _ in closed for t in stamps] + self.stamps
-        whole.sightings = np.concatenate([*(rows for _, _, rows, _ in closed), self.sightings])
-        whole._steps = np.concatenate([*(steps for _, _, _, steps in closed), self._steps])
-        whole.calibration, whole.positions = self.calibration, self.positions
-        size = HEAD + self.positions.size
-        whole._prior_information = np.eye(size) * FAR_M**-2
-        whole._prior_information[:HEAD, :HEAD] = self._first_information
-        whole._prior_gradient, whole._prior_at = np.zeros(size), np.zeros(size)
+        whole.first = self.first - sum(len(part.poses) for part in closed)
+        whole._older = np.concatenate([*(part.poses for part in closed), self._older])
+        whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
+        rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
+        whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
+        whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
+        whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
+        whole.ids, whole.state = self.ids, self.state
+        information = np.eye(self.state.mean.size) * FAR_M**-2
+        information[:HEAD, :HEAD] = self._first_information
+        whole._prior = Prior(information)
         return whole
+
+    @property
+    def poses(self) -> np.ndarray:
+        """(w, 3), of the open keyframes in the odometry frame."""
+        return np.concatenate([self._older, self.state.mean[None, :3]])
+
+    @property
+    def calibration(self) -> np.ndarray:
+        """(7,), of odometry and camera."""
+        return self.state.calibration
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(n, 2), of the landmarks in the odometry frame [m]."""
+        return self.state.positions
 
     @property
     def newest(self) -> int:
         """Number of the newest keyframe."""
-        return self.first + len(self.poses) - 1
+        return self.first + len(self._older)
 
-    def poses_of(self, rows: np.ndarray) -> np.ndarray:
-        """Return the poses of the keyframes of rows of the table, shape (m, 3)."""
-        return np.asarray(self.poses[rows[:, KEYFRAME].astype(int) - self.first])
+    def index(self, ids: np.ndarray) -> np.ndarray:
+        """Return which landmarks of the state have these ids, shape (m,)."""
+        return np.searchsorted(self.ids, ids)
 
-    def add_keyframe(self, t: float, motion: Motion) -> int:
-        """Add a keyframe at `t` [s], reached from the last one by `motion`; return its number."""
-        pose = compose(self.poses[-1], motion.delta)
-        self.poses = np.concatenate([self.poses, pose[None]])
+    def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 10)."""
+        frame = rows[:, FRAME].astype(int)
+        begin = int(frame.min(initial=self.frames.next))
+        some = self.frames.since(begin)
+        eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.calibration)
+        return eyes[frame - begin], by_head[frame - begin]
+
+    def add_keyframe(self, t: float, motion: Motion) -> None:
+        """Add a keyframe at `t` [s], reached from the last one by `motion`; the state moves on."""
+        self._older = self.poses
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
-        self._steps = np.concatenate([self._steps, step_row(motion, self.calibration)])
-        return self.newest
+        self._steps = np.concatenate([self._steps, step_row(motion)])
+        self.state = self.state.propagate(motion)
 
     def add_landmark(self, position: np.ndarray) -> int:
-        """Add a landmark at `position` [m], shape (2,), so far without sightings."""
-        number = len(self.positions)
-        self.positions = np.concatenate([self.positions, position[None, :]])
-        size = HEAD + 2 * number
-        grown = np.zeros((size + 2, size + 2))
-        grown[:size, :size] = self._prior_information
-        grown[size, size] = grown[size + 1, size + 1] = FAR_M**-2
-        self._prior_information = grown
-        self._prior_gradient = np.append(self._prior_gradient, [0.0, 0.0])
-        self._prior_at = np.append(self._prior_at, position)
-        return number
+        """Add a landmark at `position` [m], shape (2,), so far without sightings; return its id."""
+        self._prior.add_landmark(position, FAR_M)
+        self.state = self.state.with_landmark(position, FAR_M)
+        self.ids = np.append(self.ids, self._next_id)
+        self._next_id += 1
+        return self._next_id - 1
 
     def add_sightings(self, rows: np.ndarray) -> None:
         """Add rows of the table of sightings, shape (m, COLUMNS), of open keyframes."""
@@ -140,36 +178,24 @@ class Window:
 
     def scale_noise(self, factor: float) -> None:
         """Let the bearings' own deviations be so many times as large, of all that are open."""
-        for rows in (self.sightings, *(rows for _, _, rows, _ in self._closed or [])):
+        for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
             scale_noise(rows, factor)
 
     def drop_landmark(self, number: int) -> None:
-        """Take a landmark out; those after it move up by one number."""
-        size = len(self._prior_gradient)
-        at = HEAD + 2 * number
-        out, keep = np.array([at, at + 1]), np.delete(np.arange(size), [at, at + 1])
-        information = self._prior_information
-        gain = np.linalg.solve(information[np.ix_(out, out)], information[np.ix_(out, keep)]).T
-        now = self._head_and_map()
-        gradient = self._prior_gradient - information @ (now - self._prior_at)
-        self._prior_information = (
-            information[np.ix_(keep, keep)] - gain @ information[np.ix_(out, keep)]
-        )
-        self._prior_gradient = gradient[keep] - gain @ gradient[out]
-        self._prior_at = now[keep]
-        self.positions = np.delete(self.positions, number, axis=0)
-        self.sightings = without_landmark(self.sightings, number)
-        if self._closed is not None:
-            self._closed = [(p, t, without_landmark(r, number), m) for p, t, r, m in self._closed]
+        """Take the landmark of an id out: what is known of the others stays."""
+        index = int(self.index(np.array(number)))
+        self._prior.drop_landmark(index, self._head_and_map())
+        self.state = self.state.without_landmark(index)
+        self.ids = np.delete(self.ids, index)
+        self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
-    def adopt(self, marginal: Marginal) -> None:
-        """Go on from what is now known of the newest pose, the calibration and the landmarks."""
-        self.poses[-1] = marginal.mean[:3]
-        self.calibration = marginal.mean[3:HEAD].copy()
-        self.positions = marginal.positions.copy()
+    def predict(self, rows: np.ndarray) -> Prediction:
+        """Predict sightings from the newest keyframe, rows of the table."""
+        seen = rows[:, BEARING], rows[:, SIGMA]
+        return self.state.predict_bearings(*seen, self.cameras(rows), self.index(rows[:, LANDMARK]))
 
-    def solve(self) -> Marginal:
-        """Correct everything that is open, and return what is now known of the newest pose.
+    def solve(self) -> None:
+        """Correct everything that is open, and so what is known of the newest pose and the map.
 
         Raises
         ------
@@ -180,77 +206,62 @@ class Window:
             poses, common, covariance = elimination.solve(self._all())
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
-            self.settled = self._move(poses, common) < SETTLED
+            self.settled = self._move(poses, common, covariance) < SETTLED
             if self.settled:
                 break
-        mean = np.concatenate([self.poses[-1], self.calibration, self.positions.ravel()])
-        return Marginal(mean, covariance)
 
     def marginals(self) -> list[Marginal]:
-        """Return what is known of each open pose, as `solve` does of the newest, after it."""
+        """Return what is known of each open pose, as the state is of the newest, after `solve`."""
         own, by_common, common = elimination.marginals(self._all())
-        shared = np.concatenate([self.calibration, self.positions.ravel()])
         found = []
         for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
             cross = -lever @ common
             joint = np.block([[covariance, cross], [cross.T, common]])
-            found.append(Marginal(np.concatenate([pose, shared]), joint))
+            found.append(Marginal(np.concatenate([pose, self.state.mean[3:]]), joint))
         return found
 
     def marginalise(self, count: int) -> None:
         """Marginalise the oldest `count` poses: what they say about everything else is kept."""
-        old = self.sightings[:, KEYFRAME] < self.first + count
+        first = self.first + count
+        old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
         left = elimination.eliminate(self._normal_equations(count + 1, rows))
-        self._prior_information, self._prior_gradient = left.information, left.gradient
-        self._let_drift(self.stamps[count] - self.stamps[0])
+        drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
+        frames = self.frames.take_before(first)
         if self._closed is not None:
-            closed = (self.poses[:count], self.stamps[:count], rows, self._steps[:count])
-            self._closed.append(closed)
-        self.first += count
-        self.poses, self.stamps = self.poses[count:], self.stamps[count:]
+            chain = self._older[:count], self.stamps[:count]
+            self._closed.append(Closed(*chain, rows, frames, self._steps[:count]))
+        self.first = first
+        self._older, self.stamps = self._older[count:], self.stamps[count:]
         self._steps = self._steps[count:]
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
-        self._prior_at = self._head_and_map()
+        self._prior.replace(left, self._head_and_map(), drift)
 
     def residuals(self) -> np.ndarray:
         """Return measured minus expected bearing of each sighting, shape (m,) [rad]."""
-        rows = self.sightings
-        positions = self.positions[rows[:, LANDMARK].astype(int)]
-        return bearing_residuals(self.poses_of(rows), self.calibration, positions, rows)[0]
+        return self._linearised(self.sightings)[0]
+
+    def _linearised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals of rows of the table, and their Jacobians."""
+        positions = self.positions[self.index(rows[:, LANDMARK])]
+        return bearing_residuals(rows[:, BEARING], *self.cameras(rows), positions)
 
     def _head_and_map(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks in one vector."""
-        return np.concatenate([self.poses[0], self.calibration, self.positions.ravel()])
+        return np.concatenate([self.poses[0], self.state.mean[3:]])
 
-    def _let_drift(self, seconds: float) -> None:
-        """Let the calibration drift: the old one is marginalised, the new one takes its place."""
-        c = slice(3, HEAD)
-        inverse = np.diag(1.0 / (self._drift * max(seconds, 1e-3) + 1e-16))
-        information, gradient = self._prior_information, self._prior_gradient
-        gain = np.linalg.inv(information[c, c] + inverse)
-        left = information[:, c] @ gain
-        new = information - left @ information[c, :]
-        new_gradient = gradient - left @ gradient[c]
-        cross = left @ inverse
-        new[:, c], new[c, :] = cross, cross.T
-        new[c, c] = inverse - inverse @ gain @ inverse
-        new_gradient[c] = inverse @ gain @ gradient[c]
-        self._prior_information, self._prior_gradient = 0.5 * (new + new.T), new_gradient
-
-    def _move(self, poses: np.ndarray, common: np.ndarray) -> float:
+    def _move(self, poses: np.ndarray, common: np.ndarray, covariance: np.ndarray) -> float:
         """Apply a step, no longer than the linearisation can be trusted; return its size."""
         landmarks = common[NC:].reshape(-1, 2)
         turn = float(np.abs(poses[:, 2]).max())
-        distances = np.hypot(*(self.positions - self.poses[-1, :2]).T) + NEAR_M
-        shares = np.hypot(*landmarks.T) / distances
+        shares = np.hypot(*landmarks.T) / (self.state.distances + NEAR_M)
         share = float(shares.max()) if shares.size else 0.0
         scale = 1.0 / max(1.0, turn / LONGEST_TURN, share / LONGEST_SHARE)
-        self.poses = self.poses + scale * poses
-        self.calibration = self.calibration + scale * common[:NC]
-        self.positions = self.positions + scale * landmarks
+        self._older = self._older + scale * poses[:-1]
+        step = np.concatenate([poses[-1], common])
+        self.state = Marginal(self.state.mean + scale * step, covariance)
         return float(max(turn, share, np.abs(poses[:, :2]).max(), np.abs(common[:NC]).max()))
 
     def _normal_equations(self, w: int, rows: np.ndarray) -> elimination.NormalEquations:
@@ -260,10 +271,11 @@ class Window:
         believed of the camera's mount beforehand is not among it.
         """
         equations = elimination.NormalEquations.zeros(w, NC + self.positions.size)
-        poses, calibration = self.poses[:w], self.calibration
-        self._add_prior(equations)
-        add_odometry(equations, poses, calibration, self._steps[: w - 1])
-        add_sightings(equations, poses, calibration, self.positions, rows, self.first)
+        self._prior.add_to(equations, self._head_and_map())
+        add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
+        pose = rows[:, KEYFRAME].astype(int) - self.first
+        numbers = pose, self.index(rows[:, LANDMARK])
+        add_sightings(equations, *self._linearised(rows), rows[:, SIGMA], *numbers)
         return equations
 
     def _all(self) -> elimination.NormalEquations:
@@ -273,13 +285,3 @@ class Window:
         equations.common[at, at] += information
         equations.common_slope[at] -= information * self.calibration[at]
         return equations
-
-    def _add_prior(self, e: elimination.NormalEquations) -> None:
-        """Add what closed poses said."""
-        information = self._prior_information
-        downhill = self._prior_gradient - information @ (self._head_and_map() - self._prior_at)
-        e.own[0] += information[:3, :3]
-        e.shared[0] += information[:3, 3:]
-        e.common[:] += information[3:, 3:]
-        e.slope[0] += downhill[:3]
-        e.common_slope[:] += downhill[3:]

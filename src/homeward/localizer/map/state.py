@@ -1,8 +1,4 @@
-"""Filter state: one Gaussian on the newest pose and the map, propagated and updated (EKF).
-
-Between two solutions of the whole window the Gaussian is moved on and corrected by itself, as in a
-Kalman filter; the window keeps the sightings, and its next solution replaces the Gaussian.
-"""
+"""Filter state: one Gaussian on the newest pose and the map, propagated and updated (EKF)."""
 
 from __future__ import annotations
 
@@ -12,8 +8,8 @@ import numpy as np
 from scipy.linalg import lapack
 
 from homeward.localizer.geometry import compose, lever, rotation
-from homeward.localizer.map.sightings import LANDMARK, NC, SIGMA, bearing_residuals
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.map.sightings import bearing_residuals
+from homeward.localizer.motion.preintegration import NC, Motion
 
 HEAD = 3 + NC
 """The Gaussian begins with the newest pose and the calibration."""
@@ -75,11 +71,11 @@ class Marginal:
         """(n,), of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
 
-    def propagate(self, motion: Motion, calibration: np.ndarray) -> Marginal:
-        """Propagate: move the newest pose on by a motion, linearised at a calibration (7,)."""
+    def propagate(self, motion: Motion) -> Marginal:
+        """Propagate: move the newest pose on by a motion."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         pose = self.mean[:3]
-        mean[:3] = compose(pose, motion.delta + motion.jacobian @ (self.calibration - calibration))
+        mean[:3] = compose(pose, motion.free + motion.jacobian @ self.calibration)
         turn = rotation(pose[2])
         by_head = np.empty((3, HEAD))
         by_head[:, :3], by_head[:, 3:] = lever(mean[:3] - pose), turn @ motion.jacobian
@@ -88,25 +84,32 @@ class Marginal:
         covariance[:3, :3] += turn @ motion.covariance @ turn.T
         return Marginal(mean, covariance)
 
-    def predict_bearings(self, rows: np.ndarray) -> Prediction:
+    def predict_bearings(
+        self,
+        bearings: np.ndarray,
+        sigmas: np.ndarray,
+        cameras: tuple[np.ndarray, np.ndarray],
+        index: np.ndarray,
+    ) -> Prediction:
         """Predict bearings from the newest pose: innovations and their covariance.
 
         Parameters
         ----------
-        rows : ndarray, shape (m, COLUMNS)
-            Of the table of sightings, with their landmarks' numbers.
+        bearings, sigmas : ndarray, shape (m,)
+            Measured from the camera's axis, and their standard deviations [rad].
+        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 10)
+            The camera's poses by that of the newest keyframe, see `Frames.eyes`.
+        index : ndarray, shape (m,), int
+            Which landmarks were seen.
         """
-        number = rows[:, LANDMARK].astype(int)
-        at = HEAD + 2 * number
-        residual, jacobian = bearing_residuals(
-            self.mean[:3], self.calibration, self.positions[number], rows
-        )
+        at = HEAD + 2 * index
+        residual, jacobian = bearing_residuals(bearings, *cameras, self.positions[index])
         head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
         p = self.covariance
         correlated = head @ p[:HEAD] + gx * p[at] + gy * p[at + 1]
         innovation_covariance = correlated[:, :HEAD] @ head.T + correlated[:, at] * gx.T
         innovation_covariance += correlated[:, at + 1] * gy.T
-        innovation_covariance.flat[:: len(rows) + 1] += rows[:, SIGMA] ** 2
+        innovation_covariance.flat[:: len(bearings) + 1] += sigmas**2
         return Prediction(residual, jacobian, correlated, innovation_covariance)
 
     def update(self, seen: Prediction) -> Marginal:
@@ -130,7 +133,20 @@ class Marginal:
         covariance = self.covariance - seen.correlated.T @ gain
         return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
-    def places(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def places(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where landmarks (k,) stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
-        columns = HEAD + 2 * numbers[:, None] + np.arange(2)
+        columns = HEAD + 2 * index[:, None] + np.arange(2)
         return self.mean[columns], self.covariance[columns[:, :, None], columns[:, None, :]]
+
+    def with_landmark(self, position: np.ndarray, sigma: float) -> Marginal:
+        """Return it with another landmark, at `position` (2,) within `sigma` [m]."""
+        size = self.mean.size
+        covariance = np.zeros((size + 2, size + 2))
+        covariance[:size, :size] = self.covariance
+        covariance[size, size] = covariance[size + 1, size + 1] = sigma**2
+        return Marginal(np.append(self.mean, position), covariance)
+
+    def without_landmark(self, index: int) -> Marginal:
+        """Return it without a landmark."""
+        keep = np.delete(np.arange(self.mean.size), [HEAD + 2 * index, HEAD + 2 * index + 1])
+        return Marginal(self.mean[keep], self.covariance[np.ix_(keep, keep)])

@@ -16,6 +16,8 @@ from homeward.localizer.motion.dropout import MotionPrior
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, integrate
 from homeward.localizer.settings import LocalizerSettings
 
+ADVANCE_S = 0.5
+"""Twists are integrated at least this often [s]."""
 STRAIGHTEST = 0.2
 """So large a share of the path counts as the straightest [1]."""
 STRAIGHT_BEFORE_M = 1.0
@@ -131,7 +133,7 @@ class Odometry:
 
     def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can be taken: no motion up to a later one was used."""
-        return t >= (self._before[0].t if self._before else self._done)
+        return not self._twists or t >= (self._before[0].t if self._before else self._done)
 
     @property
     def has_twists(self) -> bool:

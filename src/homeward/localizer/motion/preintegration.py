@@ -14,7 +14,7 @@ the map, which nothing else holds, and the map would shrink, since small maps fi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -24,6 +24,7 @@ from homeward.localizer.geometry import between, compose, lever, rotation
 OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag")
 CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
 """The unknowns of odometry and camera: [1], [rad/s], [m], [s], [rad], [m], [m]."""
+NC = len(CALIBRATION)
 TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(len(CALIBRATION))
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 BEND, BENDS = 0.125, 33
@@ -44,17 +45,24 @@ class Motion:
     """Length driven [m]."""
     turned: float = 0.0
     """Sum of the sizes of all turns [rad]."""
+    calibration: np.ndarray = field(default_factory=lambda: np.zeros(NC))
+    """(7,): where it is linearised."""
+
+    @property
+    def free(self) -> np.ndarray:
+        """(3,): the motion were the calibration zero."""
+        return np.asarray(self.delta - self.jacobian @ self.calibration)
 
     @staticmethod
     @cache
     def identity() -> Motion:
         """Return the identity: no motion."""
-        return Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
+        return Motion(np.zeros(3), np.zeros((3, 3)), np.zeros((3, NC)))
 
     def compose(self, later: Motion) -> Motion:
         """Return the composition: this motion, then another."""
-        if self is Motion.identity():
-            return later
+        if self is Motion.identity() or later is Motion.identity():
+            return later if self is Motion.identity() else self
         delta = compose(self.delta, later.delta)
         first, second = lever(delta - self.delta), rotation(self.delta[2])
         return Motion(
@@ -63,12 +71,22 @@ class Motion:
             first @ self.jacobian + second @ later.jacobian,
             self.path + later.path,
             self.turned + later.turned,
+            later.calibration,
         )
 
     def inverse(self) -> Motion:
         """Return the inverse motion, taken for exact and known."""
         delta = between(self.delta, np.zeros(3))
-        return Motion(delta, np.zeros((3, 3)), np.zeros((3, len(CALIBRATION))))
+        return Motion(delta, np.zeros((3, 3)), np.zeros((3, NC)))
+
+
+def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
+    """Return the camera's pose on the robot: as told, `mount` (3,), corrected by a calibration."""
+    camera = [CAMERA_X, CAMERA_Y, CAMERA_YAW]
+    jacobian = np.zeros((3, NC))
+    jacobian[[0, 1, 2], camera] = 1.0
+    delta = mount + calibration[camera]
+    return Motion(delta, np.zeros((3, 3)), jacobian, calibration=calibration)
 
 
 def integrate(
@@ -127,13 +145,13 @@ def integrate(
     variances += np.array([swing, shift, shift])
     flat = by_error.reshape(3, 3 * n)
     covariance = (flat * variances.ravel()) @ flat.T
-    jacobian = np.zeros((3, len(CALIBRATION)))
+    jacobian = np.zeros((3, NC))
     jacobian[:, TURN_SCALE] = by_turn @ (omega * dt)
     jacobian[:, TURN_BIAS] = by_turn @ steady
     jacobian[:, TURN_SLIP] = -by_path @ (slip * dt)
     jacobian[:, LAG] = _shift(delta, v[0], rate[0], v[-1], rate[-1])
-    motion = Motion(delta, covariance, jacobian, float(speed @ dt), float(np.abs(turn).sum()))
-    return motion, np.asarray(path)
+    lengths = float(speed @ dt), float(np.abs(turn).sum())
+    return Motion(delta, covariance, jacobian, *lengths, calibration), np.asarray(path)
 
 
 def _shift(delta: np.ndarray, v0: float, rate0: float, v1: float, rate1: float) -> np.ndarray:

@@ -14,7 +14,6 @@ from homeward.estimator import LandmarkEstimate
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.range_mixture import RangeMixture
-from homeward.localizer.map.state import Marginal
 from homeward.naming import natural
 
 
@@ -27,8 +26,7 @@ class LandmarkReport:
     home_yaw: float
     """Of the camera on the robot, at home [rad]."""
     known: Landmarks
-    marginal: Marginal
-    """The map."""
+    """Of the map."""
     used: list[str]
     """The landmarks among which home was found."""
     hypotheses: Hypotheses | None
@@ -94,8 +92,7 @@ class LandmarkReport:
         """Return where a landmark may stand; None where nothing is known of that."""
         if name not in self.known.mapped:
             return self.known.range_mixtures.get(name)
-        number = np.array([self.known.mapped[name].number])
-        return RangeMixture(*self.marginal.places(number), np.ones(1))
+        return RangeMixture(*self.known.places([self.known.mapped[name]]), np.ones(1))
 
     def _from_home(self) -> dict[str, tuple[float, float, float]]:
         """Return where landmarks stand in the home frame [m], and the deviation of the distance."""
@@ -103,7 +100,7 @@ class LandmarkReport:
         if self.hypotheses is None or not mapped:
             return {}
         best = self.hypotheses.best
-        at, covariance = self.marginal.places(np.array([m.number for m in mapped.values()]))
+        at, covariance = self.known.places(mapped.values())
         index = {name: i for i, name in enumerate(mapped)}
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:

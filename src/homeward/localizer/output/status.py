@@ -13,7 +13,6 @@ from homeward.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.problem import FEWEST
-from homeward.localizer.mapper import Mapper
 from homeward.localizer.output.pose import (
     OtherHypotheses,
     PoseEstimate,
@@ -33,23 +32,26 @@ CHECKED = 4
 """Home bearings that must agree before one of them could have been contradicted by the others."""
 
 
-def why_home_is_not_found(mapper: Mapper, home: Collection[str], used: Collection[str]) -> str:
+def why_home_is_not_found(
+    mapped: Collection[str], home: Collection[str], used: Collection[str], has_odometry: bool
+) -> str:
     """Return why home was not found.
 
     Parameters
     ----------
-    mapper : Mapper
-        The map.
+    mapped : collection of str
+        Landmarks in the map.
     home : collection of str
         Landmarks that home saw.
     used : collection of str
         Those of them that are mapped.
+    has_odometry : bool
+        Whether odometry has come yet.
     """
     if len(home) < FEWEST:
         return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
-    if not mapper.has_odometry:
+    if not has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
-    mapped = mapper.landmarks.mapped
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
     if not used and len(mapped) >= FEWEST:

@@ -14,7 +14,6 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.state import Marginal
 
 FEWEST = 3
 """So many landmarks must have moved together: two always do, but for the distance between them."""
@@ -40,7 +39,7 @@ class Displaced:
     """(k,): the first one from which they were seen where they stand now."""
 
 
-def carried_since(landmarks: Landmarks, marginal: Marginal) -> int | None:
+def carried_since(landmarks: Landmarks) -> int | None:
     """Return the keyframe after which the robot was carried, by landmarks that seem to move.
 
     None where it was not.
@@ -49,9 +48,8 @@ def carried_since(landmarks: Landmarks, marginal: Marginal) -> int | None:
     pairs = [(was, mapped[n]) for n, was in former.items() if n in mapped]
     if len(pairs) < FEWEST:
         return None
-    (before, covariance), (now, more) = (
-        marginal.places(np.array([pair[side].number for pair in pairs])) for side in (0, 1)
-    )
+    before, covariance = landmarks.places(was for was, _ in pairs)
+    now, more = landmarks.places(is_ for _, is_ in pairs)
     displaced = Displaced(
         before,
         now,

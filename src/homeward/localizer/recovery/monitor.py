@@ -9,13 +9,9 @@ from __future__ import annotations
 import math
 from enum import Enum, auto
 
-import numpy as np
-
-from homeward.estimator import Innovation
-from homeward.frames import Pose, compose
-from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.sightings import WeighedFrame
-from homeward.localizer.map.state import Marginal
+from homeward.localizer.geometry import compose
+from homeward.localizer.map.gating import Gated
+from homeward.localizer.map.map import Map
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.reasons import Reason
 from homeward.localizer.recovery.detectors import (
@@ -78,51 +74,42 @@ class Monitor:
         self._found: list[tuple[float, float]] = []
         """From when until when it was lost before [s]."""
 
-    def assess_odometry(self, motion: Motion, marginal: Marginal, landmarks: Landmarks) -> Health:
+    def assess_odometry(self, motion: Motion, known: Map) -> Health:
         """Return whether bearings can be predicted from where the map has the robot.
 
         Parameters
         ----------
         motion : Motion
             Since the newest keyframe, or since the robot was lost.
-        marginal : Marginal
-            What is known of that keyframe's pose and of the landmarks.
-        landmarks : Landmarks
-            Of the map.
+        known : Map
+            The map.
         """
+        marginal = known.state
         gone = not self.is_lost and odometry_lost(motion, marginal)
         # All that is mapped from an unknown origin would be as vague as that, and nothing linear.
         no_origin = not self._origin_given and marginal.covariance[2, 2] > LOST_RAD**2
-        if not landmarks.mapped and (gone or no_origin):
+        if not known.landmarks.mapped and (gone or no_origin):
             return Health.NO_MAP
         if self.is_lost and motion.covariance[2, 2] <= RELOCALISABLE_RAD**2:
             return Health.LOST
         return Health.ODOMETRY_LOST if gone or self.is_lost else Health.OK
 
-    def assess_innovations(
-        self,
-        innovations: list[Innovation],
-        frame: WeighedFrame,
-        motion: Motion,
-        marginal: Marginal,
-    ) -> Health:
+    def assess_innovations(self, gated: Gated, known: Map) -> Health:
         """Return whether what is seen is what the map says.
 
         Parameters
         ----------
-        innovations : list of Innovation
-            Of the landmarks that are mapped ...
-        frame : WeighedFrame
-            ... of all that are in sight.
-        motion : Motion
-            Since the newest keyframe.
-        marginal : Marginal
-            What is known of that keyframe's pose and of the landmarks.
+        gated : Gated
+            The newest frame.
+        known : Map
+            The map.
         """
+        innovations, motion = gated.innovations, gated.motion
         if self._kidnap.was_kidnapped(innovations):
             return Health.KIDNAPPED
-        place = np.array(compose(Pose(*marginal.mean[:3].tolist()), Pose(*motion.delta.tolist())))
-        if self._scene.has_changed(frame.names, innovations, place, marginal.positions):
+        place = compose(known.state.mean[:3], motion.delta)
+        positions = known.state.positions
+        if self._scene.has_changed(gated.frame.names, innovations, place, positions):
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 

@@ -6,10 +6,9 @@ from collections import deque
 
 import numpy as np
 
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.sightings import BEARING, LANDMARK, NC, OFFSET, OFFSET_JACOBIAN, SIGMA
-from homeward.localizer.map.state import Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
 NEWEST = 10
@@ -29,7 +28,7 @@ class Search:
         self.fewest = 0
         """So many sightings must agree on a pose at the fewest."""
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, np.ndarray]] = deque(maxlen=NEWEST)
+        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=NEWEST)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, from that since the newest keyframe."""
@@ -39,30 +38,29 @@ class Search:
         """Let there be another keyframe, reached by a motion."""
         self._to_newest = self.motion_since(motion)
 
-    def add_sightings(self, names: list[str], rows: np.ndarray) -> None:
-        """Keep sightings of mapped landmarks, rows of the table from where the search began."""
-        pairs = zip(names, rows, strict=True)
-        self._seen.extend((n, row) for n, row in pairs if row[LANDMARK] >= 0)
+    def add_bearings(self, frame: WeighedFrame, camera: Motion, landmarks: Landmarks) -> None:
+        """Keep bearings of mapped landmarks, the camera being a motion away from where it began."""
+        each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
+        self._seen.extend((*seen, camera) for seen in each if seen[0] in landmarks.mapped)
 
     def find(
-        self, landmarks: Landmarks, marginal: Marginal, calibration: np.ndarray
+        self, landmarks: Landmarks, calibration: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return where the search began, in the map, (3,), and the covariance of that, (3, 3).
 
         None instead of both when the sightings do not tell.
         """
-        known = [(n, r) for n, r in self._seen if n in landmarks.mapped]
+        known = [seen for seen in self._seen if seen[0] in landmarks.mapped]
         if not known:
             return None
-        rows = np.array([r for _, r in known])
-        numbers = landmarks.number([n for n, _ in known])
-        positions, covariances = marginal.places(numbers)
-        by_calibration = rows[:, OFFSET_JACOBIAN].reshape(-1, 3, NC)
+        names, bearings, sigmas, cameras = zip(*known, strict=True)
+        mapped = [landmarks.mapped[n] for n in names]
+        positions, covariances = landmarks.places(mapped)
         lines = SightLines(
-            cameras=rows[:, OFFSET] + by_calibration @ calibration,
-            bearings=rows[:, BEARING],
-            sigmas=rows[:, SIGMA],
-            names=numbers,
+            cameras=np.array([c.free + c.jacobian @ calibration for c in cameras]),
+            bearings=np.array(bearings),
+            sigmas=np.array(sigmas),
+            names=np.array([m.number for m in mapped]),
             positions=positions,
             covariances=covariances,
         )

@@ -1,0 +1,126 @@
+"""Home in a map that changes: found once, followed, and looked for elsewhere now and then."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.localizer.home.hypotheses import (
+    PROBABLE,
+    Hypotheses,
+    Seed,
+    propagate,
+    search,
+    seeds,
+    seeds_for,
+    try_seed,
+    update,
+)
+from homeward.localizer.home.observation import HomeObservation
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.map import Map
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.settings import LocalizerSettings
+
+SEARCH_EVERY = 40
+"""Keyframes between two searches for home from scratch ..."""
+SEARCH_PATIENCE = 10
+"""... which waits so many for one at which the window is not solved."""
+
+
+class HomeTracker:
+    """Tracks the hypotheses where home is in a map.
+
+    Parameters
+    ----------
+    home : dict of str to HomeBearing
+        What the camera saw at home.
+    drive : DriveSettings
+        Camera and start prior as far as known.
+    settings : LocalizerSettings
+        Everything else.
+    noise : BearingNoise
+        Of bearings, home's among them.
+    """
+
+    def __init__(
+        self,
+        home: Mapping[str, HomeBearing],
+        drive: DriveSettings,
+        settings: LocalizerSettings,
+        noise: BearingNoise,
+    ) -> None:
+        self.observation = HomeObservation(home, drive, settings)
+        self.hypotheses: Hypotheses | None = None
+        """Where home may be; None where it is not found."""
+        self.names: list[str] = []
+        """Of the q landmarks among which it is looked for."""
+        self._noise = noise
+        self._seeds: deque[Seed] = deque()
+        self._searched = 0
+        """Keyframe at which other places for home were last looked for."""
+
+    def update(self, known: Map) -> None:
+        """Follow home as the map changes; search for it anew when there is reason to."""
+        now, before = self.hypotheses, self.names
+        self.names = known.landmarks.seen_from(self.observation.bearings)
+        problem = self.problem(known, known.state)
+        if now is not None and before == self.names:
+            self.hypotheses = self._follow(problem, now, known)
+        else:
+            also = seeds_for(now, before, self.names) if now is not None else []
+            self.hypotheses = search(problem, also)
+            self._seeds.clear()
+
+    def problem(self, known: Map, state: Marginal) -> HomeProblem:
+        """Return what is known of home's landmarks by a state of the map."""
+        return self.observation.problem(
+            self.names, known.as_home_saw(self.names), state, self._noise
+        )
+
+    def conclude(self, known: Map, state: Marginal) -> bool:
+        """Find home anew by what a whole drive says; return whether it is found.
+
+        Where it is not, everything stays as it was.
+        """
+        before = self.hypotheses.fits if self.hypotheses is not None else ()
+        found = search(self.problem(known, state), [(f.home, f.inliers) for f in before])
+        self.hypotheses = found or self.hypotheses
+        return found is not None
+
+    def stayed(self, known: Map) -> np.ndarray:
+        """(q,), bool: which of the landmarks among which home is did not move on the way."""
+        return np.array([name not in known.landmarks.former for name in self.names], bool)
+
+    def bearing_sigmas(self) -> dict[str, float]:
+        """Return how well each home bearing is predicted by everything else [rad], by landmark."""
+        if self.hypotheses is None:
+            return {}
+        variances = self.hypotheses.best.innovations[1]
+        return dict(zip(self.names, np.sqrt(variances).tolist(), strict=True))
+
+    def _follow(self, problem: HomeProblem, before: Hypotheses, known: Map) -> Hypotheses | None:
+        """Return the hypotheses after the map changed a little."""
+        now = (update if known.solved else propagate)(problem, before)
+        if now is None:
+            return None
+        if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
+            # The best set's home went astray: there may be a way back to it, or a better one.
+            return search(problem, [(f.home, f.inliers) for f in (*now.fits, *now.unconverged)])
+        return self._try_next_seed(problem, now, known)
+
+    def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
+        """Look now and then where else home might be, one place after the other."""
+        since = known.smoother.newest - self._searched
+        wait = SEARCH_PATIENCE if known.solved else 0
+        if self._seeds and since >= wait:
+            return try_seed(problem, now, self._seeds.popleft())
+        if not self._seeds and since >= SEARCH_EVERY + wait:
+            self._seeds.extend(seeds(problem))
+            self._searched = known.smoother.newest
+        return now

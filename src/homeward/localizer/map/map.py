@@ -1,0 +1,294 @@
+"""The map: keyframes, landmarks that come and go, and corrections, quick ones or of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from homeward.drives.drive import DriveSettings
+from homeward.estimator import Counts, Innovation
+from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
+from homeward.localizer.map.gating import Gated, gate_bearings
+from homeward.localizer.map.inflation import inflate_by_odometry
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, sighting_rows
+from homeward.localizer.map.smoother import NEAR_M, Smoother
+from homeward.localizer.map.state import Marginal, Prediction
+from homeward.localizer.motion.extrinsics import Extrinsics
+from homeward.localizer.motion.odometry import calibration_sigmas
+from homeward.localizer.motion.preintegration import Motion, camera_on_robot
+from homeward.localizer.reasons import Rejection
+from homeward.localizer.settings import LocalizerSettings
+
+MOST_PER_KEYFRAME = 12
+"""Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
+STANDS_M, STANDS_RAD = 0.01, 0.01
+"""A robot that moved less since its keyframe needs no new one."""
+SOLVED_SHARE = 8
+"""Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
+LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
+"""... and when a landmark moved by more of its distance [1], or the robot turned by more [rad]."""
+DRIFT_S, DRIFT_SHARE = 600.0, 0.2
+"""The calibration drifts by this share of its a-priori deviation in this time [s]."""
+
+
+class Map:
+    """The map in the odometry frame, which begins at the robot.
+
+    Parameters
+    ----------
+    drive : DriveSettings
+        Camera and odometry as the drive describes them.
+    settings : LocalizerSettings
+        Everything else.
+    noise : BearingNoise
+        Which learns from what the map leaves of bearings.
+    extrinsics : Extrinsics
+        What is believed of the camera's place on the robot.
+    counts : Counts
+        Where to count sightings.
+    t : float
+        When it begins [s].
+    """
+
+    def __init__(
+        self,
+        drive: DriveSettings,
+        settings: LocalizerSettings,
+        noise: BearingNoise,
+        extrinsics: Extrinsics,
+        counts: Counts,
+        t: float,
+    ) -> None:
+        self._settings, self._counts = settings, counts
+        self._noise, self._extrinsics = noise, extrinsics
+        self._mount = np.array(drive.sensor.pose)
+        sigmas = calibration_sigmas(drive, settings)
+        drift = DRIFT_SHARE * np.concatenate([sigmas, extrinsics.sigmas])
+        self.smoother = Smoother(sigmas, drift**2 / DRIFT_S, extrinsics.sigmas, t)
+        self.landmarks = Landmarks(self.smoother, settings.parallax)
+        self.begun = t
+        self.solved = True
+        """Whether the state comes from the whole window, not from a quick correction."""
+        self._solved_at, self._solved_positions = 0, self.smoother.positions
+        self._due = True
+        """Whether the whole window is to be solved at this keyframe."""
+        self._taken: dict[str, int] = {}
+        """Sightings of landmarks from the newest keyframe."""
+        self._between: list[np.ndarray] = []
+        """Those of them that the state does not know yet."""
+
+    @property
+    def state(self) -> Marginal:
+        """What is known of the newest keyframe's pose, the calibration and the landmarks."""
+        return self.smoother.state
+
+    @property
+    def calibration(self) -> np.ndarray:
+        """(7,), of odometry and camera, as believed now."""
+        return self.smoother.calibration
+
+    def camera(self, motion: Motion) -> Motion:
+        """Return where the camera is after the robot's motion."""
+        return motion.compose(camera_on_robot(self._mount, self.calibration))
+
+    def as_home_saw(self, names: list[str]) -> np.ndarray:
+        """Return the indices in the state of landmarks where home saw them, for all one knows."""
+        known = self.landmarks
+        return known.index(known.former.get(n) or known.mapped[n] for n in names)
+
+    def wants_keyframe(self, t: float, motion: Motion) -> bool:
+        """Return whether the robot is far enough from its newest keyframe."""
+        due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
+        moved = motion.path > STANDS_M or motion.turned > STANDS_RAD
+        return due and (moved or bool(motion.covariance[0, 0] > STANDS_M**2))
+
+    def add_keyframe(self, t: float, motion: Motion) -> None:
+        """Let there be a keyframe at `t` [s], and what is known move on to it."""
+        smoother = self.smoother
+        kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
+        full = kept >= self._settings.window
+        self._due = not full or since * SOLVED_SHARE >= kept or not smoother.settled
+        if self._between and not self._due:
+            seen = smoother.predict(np.concatenate(self._between))
+            self._due = not self._take(self.state.update(seen))
+        smoother.add_keyframe(t, motion)
+        self._taken.clear()
+        self._between = []
+
+    def gate(self, frame: WeighedFrame, motion: Motion, new_keyframe: bool) -> Gated:
+        """Gate the bearings of a frame: innovations, and which of them fit.
+
+        Parameters
+        ----------
+        frame : WeighedFrame
+            The bearings.
+        motion : Motion
+            The last one before them.
+        new_keyframe : bool
+            Whether the newest keyframe is after it, not before.
+        """
+        since = Motion.identity() if new_keyframe else motion
+        rows = self._rows(frame, since)
+        known = rows[:, LANDMARK] >= 0
+        seen = self.smoother.predict(rows[known])
+        heading = self.state.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
+        accepted, sigmas = gate_bearings(seen, motion, new_keyframe, heading, self._settings.gate)
+        names = [n for n, k in zip(frame.names, known.tolist(), strict=True) if k]
+        columns = (column.tolist() for column in (seen.residual, sigmas, accepted))
+        innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
+        return Gated(frame, since, new_keyframe, rows, seen, innovations)
+
+    def inflate(self, gated: Gated) -> bool:
+        """Inflate the noise of bearings between keyframes by that of the way; tell if it holds.
+
+        Where it does not, the way is so uncertain that the bearings are of no use.
+        """
+        if gated.new_keyframe:
+            return True
+        arguments = gated.motion, len(self._between) + 1, gated.prediction, self.state
+        widened = inflate_by_odometry(gated.rows, *arguments)
+        if widened is None:
+            self._counts.reject(Rejection.VAGUE_ODOMETRY.words, len(gated.frame.names))
+            return False
+        gated.rows[:, SIGMA] = widened
+        return True
+
+    def update(self, gated: Gated, refused: list[str]) -> bool:
+        """Update the map by what fits; return whether there is a new solution.
+
+        Parameters
+        ----------
+        gated : Gated
+            Of a frame.
+        refused : list of str
+            Landmarks that are not where the map says; they start anew.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When nothing can be made of the map any more.
+        """
+        rows, prediction = gated.rows, gated.prediction
+        kept = self._keep(gated.frame, rows, gated.fits)
+        changed = self.landmarks.reinitialise(refused)
+        if gated.new_keyframe or changed:
+            self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
+        return gated.new_keyframe or changed
+
+    def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:
+        """Let the robot be where a motion leads from the newest keyframe, and saw a frame there.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When nothing can be made of the map any more.
+        """
+        self.add_keyframe(frame.t, motion)
+        self._keep(frame, self._rows(frame, Motion.identity()), {})
+        self._correct(None)
+
+    def revert_to(self, keyframe: int) -> None:
+        """Let the map be what it was at a keyframe: what entered or moved since did not.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When nothing can be made of the map any more.
+        """
+        self.landmarks.revert_to(keyframe)
+        self._between = []
+        self._correct(None)
+
+    def adopt(self, whole: Smoother) -> None:
+        """Take what the whole of a drive says, of the same landmarks."""
+        self.smoother = self.landmarks.smoother = whole
+
+    def _rows(self, frame: WeighedFrame, motion: Motion) -> np.ndarray:
+        """Return sightings as rows of the table, seen after a motion since the newest keyframe."""
+        frames = self.smoother.frames
+        rows = sighting_rows(self.smoother.newest, frames.next, frame)
+        frames.add(self.smoother.newest, self.camera(motion))
+        rows[:, LANDMARK] = self.landmarks.ids(frame.names)
+        return rows
+
+    def _keep(self, frame: WeighedFrame, rows: np.ndarray, fits: Mapping[str, bool]) -> np.ndarray:
+        """Put what was not rejected of a frame into the window; return which (m,), bool."""
+        t, names, stands = frame.t, frame.names, 0
+        kept = np.zeros(len(names), bool)
+        for i, name in enumerate(names):
+            taken = self._taken[name] = self._taken.get(name, 0) + 1
+            if taken > MOST_PER_KEYFRAME:
+                stands += 1
+            elif not fits.get(name, True):
+                self._counts.reject(Rejection.OUTSIDE_GATE.words)
+                self.landmarks.set_aside(t, name, rows[i])
+            else:
+                kept[i] = True
+        self._counts.reject(Rejection.STANDING.words, stands)
+        self._counts.used += int(kept.sum())
+        if stands == len(names):
+            self.smoother.frames.drop_newest()
+        mine = rows[kept]
+        self.landmarks.keep(t, [n for n, k in zip(names, kept, strict=True) if k], mine)
+        self._between.append(mine[mine[:, LANDMARK] >= 0])
+        return kept
+
+    def _correct(self, seen: Prediction | None) -> None:
+        """Correct pose and map: by the newest sightings alone, or the whole window when due."""
+        started = self.landmarks.initialise()
+        quick = not (started or self._due) and seen is not None
+        if quick and seen is not None and self._take(self.state.update(seen)):
+            self.solved = False
+        else:
+            self._solve()
+        self._between = []
+
+    def _take(self, updated: Marginal) -> bool:
+        """Believe a quick correction if it is near enough to linear; return whether it is."""
+        if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
+            return False
+        turned = abs(updated.mean[2] - self.state.mean[2])
+        moved = updated.positions - self._solved_positions
+        far = updated.distances + NEAR_M
+        if turned > LINEAR_RAD or (np.hypot(*moved.T) > LINEAR_SHARE * far).any():
+            return False
+        self.smoother.state = updated
+        return True
+
+    def _solve(self) -> None:
+        """Correct the whole window, take out what does not fit, and close old keyframes."""
+        smoother, noise = self.smoother, self._noise
+        smoother.solve()
+        misfits = self.landmarks.drop_misfits() if smoother.settled else 0
+        if misfits:
+            self._counts.reject(Rejection.INCONSISTENT_LANDMARK.words, misfits)
+            smoother.solve()
+        since = smoother.newest - self._solved_at
+        self.solved = True
+        self._solved_at, self._solved_positions = smoother.newest, smoother.positions
+        self._marginalise_old()
+        own, whole = smoother.sightings[:, OWN], smoother.sightings[:, SIGMA]
+        wider = noise.update(smoother.residuals(), own, whole, since)
+        if wider != 1.0:
+            smoother.scale_noise(wider)
+            self.landmarks.scale_noise(wider)
+        sound, now = smoother.settled and noise.settled, self.state
+        if sound and self._extrinsics.denies(now.calibration, now.calibration_variances):
+            smoother.mount_sigmas = self._extrinsics.sigmas
+            self._solve()
+
+    def _marginalise_old(self) -> None:
+        """Close the oldest keyframes that are not needed any more."""
+        settings, smoother = self._settings, self.smoother
+        kept = len(smoother.stamps)
+        spare = kept - settings.window
+        if spare <= 0:
+            return
+        since = smoother.newest - settings.longest_window
+        needed = self.landmarks.first_needed(settings.mature_parallax, since)
+        count = max(min(spare, needed - smoother.first), kept - settings.longest_window)
+        if count > 0:
+            smoother.marginalise(count)
+            self.landmarks.drop_rows_before(smoother.first)
