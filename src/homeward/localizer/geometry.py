@@ -7,6 +7,7 @@ against the derivatives of `homeward.frames` by CasADi. Poses are (..., 3): x [m
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,8 @@ def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
 def rotation(heading: float | np.ndarray) -> np.ndarray:
     """Return what turns (x, y, heading) of a pose's frame into those outside, shape (..., 3, 3)."""
     c, s = np.cos(heading), np.sin(heading)
+    if isinstance(c, float):
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     matrix = np.zeros((*np.shape(heading), 3, 3))
     matrix[..., 0, 0] = matrix[..., 1, 1] = c
     matrix[..., 1, 0], matrix[..., 0, 1] = s, -s
@@ -62,6 +65,10 @@ def lever(shift: np.ndarray) -> np.ndarray:
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return poses b, given in the frames of a, where a are given."""
+    if a.ndim == b.ndim == 1:  # of one, floats are quicker
+        (x, y, heading), (ahead, aside, turn) = a.tolist(), b.tolist()
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([x + c * ahead - s * aside, y + s * ahead + c * aside, heading + turn])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x, y, heading = b[..., 0], b[..., 1], b[..., 2]
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))

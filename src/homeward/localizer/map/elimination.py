@@ -50,9 +50,11 @@ class NormalEquations:
 class Elimination:
     """Normal equations of which all poses but the newest are eliminated."""
 
-    gains: np.ndarray
-    """(3 (w - 1), 3 + a + 1): inverse of their Hessian times their couplings to the newest pose, to
-    the shared unknowns, and the slope."""
+    factor: np.ndarray
+    """(BAND, 3 (w - 1)): banded Cholesky factor of their Hessian."""
+    couplings: np.ndarray
+    """(3 (w - 1), 3 + a + 1): its inverse times their couplings to the newest pose, to the shared
+    unknowns, and the slope."""
     information: np.ndarray
     """(3 + a, 3 + a): on the newest pose and the shared unknowns."""
     gradient: np.ndarray
@@ -73,18 +75,18 @@ def eliminate(e: NormalEquations) -> Elimination:
     information[3:, :3], information[3:, 3:] = e.shared[-1].T, e.common
     gradient = np.concatenate([e.slope[-1], e.common_slope])
     if not n:
-        return Elimination(np.empty((0, 4 + a)), information, gradient)
+        return Elimination(np.empty((BAND, 0)), np.empty((0, 4 + a)), information, gradient)
     factor, failed = lapack.dpbtrf(_banded(e.own[:-1], e.next[:-1]), lower=1, overwrite_ab=1)
     if failed:
         raise np.linalg.LinAlgError("a pose is not fixed")
     couplings = np.zeros((4 + a, n)).T  # in columns, as LAPACK has them
     couplings[-3:, :3] = e.next[-1]
     couplings[:, 3:-1], couplings[:, -1] = e.shared[:-1].reshape(n, a), e.slope[:-1].ravel()
-    gains, _ = lapack.dpbtrs(factor, couplings, lower=1)
-    eliminated = couplings[:, :-1].T @ gains
+    couplings, _ = lapack.dtbtrs(factor, couplings, uplo="L", overwrite_b=1)
+    eliminated = couplings[:, :-1].T @ couplings
     information -= eliminated[:, :-1]
     gradient -= eliminated[:, -1]
-    return Elimination(gains, 0.5 * (information + information.T), gradient)
+    return Elimination(factor, couplings, 0.5 * (information + information.T), gradient)
 
 
 def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
@@ -116,8 +118,15 @@ def solve(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     left = eliminate(e)
     covariance = positive_inverse(left.information)
     tail = covariance @ left.gradient
-    poses = left.gains[:, -1] - left.gains[:, :-1] @ tail
+    poses = _substitute(left, left.couplings[:, -1] - left.couplings[:, :-1] @ tail)
     return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
+
+
+def _substitute(left: Elimination, whitened: np.ndarray) -> np.ndarray:
+    """Return what the eliminated poses are by what is left after the factor is taken out."""
+    if not whitened.size:
+        return whitened
+    return np.asarray(lapack.dtbtrs(left.factor, whitened, uplo="L", trans="T")[0])
 
 
 def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -135,7 +144,8 @@ def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     left = eliminate(e)
     newest = np.linalg.inv(left.information[:3, :3])
     by_shared = newest @ left.information[:3, 3:]
-    gains = left.gains[:, 3:-1] - left.gains[:, :3] @ by_shared
+    couplings = left.couplings
+    gains = _substitute(left, couplings[:, 3:-1] - couplings[:, :3] @ by_shared)
     lever = np.concatenate([gains, by_shared]).reshape(e.shared.shape)
     common = positive_inverse(left.information)[3:, 3:]
     own = _diagonal_of_inverse(e.own, e.next, newest)

@@ -36,6 +36,8 @@ class Gated:
     """Whether that is at this frame."""
     rows: np.ndarray
     """(m, COLUMNS): of the table of sightings."""
+    directions: np.ndarray
+    """(m,): of the sight lines in the odometry frame [rad], not wrapped."""
     prediction: Prediction
     """Of the landmarks that are mapped ..."""
     innovations: list[Innovation]

@@ -132,10 +132,9 @@ class Landmarks:
         """Return where landmarks stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
         return self.smoother.state.places(self.index(landmarks))
 
-    def keep(self, t: float, names: list[str], rows: np.ndarray) -> None:
-        """Take sightings of `t` [s], rows of the table, into the map or aside."""
-        lines = self._directions(rows).tolist()
-        for name, row, line in zip(names, rows, lines, strict=True):
+    def keep(self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray) -> None:
+        """Take sightings of `t` [s], rows of the table, along directions [rad]."""
+        for name, row, line in zip(names, rows, directions.tolist(), strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
                 self._candidates.setdefault(name, Candidate(t)).rows.append(row)
@@ -198,7 +197,8 @@ class Landmarks:
         self.smoother.add_sightings(rows)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
         self.mapped[name] = Landmark(name, number, 0, self.smoother.newest, first, last)
-        for line in self._directions(rows).tolist():
+        directions = self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING]
+        for line in directions.tolist():
             self.mapped[name].seen_along(line)
         return True
 
@@ -273,11 +273,17 @@ class Landmarks:
         self._candidates.clear()
         self.range_mixtures.clear()
 
-    def drop_misfits(self) -> int:
-        """Take landmarks out on which the sightings do not agree; return how many."""
+    def drop_misfits(self, residuals: np.ndarray) -> int:
+        """Take landmarks out on which the sightings do not agree; return how many.
+
+        Parameters
+        ----------
+        residuals : ndarray, shape (m,)
+            Of all sightings in the map [rad].
+        """
         rows, n = self.smoother.sightings, len(self.smoother.positions)
         index = self.smoother.index(rows[:, LANDMARK])
-        off = np.abs(self.smoother.residuals()) > MISFIT * rows[:, SIGMA]
+        off = np.abs(residuals) > MISFIT * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
         bad = (sightings >= FEWEST_TO_JUDGE) & (misfits > 0.5 * sightings)
         mapped = list(self.mapped.values())
@@ -311,10 +317,6 @@ class Landmarks:
             waiting.due = min(waiting.due, MORE * len(waiting.rows) + 1)
             if not waiting.rows:
                 del self._candidates[name]
-
-    def _directions(self, rows: np.ndarray) -> np.ndarray:
-        """Return the directions of sight lines in the odometry frame, (m,) [rad], not wrapped."""
-        return np.asarray(self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING])
 
     def _off(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Return how far sightings (m) are off what places (k, 2) let expect, (k, m) [rad]."""

@@ -132,13 +132,18 @@ class Map:
         since = Motion.identity() if new_keyframe else motion
         rows = self._rows(frame, since)
         known = rows[:, LANDMARK] >= 0
-        seen = self.smoother.predict(rows[known])
+        eye, index = self.smoother.newest_eye(), self.smoother.index(rows[known, LANDMARK])
+        bearings, sigmas = frame.bearings[known], frame.sigmas[known]
+        seen = self.state.predict_bearings(bearings, sigmas, eye, index)
         heading = self.state.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
-        accepted, sigmas = gate_bearings(seen, motion, new_keyframe, heading, self._settings.gate)
+        accepted, deviations = gate_bearings(
+            seen, motion, new_keyframe, heading, self._settings.gate
+        )
         names = [n for n, k in zip(frame.names, known.tolist(), strict=True) if k]
-        columns = (column.tolist() for column in (seen.residual, sigmas, accepted))
+        columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
-        return Gated(frame, since, new_keyframe, rows, seen, innovations)
+        lines = eye[0][0, 2] + frame.bearings
+        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations)
 
     def inflate(self, gated: Gated) -> bool:
         """Inflate the noise of bearings between keyframes by that of the way; tell if it holds.
@@ -171,7 +176,7 @@ class Map:
             When nothing can be made of the map any more.
         """
         rows, prediction = gated.rows, gated.prediction
-        kept = self._keep(gated.frame, rows, gated.fits)
+        kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
         changed = self.landmarks.reinitialise(refused)
         if gated.new_keyframe or changed:
             self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
@@ -186,7 +191,8 @@ class Map:
             When nothing can be made of the map any more.
         """
         self.add_keyframe(frame.t, motion)
-        self._keep(frame, self._rows(frame, Motion.identity()), {})
+        rows = self._rows(frame, Motion.identity())
+        self._keep(frame, rows, self.smoother.newest_eye()[0][0, 2] + frame.bearings, {})
         self._correct(None)
 
     def revert_to(self, keyframe: int) -> None:
@@ -207,13 +213,18 @@ class Map:
 
     def _rows(self, frame: WeighedFrame, motion: Motion) -> np.ndarray:
         """Return sightings as rows of the table, seen after a motion since the newest keyframe."""
-        frames = self.smoother.frames
-        rows = sighting_rows(self.smoother.newest, frames.next, frame)
-        frames.add(self.smoother.newest, self.camera(motion))
+        number = self.smoother.add_frame(self.camera(motion))
+        rows = sighting_rows(self.smoother.newest, number, frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
         return rows
 
-    def _keep(self, frame: WeighedFrame, rows: np.ndarray, fits: Mapping[str, bool]) -> np.ndarray:
+    def _keep(
+        self,
+        frame: WeighedFrame,
+        rows: np.ndarray,
+        directions: np.ndarray,
+        fits: Mapping[str, bool],
+    ) -> np.ndarray:
         """Put what was not rejected of a frame into the window; return which (m,), bool."""
         t, names, stands = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
@@ -231,7 +242,8 @@ class Map:
         if stands == len(names):
             self.smoother.frames.drop_newest()
         mine = rows[kept]
-        self.landmarks.keep(t, [n for n, k in zip(names, kept, strict=True) if k], mine)
+        fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
+        self.landmarks.keep(t, fitting, mine, directions[kept])
         self._between.append(mine[mine[:, LANDMARK] >= 0])
         return kept
 
@@ -261,19 +273,21 @@ class Map:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
         smoother, noise = self.smoother, self._noise
         smoother.solve()
-        misfits = self.landmarks.drop_misfits() if smoother.settled else 0
+        residuals = smoother.residuals()
+        misfits = self.landmarks.drop_misfits(residuals) if smoother.settled else 0
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK.words, misfits)
             smoother.solve()
+            residuals = smoother.residuals()
         since = smoother.newest - self._solved_at
         self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        self._marginalise_old()
         own, whole = smoother.sightings[:, OWN], smoother.sightings[:, SIGMA]
-        wider = noise.update(smoother.residuals(), own, whole, since)
+        wider = noise.update(residuals, own, whole, since)
         if wider != 1.0:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)
+        self._marginalise_old()
         sound, now = smoother.settled and noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances):
             smoother.mount_sigmas = self._extrinsics.sigmas

@@ -97,7 +97,7 @@ class Marginal:
         ----------
         bearings, sigmas : ndarray, shape (m,)
             Measured from the camera's axis, and their standard deviations [rad].
-        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 10)
+        cameras : tuple of ndarray, shapes (m or 1, 3) and (m or 1, 3, 10)
             The camera's poses by that of the newest keyframe, see `Frames.eyes`.
         index : ndarray, shape (m,), int
             Which landmarks were seen.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
 from homeward.localizer.motion.dropout import MotionPrior
-from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, integrate
+from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
 from homeward.localizer.settings import LocalizerSettings
 
 ADVANCE_S = 0.5
@@ -171,7 +172,7 @@ class Odometry:
         while len(self._twists) > 1 and self._twists[1][0] < t:
             self._twists.popleft()
 
-    def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> np.ndarray:
+    def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> list[Piece]:
         """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
         lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
         begin, end = begin - lag, end - lag
@@ -181,15 +182,18 @@ class Odometry:
             first -= 1
         held = [twists[i] for i in range(max(first - 1, 0), len(twists)) if twists[i][0] < end]
         if not held:  # before the first twist, or none at all
-            return np.array([[*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0]])
-        pieces, until = [], [t for t, _, _ in held[1:]] + [end]
+            return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0)]
+        pieces: list[Piece] = []
+        until = [t for t, _, _ in held[1:]] + [end]
         for (t, v, omega), then in zip(held, until, strict=True):
             start, silent = max(t, begin), t + HOLD_S
             known = min(max(silent - start, 0.0), then - start)
-            pieces.append([*self._unknown(silent, start + known, then), known, v, omega])
+            pieces.append(Piece(*self._unknown(silent, start + known, then), known, v, omega))
         if held[0][0] > begin:
-            pieces[0][:2] = np.add(pieces[0][:2], self._unknown(-math.inf, begin, held[0][0]))
-        return np.array(pieces)
+            shift, swing = self._unknown(-math.inf, begin, held[0][0])
+            begun = pieces[0]
+            pieces[0] = begun._replace(shift=begun.shift + shift, swing=begun.swing + swing)
+        return pieces
 
     def _unknown(self, silent: float, begin: float, end: float) -> tuple[float, float]:
         """Return what the variances grow by from `begin` to `end` [s], of a silence since then."""
@@ -200,6 +204,6 @@ class Odometry:
         )
 
 
-def _time_moving(pieces: np.ndarray) -> float:
+def _time_moving(pieces: Sequence[Piece]) -> float:
     """Return for how long the robot moved in pieces of time [s]."""
-    return float(pieces[pieces[:, 3:].any(axis=1), 2].sum())
+    return sum(piece.dt for piece in pieces if piece.v or piece.omega)

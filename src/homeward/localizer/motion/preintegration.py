@@ -14,8 +14,10 @@ the map, which nothing else holds, and the map would shrink, since small maps fi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,16 +91,30 @@ def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
     return Motion(delta, np.zeros((3, 3)), jacobian, calibration=calibration)
 
 
+class Piece(NamedTuple):
+    """Piece of time with one twist; while odometry is silent, the variances grow before it."""
+
+    shift: float
+    """Growth of the shift's variance [m^2] ..."""
+    swing: float
+    """... and of the heading's [rad^2]."""
+    dt: float
+    """[s]"""
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+
+
 def integrate(
-    pieces: np.ndarray, calibration: np.ndarray, rates: np.ndarray, straightest: float
+    pieces: Sequence[Piece], calibration: np.ndarray, rates: np.ndarray, straightest: float
 ) -> tuple[Motion, np.ndarray]:
     """Return the motion over pieces of time.
 
     Parameters
     ----------
-    pieces : ndarray, shape (n, 5)
-        By what the variances of shift [m^2] and heading [rad^2] grow before each while odometry is
-        silent; time with it [s], v [m/s] and omega [rad/s].
+    pieces : sequence of Piece
+        At least one.
     calibration : ndarray, shape (7,)
         Where to linearise; the lag is in the pieces' times.
     rates : ndarray, shape (3, 3)
@@ -113,45 +129,61 @@ def integrate(
     by_bend : ndarray, shape (BENDS,)
         Its length by how much the robot turned per metre [m].
     """
-    shift, swing, dt, v, omega = pieces.T
-    moving = (v != 0.0) | (omega != 0.0)
-    rate = moving * ((1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS])
-    speed, turned = np.abs(v), np.abs(omega)
-    along, across, heading = rates @ np.array([np.ones(dt.size), speed, turned])
-    slip = np.sign(v) * turned - v * straightest
-    bend = turned / np.maximum(speed, 1e-6) / BEND
-    path = np.bincount(np.minimum(bend, BENDS - 1).astype(int), speed * dt, BENDS)
-    v = v - calibration[TURN_SLIP] * slip
+    scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
+    x = y = psi = path = turned = 0.0
+    by_bend, chords, ends = [0.0] * BENDS, [], []
+    for piece in pieces:  # of so few numbers, floats are quicker than arrays
+        _, _, dt, v, omega = piece
+        rate = (1.0 + scale) * omega + bias if v or omega else 0.0
+        slips = (math.copysign(abs(omega), v) if v else 0.0) - v * straightest
+        speed, half = v - slip * slips, 0.5 * rate * dt
+        c, s = math.cos(psi + half), math.sin(psi + half)
+        chord = speed * dt * (math.sin(half) / half if half else 1.0)
+        chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, slips))
+        ends.append((speed, rate))
+        x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
+        path, turned = path + abs(v) * dt, turned + 2.0 * abs(half)
+        by_bend[min(int(abs(omega) / max(abs(v), 1e-6) / BEND), BENDS - 1)] += abs(v) * dt
+    delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
+    covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
+    jacobian[:, LAG] = _shift(delta, *ends[0], *ends[-1])
+    return Motion(delta, covariance, jacobian, path, turned, calibration), np.array(by_bend)
 
-    turn = rate * dt
-    psi_end = turn.cumsum()
-    psi = psi_end - 0.5 * turn
-    c, s = np.cos(psi), np.sin(psi)
-    half = 0.5 * turn + 1e-12
-    chord = v * dt * (np.sin(half) / half)
-    along_x, along_y = chord * c, chord * s
-    x, y = along_x.cumsum(), along_y.cumsum()
-    delta = np.array([x[-1], y[-1], psi_end[-1]])
 
-    # a turn in piece i swings everything that comes after its middle
-    swing_x, swing_y = y - 0.5 * along_y - delta[1], delta[0] - x + 0.5 * along_x
-    n, steady = dt.size, moving * dt
-    by_error = np.zeros((3, 3, n))  # by the turn of each piece, its length, and a shift across it
-    by_error[0, 0], by_error[1, 0], by_error[2, 0] = swing_x, swing_y, 1.0
-    by_error[0, 1], by_error[1, 1] = c, s
-    by_error[0, 2], by_error[1, 2] = -s, c
-    by_turn, by_path = by_error[:, 0], by_error[:, 1]
-    variances = np.array([heading, along, across]) * steady
-    variances += np.array([swing, shift, shift])
-    flat = by_error.reshape(3, 3 * n)
-    covariance = (flat * variances.ravel()) @ flat.T
-    jacobian = np.zeros((3, NC))
-    jacobian[:, TURN_SCALE] = by_turn @ (omega * dt)
-    jacobian[:, TURN_BIAS] = by_turn @ steady
-    jacobian[:, TURN_SLIP] = -by_path @ (slip * dt)
-    jacobian[:, LAG] = _shift(delta, v[0], rate[0], v[-1], rate[-1])
-    lengths = float(speed @ dt), float(np.abs(turn).sum())
-    return Motion(delta, covariance, jacobian, *lengths, calibration), np.asarray(path)
+def _add_errors(
+    chords: list[tuple[Piece, float, float, float, float, float]],
+    end: np.ndarray,
+    rates: list[list[float]],
+    jacobian: np.ndarray,
+) -> np.ndarray:
+    """Return the covariance of a motion, and fill in its Jacobian by scale, bias and slip.
+
+    Each chord is a piece, its middle x, y, its direction's cosine and sine, and what slips in it. A
+    turn in it swings all that comes after its middle up to the motion's `end`.
+    """
+    xx = xy = xt = yy = yt = tt = 0.0
+    by_scale, by_bias, by_slip = [0.0] * 3, [0.0] * 3, [0.0] * 2
+    end_x, end_y, _ = end.tolist()
+    for (shift, swing, dt, v, omega), x, y, c, s, slips in chords:
+        steady = dt if v or omega else 0.0
+        along, across, heading = (
+            steady * (still + by_speed * abs(v) + by_turn * abs(omega))
+            for still, by_speed, by_turn in rates
+        )
+        along, across, heading = along + shift, across + shift, heading + swing
+        dx, dy = y - end_y, end_x - x
+        xx += dx * dx * heading + c * c * along + s * s * across
+        xy += dx * dy * heading + c * s * (along - across)
+        yy += dy * dy * heading + s * s * along + c * c * across
+        xt, yt, tt = xt + dx * heading, yt + dy * heading, tt + heading
+        for i, by_turn in enumerate((dx, dy, 1.0)):
+            by_scale[i] += by_turn * omega * dt
+            by_bias[i] += by_turn * steady
+        by_slip[0] -= c * slips * dt
+        by_slip[1] -= s * slips * dt
+    jacobian[:, TURN_SCALE], jacobian[:, TURN_BIAS] = by_scale, by_bias
+    jacobian[:2, TURN_SLIP] = by_slip
+    return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
 def _shift(delta: np.ndarray, v0: float, rate0: float, v1: float, rate1: float) -> np.ndarray:
