@@ -130,11 +130,11 @@ class Map:
             Whether the newest keyframe is after it, not before.
         """
         since = Motion.identity() if new_keyframe else motion
-        rows = self._rows(frame, since)
+        rows, eye, by_head = self._rows(frame, since)
         known = rows[:, LANDMARK] >= 0
-        eye, index = self.smoother.newest_eye(), self.smoother.index(rows[known, LANDMARK])
         bearings, sigmas = frame.bearings[known], frame.sigmas[known]
-        seen = self.state.predict_bearings(bearings, sigmas, eye, index)
+        index = self.smoother.index(rows[known, LANDMARK])
+        seen = self.state.predict_bearings(bearings, sigmas, (eye, by_head), index)
         heading = self.state.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
@@ -142,7 +142,7 @@ class Map:
         names = [n for n, k in zip(frame.names, known.tolist(), strict=True) if k]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
-        lines = eye[0][0, 2] + frame.bearings
+        lines = eye[2] + frame.bearings
         return Gated(frame, since, new_keyframe, rows, lines, seen, innovations)
 
     def inflate(self, gated: Gated) -> bool:
@@ -191,8 +191,8 @@ class Map:
             When nothing can be made of the map any more.
         """
         self.add_keyframe(frame.t, motion)
-        rows = self._rows(frame, Motion.identity())
-        self._keep(frame, rows, self.smoother.newest_eye()[0][0, 2] + frame.bearings, {})
+        rows, eye, _ = self._rows(frame, Motion.identity())
+        self._keep(frame, rows, eye[2] + frame.bearings, {})
         self._correct(None)
 
     def revert_to(self, keyframe: int) -> None:
@@ -211,12 +211,15 @@ class Map:
         """Take what the whole of a drive says, of the same landmarks."""
         self.smoother = self.landmarks.smoother = whole
 
-    def _rows(self, frame: WeighedFrame, motion: Motion) -> np.ndarray:
-        """Return sightings as rows of the table, seen after a motion since the newest keyframe."""
-        number = self.smoother.add_frame(self.camera(motion))
-        rows = sighting_rows(self.smoother.newest, number, frame)
+    def _rows(
+        self, frame: WeighedFrame, motion: Motion
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a frame after a motion since the newest keyframe as rows, and its camera."""
+        smoother, camera = self.smoother, self.camera(motion)
+        rows = sighting_rows(smoother.newest, smoother.frames.next, frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        return rows
+        smoother.frames.add(smoother.newest, camera)
+        return rows, *self.state.after(camera)
 
     def _keep(
         self,

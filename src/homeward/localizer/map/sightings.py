@@ -134,7 +134,7 @@ def bearing_residuals(
     ----------
     bearings : ndarray, shape (m,)
         Measured from the camera's axis [rad].
-    eyes, by_head : ndarray, shape (m or 1, 3), (m or 1, 3, 10)
+    eyes, by_head : ndarray, shape (m, 3), (m, 3, 10), or (3,), (3, 10)
         The camera then, and its Jacobian; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
         Of the landmarks [m].

@@ -189,16 +189,6 @@ class Smoother:
         self.ids = np.delete(self.ids, index)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
-    def add_frame(self, camera: Motion) -> int:
-        """Add a frame, seen by a camera so far from the newest keyframe; return its number."""
-        self.frames.add(self.newest, camera)
-        return self.frames.next - 1
-
-    def newest_eye(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's pose at the newest frame, (1, 3), and its Jacobian (1, 3, 10)."""
-        newest = self.frames.since(self.frames.next - 1)
-        return newest.eyes(self.state.mean[:3], self.calibration)
-
     def predict(self, rows: np.ndarray) -> Prediction:
         """Predict sightings from the newest keyframe, rows of the table."""
         seen = rows[:, BEARING], rows[:, SIGMA]

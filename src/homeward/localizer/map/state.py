@@ -71,14 +71,19 @@ class Marginal:
         """(n,), of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
 
+    def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose after a motion from the newest one, and its Jacobian (3, 10)."""
+        pose = self.mean[:3]
+        there = compose(pose, motion.free + motion.jacobian @ self.calibration)
+        by_head = np.empty((3, HEAD))
+        by_head[:, :3], by_head[:, 3:] = lever(there - pose), rotation(pose[2]) @ motion.jacobian
+        return there, by_head
+
     def propagate(self, motion: Motion) -> Marginal:
         """Propagate: move the newest pose on by a motion."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        pose = self.mean[:3]
-        mean[:3] = compose(pose, motion.free + motion.jacobian @ self.calibration)
-        turn = rotation(pose[2])
-        by_head = np.empty((3, HEAD))
-        by_head[:, :3], by_head[:, 3:] = lever(mean[:3] - pose), turn @ motion.jacobian
+        mean[:3], by_head = self.after(motion)
+        turn = rotation(self.mean[2])
         covariance[:3] = by_head @ self.covariance[:HEAD]
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
         covariance[:3, :3] += turn @ motion.covariance @ turn.T
@@ -97,8 +102,8 @@ class Marginal:
         ----------
         bearings, sigmas : ndarray, shape (m,)
             Measured from the camera's axis, and their standard deviations [rad].
-        cameras : tuple of ndarray, shapes (m or 1, 3) and (m or 1, 3, 10)
-            The camera's poses by that of the newest keyframe, see `Frames.eyes`.
+        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 10), or (3,) and (3, 10)
+            The camera's poses by that of the newest keyframe; see `Frames.eyes`, `after`.
         index : ndarray, shape (m,), int
             Which landmarks were seen.
         """
