@@ -8,6 +8,7 @@ import pytest
 
 from homeward.drives.drive import Truth
 from homeward.estimator import Counts, Status
+from homeward.reasons import Rejection
 from homeward.scoring import (
     CHI_SQUARE_1_95,
     CHI_SQUARE_3_95,
@@ -176,7 +177,7 @@ def test_without_truth_the_rest_is_there():
         accepted=np.array([True, True, True, False]),
     )
     counts = Counts(used=3)
-    counts.reject("outside the gate")
+    counts.reject(Rejection.OUTSIDE_GATE)
     other = {
         "innovations": innovations,
         "counts": counts,
@@ -188,7 +189,7 @@ def test_without_truth_the_rest_is_there():
     assert plain["update_median_s"] == 0.002
     assert plain["run_s"] == 1.5
     assert plain["sightings_used"] == 3
-    assert plain["rejected"] == {"outside the gate": 1}
+    assert plain["rejected"] == {"bearing is outside the gate": 1}
     assert not any(key.startswith(("position", "nees", "scored")) for key in plain)
 
 

@@ -17,8 +17,10 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
+from homeward.by_value import ByValue
 from homeward.errors import InputError
 from homeward.frames import Polar, Pose, to_polar
+from homeward.reasons import Rejection
 
 
 class Status(enum.Enum):
@@ -36,8 +38,8 @@ class Status(enum.Enum):
     """Localised, but no bearings now: odometry alone."""
 
 
-@dataclass(frozen=True)
-class Innovation:
+@dataclass(frozen=True, eq=False)
+class Innovation(ByValue):
     """What one sighting said against what was expected, before any update of its stamp."""
 
     landmark: str
@@ -49,11 +51,11 @@ class Innovation:
     """False when a gate rejected the sighting."""
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, eq=False)
+class Estimate(ByValue):
     """What an estimator knows at one time.
 
-    `pose` and `covariance` are both there or both None.
+    `pose` and `covariance` are both there or both None. Estimates compare and hash by value.
     """
 
     t: float
@@ -62,16 +64,24 @@ class Estimate:
     reason: str
     """Why the status is what it is, in words."""
     pose: Pose | None = None
-    """Robot's centre in the home frame: x [m], y [m], heading [rad]."""
+    """Robot's centre in the home frame: x [m], y [m], heading [rad]; plain floats."""
     covariance: np.ndarray | None = None
-    """(3, 3), of (x [m], y [m], heading [rad])."""
+    """(3, 3), of (x [m], y [m], heading [rad]); read-only."""
     innovations: tuple[Innovation, ...] = ()
     """Those of the sightings at this stamp."""
+
+    def __post_init__(self) -> None:
+        if self.pose is not None:
+            object.__setattr__(self, "pose", Pose(*map(float, self.pose)))
+        if self.covariance is not None:
+            covariance = np.array(self.covariance)
+            covariance.flags.writeable = False
+            object.__setattr__(self, "covariance", covariance)
 
     @property
     def polar(self) -> Polar | None:
         """The pose as (R [m], theta [rad], alpha [rad])."""
-        return None if self.pose is None else to_polar(self.pose)
+        return None if self.pose is None else Polar(*map(float, to_polar(self.pose)))
 
     @property
     def sigmas(self) -> np.ndarray:
@@ -81,8 +91,8 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(frozen=True)
-class LandmarkEstimate:
+@dataclass(frozen=True, eq=False)
+class LandmarkEstimate(ByValue):
     """What an estimator knows of one landmark at the end; NaN where it does not say."""
 
     landmark: str
@@ -109,17 +119,17 @@ class LandmarkEstimate:
 
 @dataclass
 class Counts:
-    """What an estimator did with its input, counted by reason in words."""
+    """What an estimator did with its input."""
 
     used: int = 0
     """Sightings used."""
-    rejected: dict[str, int] = field(default_factory=dict)
-    """Samples and sightings not used, by reason."""
+    rejected: dict[Rejection, int] = field(default_factory=dict)
+    """Samples and sightings not used; `Rejection.words` says why to a user."""
 
-    def reject(self, reason: str, number: int = 1) -> None:
+    def reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that were not used."""
         if number:
-            self.rejected[reason] = self.rejected.get(reason, 0) + number
+            self.rejected[why] = self.rejected.get(why, 0) + number
 
 
 NO_TIME_S = 1e75
@@ -240,5 +250,9 @@ class FindsMount(Protocol):
 
 HOLD_S = 1.0
 """How long a twist holds without a successor [s]."""
+NO_BEARINGS_S = 2.0
+"""Without an accepted bearing for so long, the robot is coasting [s]."""
+CHECKED = 4
+"""Home bearings that must agree before one of them could have been contradicted by the others."""
 FASTEST = 1e4
 """No robot drives or turns faster [m/s, rad/s]."""

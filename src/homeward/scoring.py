@@ -16,6 +16,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import Truth
 from homeward.estimator import Status
 from homeward.frames import Pose
+from homeward.reasons import Rejection
 from homeward.track import Track
 
 TRUTH_GAP_S = 0.5
@@ -109,7 +110,7 @@ class Metrics:
     run_s: float
     """Wall time of the whole run [s]."""
     sightings_used: int
-    rejected: dict[str, int]
+    rejected: dict[Rejection, int]
     """Samples and sightings not used, by reason."""
     accuracy: Accuracy | None
     """None without truth, or when no row can be judged by it."""
@@ -129,7 +130,7 @@ class Metrics:
             "update_p99_s": self.update_p99_s,
             "run_s": self.run_s,
             "sightings_used": self.sightings_used,
-            "rejected": dict(self.rejected),
+            "rejected": {why.words: number for why, number in self.rejected.items()},
         }
         return {k: v for k, v in plain.items() if v not in (None, math.inf) and v == v}
 

@@ -13,9 +13,9 @@ from homeward.frames import Pose
 from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
-from homeward.localizer.reasons import Reason
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
+from homeward.reasons import Reason
 
 
 class Logged(Rig):

@@ -9,7 +9,7 @@ from rig import Rig, another_room, eight, ring, still
 from homeward.control import Twist
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.localizer.reasons import Reason
+from homeward.reasons import Reason
 
 
 def carried(pose, metres, way):

@@ -11,8 +11,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
-from homeward.localizer.reasons import Reason
 from homeward.localizer.recovery.monitor import Health, Monitor
+from homeward.reasons import Reason
 
 NAMES = [f"L{i}" for i in range(6)]
 

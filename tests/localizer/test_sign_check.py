@@ -10,7 +10,7 @@ from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
 from homeward.localizer.inputs.sign_check import ENOUGH, SignCheck
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.reasons import Reason
+from homeward.reasons import Reason
 
 
 def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):

@@ -14,6 +14,7 @@ from homeward.frames import Pose
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.motion.preintegration import TURN_SLIP
+from homeward.reasons import Rejection
 
 
 def spin(_):
@@ -177,7 +178,7 @@ def test_a_twist_that_no_robot_makes_is_left_out():
         rig.localizer.odometry(rig.t - 0.01, absurd, absurd)
     assert rig.drive(5).status is Status.LOCALISED
     assert rig.error() < 0.1
-    assert rig.localizer.counts.rejected["odometry is not finite, or no robot's"] == 4
+    assert rig.localizer.counts.rejected[Rejection.BAD_ODOMETRY] == 4
 
 
 def test_what_is_missing_is_told():

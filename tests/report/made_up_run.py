@@ -6,6 +6,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.estimator import Counts, LandmarkEstimate, Status
+from homeward.reasons import Rejection
 from homeward.track import Innovations, LandmarkHistory, Track
 
 FILES = {
@@ -39,7 +40,7 @@ def made_up(ids=("a", "b", "c", "d"), seconds=20.0, truth=True):
         remarks={"equal odometry stamps": 7},
     )
     counts = Counts(used=n * m - 3)
-    counts.reject("outside the gate", 3)
+    counts.reject(Rejection.OUTSIDE_GATE, 3)
     covariance = np.where(found[:, None, None], 0.01 * np.eye(3), np.nan)
     track = Track(
         estimator="robust",

@@ -96,7 +96,7 @@ def test_page_says_what_happened(html):
     for number in ("20 s", "90 %", "RMSE", "1 of the four landmarks"):
         assert head.count(number) == 1, "everything is said once"
     assert "equal odometry stamps 7" in text
-    assert "outside the gate 3" in text
+    assert "bearing is outside the gate 3" in text
 
 
 def test_hostile_names_survive_every_file(tmp_path):

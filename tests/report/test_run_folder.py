@@ -86,7 +86,7 @@ def test_metrics_are_strict_json(folder):
     metrics = json.loads(text, parse_constant=refuse)
     assert metrics["position_rmse_m"] == pytest.approx(0.05)
     assert metrics["pose_share"] == pytest.approx(0.9, abs=0.01)
-    assert metrics["rejected"] == {"outside the gate": 3}
+    assert metrics["rejected"] == {"bearing is outside the gate": 3}
 
 
 def test_run_yaml_holds_every_setting_and_the_versions(folder):

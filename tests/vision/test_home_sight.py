@@ -10,8 +10,9 @@ from told_map import SIGMA, Map, bearings, compared, scene
 from homeward.drives.drive import DriveSettings, Mount, OdometryNoise, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose, between, compose, to_polar
+from homeward.reasons import Rejection
 from homeward.vision.approach import Anchors, Direction, _predict, resect
-from homeward.vision.home_sight import DIRECTION_HOLD_S, LATE, POSE_HOLD_S, HomeSight
+from homeward.vision.home_sight import DIRECTION_HOLD_S, POSE_HOLD_S, HomeSight
 
 WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
 
@@ -292,7 +293,7 @@ def test_a_picture_older_than_another_before_is_left_out_and_counted(stale):
     before = deliver(sight, 2.0, {1.5: 1.5}, points)
     sight.home(1.5 - stale, compared(points, other))
     after = sight.estimate(2.0)
-    assert sight.counts.rejected == {LATE: 1}
+    assert sight.counts.rejected == {Rejection.LATE_PICTURE: 1}
     np.testing.assert_array_equal(after.pose, before.pose)
     np.testing.assert_array_equal(after.covariance, before.covariance)
 
@@ -303,7 +304,7 @@ def test_a_picture_that_is_too_late_is_left_out_and_counted(stamp):
     sight = HomeSight(Map(points))
     deliver(sight, 2.0, {}, points)
     sight.home(stamp, compared(points, turning(0.5)))
-    assert sight.counts.rejected == {LATE: 1}
+    assert sight.counts.rejected == {Rejection.LATE_PICTURE: 1}
     assert sight.estimate(2.0).pose is None
 
 
@@ -326,4 +327,4 @@ def test_pictures_in_any_order_never_lead_astray(seed):
     sight = HomeSight(Map(points))
     said = deliver(sight, 8.0, pictures, points)
     np.testing.assert_allclose(said.pose, turning(8.0), atol=5e-3)
-    assert sight.counts.rejected[LATE] > 3
+    assert sight.counts.rejected[Rejection.LATE_PICTURE] > 3

@@ -20,6 +20,7 @@ from homeward.estimator import Status
 from homeward.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
+from homeward.reasons import Rejection
 from homeward.registry import ESTIMATORS, make_estimator
 from homeward.scoring import errors
 from homeward.simulation.files import changed_scenario
@@ -27,7 +28,6 @@ from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import room
 from homeward.track import run
-from homeward.vision.home_sight import LATE
 from homeward.vision.recorded import WAYS, RecordedSight
 
 MOST_A_MATCH, MOST_BESIDE = 300, 4096
@@ -172,7 +172,8 @@ def test_pictures_out_of_order_are_counted_and_do_no_harm(drive, track):
     mixed = (*drive.pictures[:6], *drive.pictures[2:5], *drive.pictures[6:])
     other = replace(drive, pictures=mixed)
     again = run(other, make_estimator("robust", other))
-    assert again.counts.rejected[LATE] == sum(seen is not None for _, seen in drive.pictures[2:5])
+    late = sum(seen is not None for _, seen in drive.pictures[2:5])
+    assert again.counts.rejected[Rejection.LATE_PICTURE] == late
     assert_same(again, track, track.t.size)
 
 

@@ -10,7 +10,8 @@ from homeward.angles import wrap
 from homeward.drives.drive import Odometry, Sightings
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.vision.home_sight import DIRECTION_HOLD_S, LATE, POSE_HOLD_S
+from homeward.reasons import Rejection
+from homeward.vision.home_sight import DIRECTION_HOLD_S, POSE_HOLD_S
 from homeward.vision.recorded import WAYS, RecordedSight, SeenDrive, way_home
 
 POINTS = scene()
@@ -70,7 +71,7 @@ def test_pictures_out_of_order_are_left_out_and_counted():
     pictures = [(1.0, compared(POINTS, CAMERA)), (0.4, other), (0.9, other)]
     seen = sight(pictures, Map(POINTS))
     said = seen.bearings(1.0, {})
-    assert seen.counts.rejected == {LATE: 2}
+    assert seen.counts.rejected == {Rejection.LATE_PICTURE: 2}
     np.testing.assert_allclose(said.pose, CAMERA, atol=1e-3)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from homeward.angles import interpolate, wrap
+from homeward.by_value import ByValue
 from homeward.frames import Polar, Pose
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -141,8 +142,8 @@ class Sightings:
             yield float(self.t[a]), seen, {i: s for i, s in sigma.items() if math.isfinite(s)}
 
 
-@dataclass(frozen=True)
-class HomeBearing:
+@dataclass(frozen=True, eq=False)
+class HomeBearing(ByValue):
     """What the camera saw of one landmark at home."""
 
     bearing: float

@@ -13,7 +13,9 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.engine.runner import FilterRunner, Numbers, Tuning
 from homeward.estimator import (
+    CHECKED,
     HOLD_S,
+    NO_BEARINGS_S,
     Counts,
     Estimate,
     Innovation,
@@ -26,14 +28,10 @@ from homeward.filters.settings import Engine
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
 from homeward.model import POLAR, PolarModel, landmark_distance
 from homeward.naming import natural
+from homeward.reasons import Reason, Rejection
 
-SEEN_RECENTLY_S = 2.0
-"""Without an accepted sighting for longer than this, the filter coasts."""
 RECENT_SIGHTINGS = 20
 """Whether most sightings are rejected is judged by so many of the last ones."""
-AGREEING = 4
-"""Landmarks that must agree before a pose is one to rely on."""
-DIVERGED = "filter steps that diverged"
 
 
 class OnlineFilter:
@@ -93,10 +91,11 @@ class OnlineFilter:
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
-        if not self._in_order(t, "odometry samples"):
+        if not all(map(math.isfinite, (t, v, omega))):
+            self.counts.reject(Rejection.BAD_ODOMETRY)
             return
-        if not (math.isfinite(v) and math.isfinite(omega)):
-            self.counts.reject("odometry samples that are not finite")
+        if t < self._t:
+            self.counts.reject(Rejection.LATE_ODOMETRY)
             return
         self._advance(t)
         self._twist, self._twist_t = (v, omega), t
@@ -106,7 +105,9 @@ class OnlineFilter:
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
         """Take all sightings of stamp `t` [s] as one update; see `homeward.estimator`."""
-        if not self._in_order(t, "bearing stamps"):
+        if not math.isfinite(t) or t < self._t:
+            late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
+            self.counts.reject(late, len(sightings))
             return self.estimate(self._t)
         self._advance(t)
         seen = self._usable(sightings)
@@ -118,7 +119,7 @@ class OnlineFilter:
         before, diverged = self._belief.active, self._runner.diverged
         self._belief, out = self._runner.update(self._belief, seen, own)
         lost = self._runner.diverged - diverged
-        self.counts.reject(DIVERGED, lost)
+        self.counts.reject(Rejection.DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
         used = ((out["accepted"] > 0) | (self._belief.active > before)) & (not lost)
         self._sightings += used
@@ -133,7 +134,7 @@ class OnlineFilter:
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s] and change nothing."""
         if math.isnan(self._t):
-            return Estimate(t, Status.WAITING, "no odometry and no bearings yet")
+            return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
         t = t if math.isfinite(t) else self._t
         return self._estimate(t, self._predicted(t), ())
 
@@ -169,22 +170,13 @@ class OnlineFilter:
             known.append(entry)
         return sorted(known, key=lambda m: natural(m.landmark))
 
-    def _in_order(self, t: float, what: str) -> bool:
-        """Tell whether a stamp can be used, and count it if not."""
-        if not math.isfinite(t):
-            self.counts.reject(f"{what} whose time is not finite")
-            return False
-        if t < self._t:
-            self.counts.reject(f"{what} that came late")
-            return False
+    def _advance(self, t: float) -> None:
+        """Carry the belief to `t` [s]; with the first sample time begins."""
         if math.isnan(self._t):
             self._t = t
-        return True
-
-    def _advance(self, t: float) -> None:
         before = self._runner.diverged
         self._belief, self._t = self._predicted(t), t
-        self.counts.reject(DIVERGED, self._runner.diverged - before)
+        self.counts.reject(Rejection.DIVERGED, self._runner.diverged - before)
 
     def _predicted(self, t: float) -> Numbers:
         """Carry the belief to `t`: by the twist while it holds, then by its absence."""
@@ -197,9 +189,9 @@ class OnlineFilter:
         usable = {}
         for landmark, beta in sightings.items():
             if landmark not in self._index:
-                self.counts.reject("sightings of landmarks without a home bearing")
+                self.counts.reject(Rejection.NO_HOME_BEARING)
             elif not math.isfinite(beta):
-                self.counts.reject("sightings that are not finite")
+                self.counts.reject(Rejection.BAD_BEARING)
             else:
                 usable[self._index[landmark]] = float(wrap(beta + self._camera_yaw))
         return usable
@@ -209,7 +201,7 @@ class OnlineFilter:
     ) -> tuple[Innovation, ...]:
         """Return those of the landmarks that had been seen before, and count what was left out."""
         if len(seen) < self._runner.tuning.minimum_visible:
-            self.counts.reject("sightings at stamps with too few landmarks in sight", len(seen))
+            self.counts.reject(Rejection.TOO_FEW, len(seen))
             return ()
         innovations = tuple(
             Innovation(
@@ -221,7 +213,7 @@ class OnlineFilter:
             for i in seen
             if active[i]
         )
-        self.counts.reject("sightings outside the gate", sum(not i.accepted for i in innovations))
+        self.counts.reject(Rejection.OUTSIDE_GATE, sum(not i.accepted for i in innovations))
         return innovations
 
     def _estimate(self, t: float, belief: Numbers, innovations: tuple[Innovation, ...]) -> Estimate:
@@ -239,14 +231,11 @@ class OnlineFilter:
             return Status.UNVERIFIED, "no odometry: only its uncertainty grows"
         if 2 * sum(self._recent) < len(self._recent):
             return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"
-        if agreeing < AGREEING:
-            return (
-                Status.UNVERIFIED,
-                f"{agreeing} of the landmarks that home saw agree; {AGREEING} are needed",
-            )
-        if age > SEEN_RECENTLY_S:
-            return Status.COASTING, f"no usable bearing for {age:.0f} s"
-        return Status.LOCALISED, f"{agreeing} of the landmarks that home saw agree"
+        if agreeing < CHECKED:
+            return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
+        if age > NO_BEARINGS_S:
+            return Status.COASTING, Reason.NO_BEARINGS.words
+        return Status.LOCALISED, f"{agreeing} home bearings agree"
 
 
 def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.drives.odometry_noise import noise_rates
-from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
@@ -26,14 +26,11 @@ from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
-from homeward.localizer.reasons import Rejection
 from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.monitor import Health, Monitor
 from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
-
-NO_BEARINGS_S = 2.0
-"""Without an accepted bearing for so long, the robot is coasting [s]."""
+from homeward.reasons import Rejection
 
 
 class Chart:
@@ -100,7 +97,7 @@ class Chart:
             The newest stamp of all [s].
         """
         if not self.odometry.has_twists:
-            self.counts.reject(Rejection.NO_ODOMETRY.words, len(frame.sightings))
+            self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
         seen = self.noise.weigh(frame)  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.calibration)  # 2 preintegration
@@ -231,7 +228,7 @@ class Chart:
         found = search.find(self.map.landmarks, self.map.calibration)
         if found is None:
             if self.monitor.is_lost:
-                self.counts.reject(Rejection.LOST.words, len(seen.names))
+                self.counts.reject(Rejection.LOST, len(seen.names))
             return False
         moved = pose_reset(self.map.state.mean[:3], *found).compose(way)
         try:
@@ -267,7 +264,7 @@ class Chart:
 
     def _give_up_map(self) -> None:
         """Throw a map away of which nothing can be made any more."""
-        self.counts.reject(Rejection.MAP_RESET.words)
+        self.counts.reject(Rejection.MAP_RESET)
         self._reset_map(self.map.smoother.stamps[-1])
 
     def _begin_motion(self, t: float, motion: Motion) -> None:

@@ -31,8 +31,8 @@ from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_words
-from homeward.localizer.reasons import Reason, Rejection
 from homeward.localizer.settings import LocalizerSettings
+from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
@@ -115,7 +115,8 @@ class Localizer:
         said, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
             self._reorder.late_bearings()
-            self._reject(Rejection.LATE_BEARINGS, len(sightings))
+            late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
+            self._reject(late, len(sightings))
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
@@ -131,7 +132,7 @@ class Localizer:
     def estimate(self, t: float) -> Estimate:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         if self._t == -math.inf:
-            return Estimate(t, Status.WAITING, "no samples yet")
+            return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
         at = self._clock.peek(t)
         now = max(at, self._t) if math.isfinite(at) else self._t
         return dataclasses.replace(self._estimate(now, ()), t=t)
@@ -195,7 +196,7 @@ class Localizer:
     def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
         for chart in self._charts:
-            chart.counts.reject(why.words, number)
+            chart.counts.reject(why, number)
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""

@@ -66,7 +66,7 @@ def write_page(
         landmarks=sorted(track.landmarks, key=lambda m: (not m.moved, natural(m.landmark))),
         consistency=_consistency(metrics),
         unlisted=max(0, np.unique(drive.sightings.landmark).size - MOST_ROWS),
-        left_out=[*drive.remarks.items(), *metrics.rejected.items()],
+        left_out=[*drive.remarks.items(), *((why.words, n) for why, n in metrics.rejected.items())],
         stages=_stages(track, metrics),
         timing=_timing(metrics),
         settings=yaml.safe_dump(dict(run), sort_keys=False, allow_unicode=True),

@@ -41,6 +41,7 @@ from homeward.frames import (
     inverse,
     polar_covariance_to_pose,
 )
+from homeward.reasons import Rejection
 from homeward.vision.approach import Anchors, Direction, resect
 from homeward.vision.compare import Comparison
 from homeward.vision.fix import Fix, joined
@@ -65,7 +66,6 @@ SLIP, TURN_SLIP = 0.05, 0.05
 """Odometry between pictures is off by such shares of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
 """So many sigmas apart, the map and home's picture contradict each other."""
-LATE = "home's picture came late"
 NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
 
@@ -136,7 +136,7 @@ class HomeSight:
             return
         newest = self._twists[-1][0] if self._twists else -math.inf
         if not math.isfinite(t) or t < max(self._pictured, newest - LATE_S):
-            self.counts.reject(LATE)
+            self.counts.reject(Rejection.LATE_PICTURE)
             return
         self._pictured = t
         self._refused = 0 if seen.accepted else self._refused + 1

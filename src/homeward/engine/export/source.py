@@ -12,9 +12,9 @@ from string import Template
 
 import casadi as ca
 
-from homeward.engine.online import AGREEING
 from homeward.engine.runner import LARGEST, LOST_SIGMA
 from homeward.engine.split import Split, emit_split, split_step
+from homeward.estimator import CHECKED
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import (
     DEFAULT_BEARING_SIGMA,
@@ -69,7 +69,7 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "own": _indented(step.own, 4),
         "defaults": _indented(_defaults(settings), 2),
         "stretches": STRETCHES,
-        "agreeing": AGREEING,
+        "agreeing": CHECKED,
         "resection_gate": _quantile(GATE) ** 2,
         "chance": CHANCE,
         "largest_misfit": math.pi * CHANCE / _quantile(GATE),

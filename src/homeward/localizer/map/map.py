@@ -18,8 +18,8 @@ from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
-from homeward.localizer.reasons import Rejection
 from homeward.localizer.settings import LocalizerSettings
+from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
 """Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
@@ -155,7 +155,7 @@ class Map:
         arguments = gated.motion, len(self._between) + 1, gated.prediction, self.state
         widened = inflate_by_odometry(gated.rows, *arguments)
         if widened is None:
-            self._counts.reject(Rejection.VAGUE_ODOMETRY.words, len(gated.frame.names))
+            self._counts.reject(Rejection.VAGUE_ODOMETRY, len(gated.frame.names))
             return False
         gated.rows[:, SIGMA] = widened
         return True
@@ -236,11 +236,11 @@ class Map:
             if taken > MOST_PER_KEYFRAME:
                 stands += 1
             elif not fits.get(name, True):
-                self._counts.reject(Rejection.OUTSIDE_GATE.words)
+                self._counts.reject(Rejection.OUTSIDE_GATE)
                 self.landmarks.set_aside(t, name, rows[i])
             else:
                 kept[i] = True
-        self._counts.reject(Rejection.STANDING.words, stands)
+        self._counts.reject(Rejection.STANDING, stands)
         self._counts.used += int(kept.sum())
         if stands == len(names):
             self.smoother.frames.drop_newest()
@@ -279,7 +279,7 @@ class Map:
         residuals = smoother.residuals()
         misfits = self.landmarks.drop_misfits(residuals) if smoother.settled else 0
         if misfits:
-            self._counts.reject(Rejection.INCONSISTENT_LANDMARK.words, misfits)
+            self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
             residuals = smoother.residuals()
         since = smoother.newest - self._solved_at

@@ -8,7 +8,7 @@ from collections.abc import Collection
 import numpy as np
 
 from homeward.drives.drive import OdometryNoise
-from homeward.estimator import Estimate, Innovation, Status
+from homeward.estimator import CHECKED, Estimate, Innovation, Status
 from homeward.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -21,15 +21,13 @@ from homeward.localizer.output.pose import (
     other_hypotheses,
     uncheckable_outliers,
 )
-from homeward.localizer.reasons import Reason
 from homeward.localizer.settings import LocalizerSettings
+from homeward.reasons import Reason
 
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 RIVAL_SIGMAS = 3.0
 """Hypotheses count as rivals when their homes are this many standard deviations apart."""
-CHECKED = 4
-"""Home bearings that must agree before one of them could have been contradicted by the others."""
 
 
 def why_home_is_not_found(
@@ -170,7 +168,7 @@ class IntegrityMonitor:
         if self._rivals > 1.0 - self._settings.sure:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
         if coasting:
-            return Status.COASTING, "no bearings now"
+            return Status.COASTING, Reason.NO_BEARINGS.words
         if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > self._most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
         return Status.LOCALISED, f"{agreeing} home bearings agree"

@@ -13,7 +13,6 @@ from homeward.localizer.geometry import compose
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.reasons import Reason
 from homeward.localizer.recovery.detectors import (
     LOST_RAD,
     RELOCALISABLE_RAD,
@@ -23,6 +22,7 @@ from homeward.localizer.recovery.detectors import (
 )
 from homeward.localizer.recovery.scene_change import SceneChangeDetector
 from homeward.localizer.recovery.search import Search
+from homeward.reasons import Reason
 
 BAD_FIT_SHARE, GOOD_FIT_SHARE = 0.6, 0.9
 """With a smaller share that fit the map is doubted, until such a share does."""

@@ -1,42 +1,47 @@
-"""Reasons: why there is no pose, and why a sample was not used, each with its words."""
+"""Reasons, the same for all estimators: why there is no pose, why a sample was not used."""
 
 from __future__ import annotations
 
 from enum import Enum
 
 
-class Reason(Enum):
-    """Why there is no pose, in words that tell what to do."""
+class _Words(Enum):
+    """An enum whose values are what the user is told; code steers by the members alone."""
 
+    @property
+    def words(self) -> str:
+        """What the user is told."""
+        return str(self.value)
+
+
+class Reason(_Words):
+    """Why an answer is what it is, where that needs no figures."""
+
+    NO_SAMPLES = "no samples yet"
     LOST = "the robot is lost in its map: what it sees does not fit, or odometry was gone"
     SCENE_CHANGED = (
         "at once none of the map was in sight and as much else: was the robot carried off?"
     )
     NOT_FIXED = "home is not fixed well enough; drive on, best in an arc"
     SIGNS_REVERSED = "bearings and turn rates go opposite ways; both must be anti-clockwise"
-
-    @property
-    def words(self) -> str:
-        """What the user is told."""
-        return self.value
+    NO_BEARINGS = "no bearings now"
 
 
-class Rejection(Enum):
+class Rejection(_Words):
     """Why a sample, or a sighting, was not used."""
 
     BAD_ODOMETRY = "odometry is not finite, or no robot's"
     LATE_ODOMETRY = "odometry came late"
+    BAD_BEARING = "bearing, or its time, is not finite"
     LATE_BEARINGS = "bearings came late"
-    BAD_BEARING = "bearing is not finite"
+    LATE_PICTURE = "home's picture came late"
     NO_ODOMETRY = "no odometry yet"
     VAGUE_ODOMETRY = "odometry since the keyframe is too uncertain"
+    NO_HOME_BEARING = "landmark has no home bearing"
+    TOO_FEW = "too few landmarks in sight"
     STANDING = "the robot stands and saw this before"
-    OUTSIDE_GATE = "bearing does not fit the map"
-    MAP_RESET = "the map was thrown away"
+    OUTSIDE_GATE = "bearing is outside the gate"
     INCONSISTENT_LANDMARK = "landmark did not agree with itself"
+    MAP_RESET = "the map was thrown away"
     LOST = "the robot is lost in its map"
-
-    @property
-    def words(self) -> str:
-        """What the user is told."""
-        return self.value
+    DIVERGED = "filter step diverged"
