@@ -42,7 +42,7 @@ def limits(title: str, changes: dict[str, object], seeds: int) -> None:
     failures = 0
     for seed in range(seeds):
         run = simulate(changed(seed, changes))
-        localizer = Localizer(run.drive.home, run.drive.settings)
+        localizer = Localizer(run.drive.home, **run.drive.settings.robot)
         error, covariance = final_error(run.drive, localizer)
         moved = {m.landmark for m in localizer.landmarks() if m.moved}
         right.append(moved == set(run.world.moved))

@@ -50,7 +50,7 @@ def make_drive(landmarks: int, seconds: float, far: float = 6.0) -> Drive:
 
 def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     """Return the cost of each call of `bearings` [ms], and whether home was found by then."""
-    localizer = Localizer(drive.home, drive.settings)
+    localizer = Localizer(drive.home, **drive.settings.robot)
     o = drive.odometry
     twists = zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
     twist = next(twists, None)

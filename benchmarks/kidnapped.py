@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.drive import DriveSettings, HomeBearing, Sensor
+from homeward.drives.drive import HomeBearing, Sensor
 from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
@@ -171,11 +171,11 @@ def calamity(seed: int) -> tuple[Callable[[], Localizer], list[Sample], list[Sam
     half_view = float(rng.uniform(0.6, 1.2)) if narrow else math.pi
     world = World(marks, rng, 1.5, 0.3, half_view=half_view)
     home, told = world.home(), bool(rng.random() < 0.5)
-    settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA if told else None))
+    sensor = Sensor(bearing_sigma=SIGMA if told else None)
     bad: list[Sample] = []
     while world.t < BAD_S - DT:
         bad += _mishap(world, min(float(rng.uniform(1.0, 12.0)), BAD_S - world.t))
-    return lambda: Localizer(home, settings), bad, list(world.drive(HONEST_S))
+    return lambda: Localizer(home, sensor=sensor), bad, list(world.drive(HONEST_S))
 
 
 def _mishap(world: World, seconds: float) -> list[Sample]:
@@ -250,8 +250,7 @@ def hall(seed: int, how: Carried) -> tuple[Callable[[], Localizer], list[Sample]
     else:
         world.middle = (0.0, 0.0)
     samples += world.drive(150.0)
-    settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA))
-    return lambda: Localizer(home, settings), samples
+    return lambda: Localizer(home, sensor=Sensor(bearing_sigma=SIGMA)), samples
 
 
 def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample]:

@@ -63,7 +63,7 @@ def last_bearing_age(track: Track, e: Errors, drive: Drive) -> np.ndarray:
 
 def row(drive: Drive, wrong: set[str], final: bool) -> tuple[float, str]:
     """Run one drive, and smooth it perhaps; return its RMSE and a line of figures."""
-    track = smooth(drive) if final else run(drive, Localizer(drive.home, drive.settings))
+    track = smooth(drive) if final else run(drive, Localizer(drive.home, **drive.settings.robot))
     start = track.t[0]
     e = errors(track, drive.truth)
     late = e.t > start + AFTER_S

@@ -21,7 +21,7 @@ def one(scenario: str, seed: int, sabotages: Sequence[str] = ()) -> dict[str, Fi
     """Run the localiser on one drive of a scenario; return its figures, and those of sabotage."""
     named = SCENARIOS[scenario]
     trial = named.make(named.first + seed)
-    track = run(trial.drive, Localizer(trial.drive.home, trial.drive.settings))
+    track = run(trial.drive, Localizer(trial.drive.home, **trial.drive.settings.robot))
     spoilt = {name: SABOTAGES[name].of(track) for name in sabotages}
     return {name: figures(t, trial) for name, t in {AS_IT_IS: track, **spoilt}.items()}
 

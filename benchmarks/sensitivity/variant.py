@@ -92,7 +92,7 @@ def _outcome(name: str, trial: Trial, settings: LocalizerSettings) -> Outcome:
         if name.endswith(SMOOTHED):
             track = smooth(drive, settings)
         else:
-            track = run(drive, Localizer(drive.home, drive.settings, settings))
+            track = run(drive, Localizer(drive.home, settings=settings, **drive.settings.robot))
     except Exception as error:  # whatever a number that makes no sense breaks
         return _failed(name, error, time.process_time() - began)
     return Outcome(name, _digest(track), figures(track, trial), time.process_time() - began)

@@ -170,7 +170,8 @@ def guarded(method: Method) -> Method:
     return cast(Method, inside)
 
 
-def _real(value: Any) -> float:
+def real(value: Any) -> float:
+    """Return a real number of any kind as a float; anything else raises `InputError`."""
     if type(value) is not float:
         if isinstance(value, np.ndarray) and value.size == 1:
             value = value.reshape(())[()]
@@ -183,18 +184,20 @@ def _real(value: Any) -> float:
 
 
 def _time(value: Any) -> float:
-    t = _real(value)
+    t = real(value)
     return t if abs(t) < NO_TIME_S else math.nan
 
 
 def _reals(values: Any) -> dict[str, float]:
     if not isinstance(values, Mapping):
         raise InputError(f"a {type(values).__name__}, where ids to bearings or sigmas are due")
-    return {name: _real(value) for name, value in values.items()}
+    if not all(isinstance(name, str) for name in values):
+        raise InputError("a landmark's id is text, where ids to bearings or sigmas are due")
+    return {name: real(value) for name, value in values.items()}
 
 
 _DOORS: dict[str, Callable[[Any], Any]] = {
-    "float": _real,
+    "float": real,
     "Mapping[str, float]": _reals,
     "Mapping[str, float] | None": lambda values: None if values is None else _reals(values),
 }

@@ -82,7 +82,7 @@ class Rig:
                 turn_bias_sigma=0.0,
             ),
         )
-        self.localizer = Localizer(home, self.settings)
+        self.localizer = Localizer(home, **self.settings.robot)
 
     def drive(
         self,

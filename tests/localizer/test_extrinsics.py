@@ -24,7 +24,7 @@ def mounted(mount, seed, told):
     rig.pose = home
     stored = {n: type(b)(bearings[n], BEARING_SIGMA) for n, b in rig.home.items()}
     sensor = Sensor(bearing_sigma=BEARING_SIGMA, **told)
-    rig.localizer = Localizer(stored, rig.settings.model_copy(update={"sensor": sensor}))
+    rig.localizer = Localizer(stored, **rig.settings.robot | {"sensor": sensor})
     return rig
 
 

@@ -18,7 +18,7 @@ def test_case_2_comes_near_the_bound_and_names_what_moved(moved):
     right, squares = [], []
     for seed in range(300, 312):
         case = simulate(scenario(seed, moved))
-        localizer = Localizer(case.drive.home, case.drive.settings)
+        localizer = Localizer(case.drive.home, **case.drive.settings.robot)
         error, _ = final_error(case.drive, localizer)
         squares.append(error[:2] @ np.linalg.solve(bound(case)[:2, :2], error[:2]) / 2)
         named = {m.landmark for m in localizer.landmarks() if m.moved}
@@ -43,7 +43,7 @@ def test_a_real_drive_without_map_or_prior(data_dir):
     if not folder.is_dir():
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
     drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), np.radians(0.5), 0)
-    track = run(drive, Localizer(drive.home, drive.settings))
+    track = run(drive, Localizer(drive.home, **drive.settings.robot))
     e = errors(track, drive.truth)
     late = e.t > track.t[0] + 300.0
     assert statistics(e.position[late], e.weight[late]).rmse < 0.2

@@ -114,14 +114,14 @@ def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():
 def test_a_yaw_that_is_exactly_known_is_no_error():
     rig = Rig(ring(8))
     settings = LocalizerSettings(camera_yaw_sigma=0.0)
-    rig.localizer = Localizer(rig.home, rig.settings, settings)
+    rig.localizer = Localizer(rig.home, settings=settings, **rig.settings.robot)
     assert rig.drive(20).status is Status.LOCALISED
 
 
 def test_what_was_stored_is_told_by_the_yaw_that_was_found():
     rig = Rig(ring(10))
     rig.home = {n: HomeBearing(b.bearing - 0.3, b.sigma) for n, b in rig.home.items()}
-    rig.localizer = Localizer(rig.home, rig.settings)
+    rig.localizer = Localizer(rig.home, **rig.settings.robot)
     rig.drive(60, see=lambda seen: {n: b - 0.3 for n, b in seen.items()})
     assert rig.localizer.mount.heading == pytest.approx(0.3, abs=0.02)
     for m in rig.localizer.landmarks():

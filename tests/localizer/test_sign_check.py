@@ -72,7 +72,7 @@ def test_there_is_no_pose_in_the_mirror_and_the_reason_is_told(wrong):
     rig = Rig(ring(10))
     if wrong == "bearings":
         home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
-        rig.localizer = Localizer(home, rig.settings)
+        rig.localizer = Localizer(home, **rig.settings.robot)
         answer = rig.drive(60, see=lambda seen: {n: -b for n, b in seen.items()})
     else:
         feel = rig.localizer.odometry

@@ -90,7 +90,7 @@ def test_where_another_home_is_as_probable_no_row_is_called_localised():
 def test_at_the_end_three_bearings_are_as_unsure_as_in_the_causal_run(number, wrong):
     landmarks = ring(number)
     drive = recorded(landmarks, seen_from_elsewhere(landmarks, wrong))
-    causal, track = run(drive, Localizer(drive.home, drive.settings)), smooth(drive)
+    causal, track = run(drive, Localizer(drive.home, **drive.settings.robot)), smooth(drive)
     assert (track.status[-1], track.reason[-1]) == (causal.status[-1], causal.reason[-1])
     assert track.status[-1] is Status.UNVERIFIED
     assert track.sigmas[-1] == pytest.approx(causal.sigmas[-1], rel=0.2)

@@ -8,7 +8,7 @@ import pytest
 from rig import BEARING_SIGMA, Rig, eight, ring
 
 from homeward.control import Twist
-from homeward.drives.drive import DriveSettings, HomeBearing, Sensor
+from homeward.drives.drive import HomeBearing, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -48,8 +48,7 @@ def test_a_fifth_of_the_ids_swapped():
 @pytest.mark.parametrize("seed", [5, 9, 11, 17])
 def test_wrong_bearings_from_the_start_bend_no_map(seed):
     rig = Rig(ring(10, seed, 2.0, 6.0), seed)
-    uncalibrated = DriveSettings(sensor=rig.settings.sensor)
-    rig.localizer = Localizer(rig.home, uncalibrated)
+    rig.localizer = Localizer(rig.home, sensor=rig.settings.sensor)
 
     def wild(seen):
         angle = rig.rng.uniform
@@ -213,7 +212,7 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
         sensor = Sensor()
     else:
         sensor = Sensor(bearing_sigma=small)
-    rig.localizer = Localizer(home, rig.settings.model_copy(update={"sensor": sensor}))
+    rig.localizer = Localizer(home, **rig.settings.robot | {"sensor": sensor})
     assert NOISY_NOTE not in rig.localizer.notes
     assert rig.drive(60).status is Status.LOCALISED
     assert rig.localizer.chart.noise.scale == pytest.approx(10.0, rel=0.25)

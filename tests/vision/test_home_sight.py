@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from told_map import SIGMA, Map, bearings, compared, scene
 
-from homeward.drives.drive import DriveSettings, Mount, OdometryNoise, Sensor
+from homeward.drives.drive import Mount, OdometryNoise, Sensor
 from homeward.estimator import Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
@@ -207,7 +207,7 @@ def test_between_pictures_a_pose_gets_as_unsure_as_odometry_is_noisy():
     noise = OdometryNoise(speed_sigma=0.02, turn_sigma=0.03)
     rng, squared = np.random.default_rng(6), []
     for _ in range(200):
-        sight = HomeSight(Map(points), DriveSettings(odometry=noise))
+        sight = HomeSight(Map(points), odometry=noise)
         sight.home(0.0, compared(points, begin))
         fixed = sight.estimate(0.0)
         for t in np.arange(0.0, seconds, 1 / rate):
@@ -228,8 +228,7 @@ def test_the_robot_s_centre_is_told_not_the_camera_s():
     camera = between(seen_at_home, compose(robot, mount.pose))
     points = scene()
     placed = [compose(seen_at_home, Pose(x, y, 0.0))[:2] for x, y in points.tolist()]
-    settings = DriveSettings(sensor=mount, home_sensor=home_mount)
-    sight = HomeSight(Map(np.array(placed)), settings)
+    sight = HomeSight(Map(np.array(placed)), sensor=mount, home_sensor=home_mount)
     sight.home(0.0, compared(points, camera))
     np.testing.assert_allclose(sight.estimate(0.0).pose, robot, atol=1e-3)
 

@@ -97,7 +97,7 @@ def test_every_picture_is_in_the_drive_and_few_bytes_of_it(folder, drive):
 
 
 def test_at_home_its_picture_makes_the_pose_better(drive, track):
-    mapped = run(drive, Localizer(drive.home, drive.settings))
+    mapped = run(drive, Localizer(drive.home, **drive.settings.robot))
     told, else_told = (errors(t, drive.truth).position[-1] for t in (track, mapped))
     assert told < 0.002 < 0.5 * else_told
     assert track.status[-1] is Status.LOCALISED
@@ -152,7 +152,7 @@ def test_without_pictures_it_is_the_localiser(drive):
     estimator = make_estimator("robust", blind)
     assert isinstance(estimator, RecordedSight)
     track = run(blind, estimator)
-    assert_same(track, run(drive, Localizer(drive.home, drive.settings)), track.t.size)
+    assert_same(track, run(drive, Localizer(drive.home, **drive.settings.robot)), track.t.size)
     assert f"0 of {len(drive.pictures)} pictures" in track.notes[-1]
 
 

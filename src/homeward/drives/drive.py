@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -88,6 +88,19 @@ class Start(Strict):
         return Polar(self.R, self.theta, self.alpha)
 
 
+class Robot(TypedDict, total=False):
+    """What is known of a robot: the keywords of every estimator, as models or as their values."""
+
+    sensor: Sensor | dict[str, Any]
+    """The camera."""
+    home_sensor: Mount | dict[str, Any] | None
+    """The camera as it sat when home was stored, if otherwise."""
+    odometry: OdometryNoise | dict[str, Any]
+    """How far odometry may be off."""
+    start: Start | dict[str, Any] | None
+    """Where the robot is at first."""
+
+
 class DriveSettings(Strict):
     """Everything that drive.yaml may say; every key may be absent."""
 
@@ -100,6 +113,16 @@ class DriveSettings(Strict):
     """Whole seconds to be added to every time of the drive to have its log's clock; None: 0. Logs
     with Unix stamps are counted from their first whole second, since a double holds Unix time to
     0.2 microseconds only."""
+
+    @property
+    def robot(self) -> Robot:
+        """What is known of the robot, for an estimator: ``Localizer(home, **settings.robot)``."""
+        return {
+            "sensor": self.sensor,
+            "home_sensor": self.home_sensor,
+            "odometry": self.odometry,
+            "start": self.start,
+        }
 
     @property
     def home_mount(self) -> Mount:

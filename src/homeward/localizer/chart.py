@@ -38,12 +38,8 @@ class Chart:
 
     Parameters
     ----------
-    home : dict of str to HomeBearing
-        What the camera saw at home.
-    drive : DriveSettings
-        Camera, odometry and start prior as far as known.
-    settings : LocalizerSettings
-        Everything else.
+    home, drive, settings
+        As the `Localizer` was told, and checked.
     counts : Counts
         Where to count sightings.
     """

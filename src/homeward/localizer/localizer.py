@@ -11,9 +11,11 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping
+from typing import Any, Unpack
 
 from homeward.drives.clock import LATE_S, Clock
-from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import HomeBearing, Robot
+from homeward.drives.known import known_home, known_robot, known_settings
 from homeward.estimator import (
     FASTEST,
     Counts,
@@ -45,35 +47,40 @@ class Localizer:
 
     Parameters
     ----------
-    home : dict of str to HomeBearing
-        What the camera saw at home.
-    drive : DriveSettings
-        Camera, odometry and start prior as far as known.
-    settings : LocalizerSettings
+    home : dict of str to float or HomeBearing
+        What the camera saw at home: bearings [rad] by landmark, with a deviation where it is known.
+    settings : LocalizerSettings or dict, optional
         Everything else.
+    **robot : Robot
+        What is known of the robot: `sensor`, `home_sensor`, `odometry`, `start`.
+
+    Raises
+    ------
+    InputError
+        When something of it cannot be used.
     """
 
     name = "robust"
 
     def __init__(
         self,
-        home: Mapping[str, HomeBearing],
-        drive: DriveSettings | None = None,
-        settings: LocalizerSettings | None = None,
+        home: Mapping[str, float | HomeBearing],
+        *,
+        settings: LocalizerSettings | dict[str, Any] | None = None,
+        **robot: Unpack[Robot],
     ) -> None:
         self.counts, self._turn = Counts(), threading.RLock()
         self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
-        self.settings = settings or LocalizerSettings()
-        self._drive = drive or DriveSettings()
-        self._stored = home
-        self._chart = Chart(home, self._drive, self.settings, self.counts)
+        self.settings = known_settings(LocalizerSettings, settings)
+        self._home, self._robot = known_home(home), known_robot(robot)
+        self._chart = Chart(self._home, self._robot, self.settings, self.counts)
         self._beside: Chart | None = None
         """Another one, begun where the robot was lost in the first."""
         self._lead = 0
         """So many more sightings fit the other one, since then or since it was the worse one."""
         self._keeps = False
         self._clock, self._reorder = Clock(), ReorderBuffer()
-        self._sign_check = SignCheck(self._drive.sensor.yaw)
+        self._sign_check = SignCheck(self._robot.sensor.yaw)
         self._t = -math.inf
 
     @property
@@ -249,8 +256,8 @@ class Localizer:
 
     def _begin_beside(self, t: float) -> None:
         """Begin another map at the robot, at `t` [s]."""
-        anywhere = self._drive.model_copy(update={"start": None})
-        self._beside = Chart(self._stored, anywhere, self.settings, copy.deepcopy(self.counts))
+        anywhere = self._robot.model_copy(update={"start": None})
+        self._beside = Chart(self._home, anywhere, self.settings, copy.deepcopy(self.counts))
         self._lead = 0
         if self._keeps:
             self._beside.keep_closed()

@@ -50,7 +50,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
         map was begun, rows are those of the causal one.
     """
     settings = settings or LocalizerSettings()
-    localizer = Localizer(drive.home, drive.settings, settings)
+    localizer = Localizer(drive.home, settings=settings, **drive.settings.robot)
     localizer.keep_closed()
     track = run(drive, localizer)
     if localizer.signs_reversed:

@@ -13,13 +13,15 @@ import math
 import threading
 from collections import deque
 from collections.abc import Mapping
+from typing import Unpack
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import DriveSettings, Odometry
+from homeward.drives.drive import Odometry, Robot
+from homeward.drives.known import known_robot
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import (
     FASTEST,
@@ -77,16 +79,15 @@ class HomeSight:
     ----------
     estimator : Estimator
         Maps the landmarks.
-    drive : DriveSettings
-        Where the camera is on the robot, now and at home.
+    **robot : Robot
+        As the estimator was told: where the camera is on the robot, now and at home.
     """
 
-    def __init__(self, estimator: Estimator, drive: DriveSettings | None = None) -> None:
+    def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:
         self._inner, self._turn = estimator, threading.RLock()
         self.name, self.counts = estimator.name, estimator.counts
-        settings = drive or DriveSettings()
-        self._told = settings
-        self._noise_rates = noise_rates(settings.odometry, OdometryDefaults())
+        self._told = known_robot(robot)
+        self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
         self._twists: deque[tuple[float, float, float]] = deque()
         """(t, v, omega) since the last fix, and as long as a picture may be late; and the one that
         held when that began."""

@@ -56,7 +56,7 @@ class RecordedSight(HomeSight):
     """
 
     def __init__(self, estimator: Estimator, drive: SeenDrive) -> None:
-        super().__init__(estimator, drive.settings)
+        super().__init__(estimator, **drive.settings.robot)
         self._note = _note(drive)
         self._coming = deque(drive.pictures)
         self._doubt: Doubt | None = None

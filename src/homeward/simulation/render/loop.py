@@ -104,7 +104,7 @@ class ImageLoop:
         InputError
             When the robot runs into something.
         """
-        sight = None if estimator is None else HomeSight(estimator, self.drive.settings)
+        sight = None if estimator is None else HomeSight(estimator, **self.drive.settings.robot)
         log = Log(sight)
 
         def see(t: float, robot: Pose) -> None:

@@ -1,0 +1,56 @@
+"""What an estimator is told beforehand, as numbers and models: home bearings, and the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from homeward.drives.drive import DriveSettings, HomeBearing, Robot
+from homeward.drives.settings import Model, validated
+from homeward.errors import InputError
+from homeward.estimator import real
+
+
+def known_home(home: Mapping[str, float | HomeBearing]) -> dict[str, HomeBearing]:
+    """Return home bearings with their standard deviations, of plain floats.
+
+    Parameters
+    ----------
+    home : dict of str to float or HomeBearing
+        Bearings [rad] from the camera's axis, by landmark.
+
+    Raises
+    ------
+    InputError
+        When it is no mapping of text to such, or a bearing is not finite.
+    """
+    if not isinstance(home, Mapping):
+        raise InputError(f"home is a {type(home).__name__}, where ids to bearings [rad] are due")
+    return {name: _home_bearing(name, seen) for name, seen in home.items()}
+
+
+def known_robot(robot: Robot) -> DriveSettings:
+    """Return what is known of a robot, checked; `InputError` names the key that is wrong."""
+    return validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
+
+
+def known_settings(model: type[Model], settings: Model | dict[str, Any] | None) -> Model:
+    """Return the settings of an estimator, checked; None: the defaults."""
+    if settings is not None and not isinstance(settings, (model, dict)):
+        which = f"{model.__name__} or its keys and values"
+        raise InputError(f"settings: {which}, not a {type(settings).__name__}")
+    return validated(model, settings or {})
+
+
+def _home_bearing(name: object, seen: object) -> HomeBearing:
+    if not isinstance(name, str):
+        raise InputError(f"home: a landmark's id is text, not {name!r}")
+    given = seen if isinstance(seen, HomeBearing) else HomeBearing(cast(float, seen))
+    try:
+        bearing, sigma = real(given.bearing), real(given.sigma)
+    except InputError as error:
+        raise InputError(f"home: {name!r}: {error}") from error
+    if not math.isfinite(bearing):
+        raise InputError(f"home: {name!r}: the bearing is not finite")
+    return HomeBearing(bearing, sigma)
