@@ -6,48 +6,103 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from homeward.drives.drive import Drive
+    from homeward.drives.drive import (
+        Drive,
+        DriveSettings,
+        HomeBearing,
+        Mount,
+        Odometry,
+        OdometryNoise,
+        Robot,
+        Sensor,
+        Sightings,
+        Start,
+        Truth,
+    )
     from homeward.drives.opening import open_drive
+    from homeward.drives.saving import save_drive
+    from homeward.engine.paper import a_ekf, ekf, pi_ekf
     from homeward.errors import HomewardError, InputError
-    from homeward.estimator import Estimate, Estimator, Status
+    from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
+    from homeward.filters.settings import (
+        AugmentedSettings,
+        FilterSettings,
+        ProportionalIntegralSettings,
+    )
     from homeward.frames import Polar, Pose
+    from homeward.localizer.localizer import Localizer
+    from homeward.localizer.settings import LocalizerSettings
+    from homeward.localizer.smoothing import smooth
+    from homeward.reasons import Reason, Rejection
     from homeward.registry import make_estimator
     from homeward.scoring import score
     from homeward.track import Track, run
 
     __version__: str
 
-_HOMES = {
-    "Drive": "drives.drive",
-    "Estimate": "estimator",
-    "Estimator": "estimator",
-    "HomewardError": "errors",
-    "InputError": "errors",
-    "Polar": "frames",
-    "Pose": "frames",
-    "Status": "estimator",
-    "Track": "track",
-    "make_estimator": "registry",
-    "open_drive": "drives.opening",
-    "run": "track",
-    "score": "scoring",
+_NAMES = {
+    "drives.drive": (
+        *("Drive", "DriveSettings", "HomeBearing", "Mount", "Odometry", "OdometryNoise"),
+        *("Robot", "Sensor", "Sightings", "Start", "Truth"),
+    ),
+    "drives.opening": ("open_drive",),
+    "drives.saving": ("save_drive",),
+    "engine.paper": ("a_ekf", "ekf", "pi_ekf"),
+    "errors": ("HomewardError", "InputError"),
+    "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
+    "filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
+    "frames": ("Polar", "Pose"),
+    "localizer.localizer": ("Localizer",),
+    "localizer.settings": ("LocalizerSettings",),
+    "localizer.smoothing": ("smooth",),
+    "reasons": ("Reason", "Rejection"),
+    "registry": ("make_estimator",),
+    "scoring": ("score",),
+    "track": ("Track", "run"),
 }
+"""What each module offers to all."""
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
+    "AugmentedSettings",
+    "Counts",
     "Drive",
+    "DriveSettings",
     "Estimate",
     "Estimator",
+    "FilterSettings",
+    "HomeBearing",
     "HomewardError",
+    "Innovation",
     "InputError",
+    "LandmarkEstimate",
+    "Localizer",
+    "LocalizerSettings",
+    "Mount",
+    "Odometry",
+    "OdometryNoise",
     "Polar",
     "Pose",
+    "ProportionalIntegralSettings",
+    "Reason",
+    "Rejection",
+    "Robot",
+    "Sensor",
+    "Sightings",
+    "Start",
     "Status",
     "Track",
+    "Truth",
     "__version__",
+    "a_ekf",
+    "ekf",
     "make_estimator",
     "open_drive",
+    "pi_ekf",
     "run",
+    "save_drive",
     "score",
+    "smooth",
 ]
 
 

@@ -73,7 +73,16 @@ def test_the_version_is_said_in_every_way():
 
 def test_what_can_be_imported_is_listed_and_there():
     assert {"open_drive", "run", "make_estimator", "score", "__version__"} <= set(dir(homeward))
+    assert {"Localizer", "HomeBearing", "ekf", "smooth", "Estimate"} <= set(homeward.__all__)
     assert all(getattr(homeward, name) is not None for name in dir(homeward))
+
+
+def test_what_is_not_asked_for_is_not_imported():
+    names = (
+        "import sys, homeward; print(sorted(m for m in sys.modules if m.startswith('homeward')))"
+    )
+    told = subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True)
+    assert told.stdout == "['homeward']\n"
 
 
 def test_the_sample_is_opened_from_python_by_its_name(tmp_path, monkeypatch):
