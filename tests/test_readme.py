@@ -1,4 +1,4 @@
-"""What the README shows must run as it stands there."""
+"""What README and docs show must run as it stands there."""
 
 import os
 import re
@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -17,9 +18,17 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+def blocks(text, language):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
 def block(language):
-    (found,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    (found,) = blocks(README, language)
     return found
+
+
+def doc(name):
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
 def test_python_example_runs(tmp_path, monkeypatch, capsys):
@@ -27,6 +36,23 @@ def test_python_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block("python"), "README.md", "exec"), {})
     assert "Status." in capsys.readouterr().out
+
+
+def test_python_of_the_camera_front_end_runs_in_order():
+    pytest.importorskip("cv2")
+    home = np.random.default_rng(0).integers(0, 256, (128, 512), np.uint8)
+    names = {"home_image": home, "image": np.roll(home, 40, axis=1), "t": 0.0}
+    names["mask_image"] = np.full_like(home, 255)
+    for text in blocks(doc("vision.md"), "python"):
+        exec(compile(text, "vision.md", "exec"), names)
+    assert names["glance"].home.accepted
+    assert names["estimate"].reason
+
+
+def test_python_of_a_batch_runs(capsys):
+    first, *_ = blocks(doc("engine.md"), "python")
+    exec(compile(first.replace("10_000", "8"), "engine.md", "exec"), {})
+    assert capsys.readouterr().out
 
 
 def test_drive_yaml_example_is_valid():

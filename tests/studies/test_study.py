@@ -1,10 +1,12 @@
 """Studies: settings that name what is wrong, runs that repeat, resumption, failures, results."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -236,6 +238,17 @@ def test_results_are_one_file_with_units(tmp_path, results):
         again = StudySettings.model_validate(json.loads(data.attrs["study"]))
     assert again == results.plan.study
     assert to_dataset(results).time.units == "s"
+
+
+def test_the_results_are_read_as_the_manual_shows(tmp_path, results, monkeypatch, capsys):
+    pytest.importorskip("h5netcdf")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out" / "my").mkdir(parents=True)
+    write_netcdf(results, tmp_path / "out" / "my" / "results.nc")
+    manual = (Path(__file__).resolve().parents[2] / "docs" / "studies.md").read_text("utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", manual, re.DOTALL)
+    exec(compile(example, "studies.md", "exec"), {})
+    assert "ekf" in capsys.readouterr().out
 
 
 def test_the_summary_counts_right():
