@@ -1,5 +1,6 @@
 """What an estimator is told beforehand: one set of words, one clear error where it is bad."""
 
+import dataclasses
 import inspect
 import math
 
@@ -12,6 +13,7 @@ from homeward.engine.paper import a_ekf, ekf, pi_ekf
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
+from homeward.reasons import Rejection
 from homeward.registry import make_estimator
 
 HOME = {"door": 0.31, "lamp": -1.2, "crate 7": 2.0}
@@ -91,3 +93,16 @@ def test_what_cannot_be_used_is_one_clear_error(make, told, words):
 def test_sightings_of_what_is_no_id_are_refused(make):
     with pytest.raises(InputError, match="id is text"):
         make(HOME, start=START).bearings(0.0, {7: 0.1})
+
+
+@ALL
+def test_an_answer_is_of_the_time_that_was_asked_for(make):
+    estimator = make(HOME, start=START)
+    answers(estimator)
+    newest = estimator.estimate(3.9)
+    for t in (1.0, math.nan):  # before the last sample, and where no clock says
+        asked = estimator.estimate(t)
+        assert asked == dataclasses.replace(newest, t=t)
+        assert asked == dataclasses.replace(estimator.bearings(t, HOME), innovations=())
+    assert Rejection.LATE_BEARINGS in estimator.counts.rejected
+    assert Rejection.BAD_BEARING in estimator.counts.rejected

@@ -218,7 +218,10 @@ class Estimator(Protocol):
 
     name: str
     """The word for it in commands and files."""
-    counts: Counts
+
+    @property
+    def counts(self) -> Counts:
+        """What was done with the samples so far; ask anew, rather than keep it."""
 
     @property
     def notes(self) -> tuple[str, ...]:

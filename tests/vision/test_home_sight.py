@@ -8,7 +8,7 @@ import pytest
 from told_map import SIGMA, Map, bearings, compared, scene
 
 from homeward.drives.drive import Mount, OdometryNoise, Sensor
-from homeward.estimator import Status
+from homeward.estimator import Counts, Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
 from homeward.vision.approach import Anchors, Direction, _predict, resect
@@ -200,6 +200,13 @@ def test_a_pose_from_home_s_picture_gives_way_to_the_map_when_home_is_out_of_sig
     sight.home(1.0, compared(points, camera))
     assert sight.estimate(0.9 + POSE_HOLD_S).pose[0] == pytest.approx(0.4, abs=0.01)
     assert sight.estimate(1.1 + POSE_HOLD_S).pose == mapped
+
+
+def test_counts_are_those_that_the_map_has_now():
+    inner = Map(scene())
+    sight = HomeSight(inner)
+    inner.counts = Counts(used=3)  # as where another map proved right
+    assert sight.counts == Counts(used=3)
 
 
 def test_between_pictures_a_pose_gets_as_unsure_as_odometry_is_noisy():

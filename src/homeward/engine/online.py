@@ -108,7 +108,7 @@ class OnlineFilter:
         if not math.isfinite(t) or t < self._t:
             late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
             self.counts.reject(late, len(sightings))
-            return self.estimate(self._t)
+            return self.estimate(t)
         self._advance(t)
         seen = self._usable(sightings)
         own = {
@@ -132,11 +132,11 @@ class OnlineFilter:
 
     @guarded
     def estimate(self, t: float) -> Estimate:
-        """Predict to `t` [s] and change nothing."""
+        """Predict to `t` [s], not before the last sample, and change nothing."""
         if math.isnan(self._t):
             return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
-        t = t if math.isfinite(t) else self._t
-        return self._estimate(t, self._predicted(t), ())
+        now = max(t, self._t) if math.isfinite(t) else self._t
+        return replace(self._estimate(now, self._predicted(now), ()), t=t)
 
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:

@@ -26,6 +26,7 @@ from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import (
     FASTEST,
     HOLD_S,
+    Counts,
     Estimate,
     Estimator,
     FindsMount,
@@ -85,7 +86,7 @@ class HomeSight:
 
     def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:
         self._inner, self._turn = estimator, threading.RLock()
-        self.name, self.counts = estimator.name, estimator.counts
+        self.name = estimator.name
         self._told = known_robot(robot)
         self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
         self._twists: deque[tuple[float, float, float]] = deque()
@@ -97,6 +98,11 @@ class HomeSight:
         self._refused = 0
         """How often in a row home's picture was not recognised."""
         self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
+
+    @property
+    def counts(self) -> Counts:
+        """Those of the other estimator, and the pictures that came late."""
+        return self._inner.counts
 
     @property
     def notes(self) -> tuple[str, ...]:
