@@ -55,6 +55,23 @@ def test_python_of_a_batch_runs(capsys):
     assert capsys.readouterr().out
 
 
+def test_python_of_what_bearings_tell_runs():
+    names = {}
+    (text,) = blocks(doc("observability.md"), "python")
+    exec(compile(text, "observability.md", "exec"), names)
+    assert names["view"].windows[0].weakest
+
+
+def test_python_of_a_floor_runs(tmp_path):
+    coarse = tmp_path / "coarse.yaml"
+    plan = (ROOT / "src/homeward/data/plans/warehouse.yaml").read_text(encoding="utf-8")
+    coarse.write_text(plan.replace("grid: 0.1", "grid: 1.0"), encoding="utf-8")
+    (text,) = blocks(doc("planning.md"), "python")
+    names = {}
+    exec(compile(text.replace("warehouse", str(coarse)), "planning.md", "exec"), names)
+    assert names["view"].position.shape == names["view"].begins.shape
+
+
 def test_drive_yaml_example_is_valid():
     settings = DriveSettings.model_validate(yaml.safe_load(block("yaml")))
     assert settings.start is not None
