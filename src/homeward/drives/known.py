@@ -11,14 +11,17 @@ from homeward.drives.settings import Model, validated
 from homeward.errors import InputError
 from homeward.estimator import real
 
+Home = Mapping[str, float | HomeBearing]
+"""What the camera saw at home: bearings [rad] by landmark, with a deviation where it is known."""
 
-def known_home(home: Mapping[str, float | HomeBearing]) -> dict[str, HomeBearing]:
+
+def known_home(home: Home) -> dict[str, HomeBearing]:
     """Return home bearings with their standard deviations, of plain floats.
 
     Parameters
     ----------
-    home : dict of str to float or HomeBearing
-        Bearings [rad] from the camera's axis, by landmark.
+    home : Home
+        From the camera's axis.
 
     Raises
     ------

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing, Robot
-from homeward.drives.known import known_home, known_robot, known_settings
+from homeward.drives.known import Home, known_home, known_robot, known_settings
 from homeward.engine.online import OnlineFilter
 from homeward.engine.runner import Tuning
 from homeward.errors import InputError
@@ -27,8 +26,6 @@ from homeward.filters.settings import (
     ProportionalIntegralSettings,
 )
 from homeward.model import POLAR, PolarModel
-
-Home = Mapping[str, float | HomeBearing]
 
 
 def ekf(

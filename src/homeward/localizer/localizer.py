@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from typing import Any, Unpack
 
 from homeward.drives.clock import LATE_S, Clock
-from homeward.drives.drive import HomeBearing, Robot
-from homeward.drives.known import known_home, known_robot, known_settings
+from homeward.drives.drive import Robot
+from homeward.drives.known import Home, known_home, known_robot, known_settings
 from homeward.estimator import (
     FASTEST,
     Counts,
@@ -64,7 +64,7 @@ class Localizer:
 
     def __init__(
         self,
-        home: Mapping[str, float | HomeBearing],
+        home: Home,
         *,
         settings: LocalizerSettings | dict[str, Any] | None = None,
         **robot: Unpack[Robot],
