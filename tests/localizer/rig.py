@@ -9,9 +9,12 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control import Twist
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.twists import Twists
 from homeward.simulation.trajectories import advance
 
 BEARING_SIGMA = 0.01
@@ -50,6 +53,19 @@ def eight(t):
 def still(_):
     """Twist of a robot that stands."""
     return Twist(0.0, 0.0)
+
+
+class Wheels(Odometry):
+    """Odometry with a history of twists of its own, its noise that of nobody in particular."""
+
+    def __init__(self):
+        self.twists = Twists()
+        super().__init__(self.twists, noise_rates(OdometryNoise(), OdometryDefaults()))
+
+    def add(self, t, v, omega):
+        """Take a twist, which may be late."""
+        self.rewind(t)
+        self.twists.add(t, v, omega)
 
 
 @dataclass

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
+from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.sightings import COLUMNS, OWN, SIGMA, scale_noise
 
 
@@ -15,12 +16,12 @@ def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
     marks = rng.uniform(2.0, 4.0, 5) * np.exp(1j * rng.uniform(-math.pi, math.pi, 5))
     noise, speed, omega = BearingNoise(given, 0.02), 0.3, 0.4
     for t in np.arange(0.0, seconds, 1.0 / rate).tolist():
-        noise.add_turn_rate(t, omega)
         at = speed / omega * 1j * (1 - np.exp(1j * omega * t))
         bearings = np.angle((marks - at) * np.exp(-1j * omega * t)) + sigma * rng.normal(size=5)
         lost = rng.random(5) < wrong
         bearings[lost] = rng.uniform(-math.pi, math.pi, int(lost.sum()))
-        noise.add_bearings(t, {f"L{i}": float(b) for i, b in enumerate(bearings)})
+        frame = BearingFrame(t, {f"L{i}": float(b) for i, b in enumerate(bearings)}, {})
+        noise.add_bearings(frame, omega * t)
     return noise
 
 

@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from rig import Wheels
 
 from homeward.angles import wrap
 from homeward.drives.clock import Clock
-from homeward.drives.drive import OdometryNoise
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Innovation
 from homeward.frames import Pose, bearing, between, compose
 from homeward.localizer.home.gauss_newton import fit
@@ -20,7 +19,6 @@ from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.sightings import Frames, bearing_residuals
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
-from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import (
     CALIBRATION,
     LAG,
@@ -76,7 +74,7 @@ def drive(odometry, seconds=4.0):
 
 
 def integrated(calibration, until=3.0):
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     drive(odometry)
     return odometry.motion(until, calibration)
 
@@ -99,7 +97,7 @@ def test_motion_is_linear_in_its_calibration_as_it_says():
 
 
 def test_motion_in_pieces_is_the_motion_at_once():
-    pieces = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    pieces = Wheels()
     drive(pieces)
     for t in (1.4, 1.41, 2.3, 3.0):
         motion = pieces.advance(t, NOTHING)
@@ -110,7 +108,7 @@ def test_motion_in_pieces_is_the_motion_at_once():
 
 
 def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     odometry.add(0.0, 0.0, 0.0)
     odometry.restart(0.0)
     assert not odometry.motion(1.0, NOTHING).covariance.any()
@@ -119,7 +117,7 @@ def test_a_robot_that_stands_gathers_no_noise_and_one_without_odometry_does():
 
 def silent(hz, speed=0.2):
     """The motion over ten seconds of silence after a drive, asked for so many times a second."""
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     odometry.restart(0.0)
     for k in range(100):
         odometry.add(k / 10, speed, 0.1)
@@ -144,7 +142,7 @@ def test_a_fast_robot_gets_farther_while_odometry_is_silent():
 
 def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     drive(odometry)
     calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)

@@ -4,15 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from rig import Rig, ring
+from rig import Rig, Wheels, ring
 
-from homeward.drives.drive import OdometryNoise
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import MOST_FROM_HOME
 from homeward.localizer.map.sightings import LANDMARK, sighting_rows
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import NC, Motion, camera_on_robot
 from homeward.localizer.smoothing import _bridged
 
@@ -24,7 +21,7 @@ MOUNT = np.array([0.1, 0.0, 0.0])
 
 def circle(rng, keyframes):
     """A window that was solved after a drive in a circle, and the twists' odometry."""
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     window = Smoother(SIGMAS, np.full(NC, 1e-9), MOUNT_SIGMAS, 0.0)
     for point in POINTS:
         window.add_landmark(point + 0.02 * rng.normal(size=2))
@@ -103,7 +100,7 @@ def test_closing_keyframes_at_once_keeps_what_they_said():
 
 
 def test_a_bridge_ends_where_it_must_and_is_sure_there():
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     for i in range(20):
         odometry.add(0.1 * i, 0.3, 0.4)
     odometry.restart(0.0)

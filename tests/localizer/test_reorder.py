@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from rig import Rig, ring
+from rig import Rig, Wheels, ring
 
-from homeward.drives.drive import OdometryNoise
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Estimate, Status
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import CALIBRATION
 
 NOTHING = np.zeros(len(CALIBRATION))
@@ -90,7 +87,7 @@ def test_most_that_comes_too_late_is_told(rig, kind):
 
 def motion(order, ahead=()):
     """The motion over twists that come in an order, with some of the times run past."""
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     odometry.restart(0.0)
     for k in order:
         assert odometry.accepts(k / 10)
@@ -113,7 +110,7 @@ def test_twists_may_come_in_any_order_until_a_sighting_is_taken():
 
 
 def test_what_ran_ahead_is_forgotten_when_it_is_long_past():
-    odometry = Odometry(noise_rates(OdometryNoise(), OdometryDefaults()))
+    odometry = Wheels()
     odometry.restart(0.0)
     for k in range(100):
         odometry.add(k / 10, 0.2, 0.1)

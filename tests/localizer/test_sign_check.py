@@ -10,21 +10,22 @@ from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
 from homeward.localizer.inputs.sign_check import ENOUGH, SignCheck
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Reason
 
 
 def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):
     """Senses after a drive past landmarks, each seen five times a second."""
     rng, sign_check = np.random.default_rng(0), SignCheck(yaw)
-    x, y, psi = 0.0, 0.0, 0.3
+    x, y, psi, twists = 0.0, 0.0, 0.3, Twists()
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
-        sign_check.odometry(t, twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
+        twists.add(t, twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw + noise * rng.normal(size=len(d))
             seen = {str(i): sign * float(b) for i, b in enumerate(bearings)}
-            sign_check.bearings(t, seen)
+            sign_check.bearings(t, seen, twists.heading(t), twist.v)
         x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
         psi += 0.1 * twist.omega
     return sign_check

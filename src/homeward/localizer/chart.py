@@ -24,6 +24,7 @@ from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
@@ -42,6 +43,8 @@ class Chart:
         As the `Localizer` was told, and checked.
     counts : Counts
         Where to count sightings.
+    twists : Twists
+        The history of odometry.
     """
 
     def __init__(
@@ -50,10 +53,11 @@ class Chart:
         drive: DriveSettings,
         settings: LocalizerSettings,
         counts: Counts,
+        twists: Twists,
     ) -> None:
-        self.counts = counts
+        self.counts, self._twists = counts, twists
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
-        self.odometry = Odometry(noise_rates(drive.odometry, settings.odometry))
+        self.odometry = Odometry(twists, noise_rates(drive.odometry, settings.odometry))
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings = drive, settings
@@ -73,14 +77,11 @@ class Chart:
         self._keeps = True
         self.map.smoother.keep_closed()
 
-    def add_twist(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on."""
-        if not self.odometry.has_twists and self._drive.start is None:
-            self._begin_map(t)  # what may have been driven before is of no interest
-        self.odometry.add(t, v, omega)
+    def follow(self, t: float) -> None:
+        """Follow the odometry after a twist of `t` [s] has come."""
+        self.odometry.rewind(t)
         if t - self.odometry.done > ADVANCE_S:
             self.odometry.run_ahead(t, self.map.calibration)
-        self.noise.add_turn_rate(t, omega)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
         """Take all sightings of one stamp; return their innovations.
@@ -92,10 +93,10 @@ class Chart:
         now : float
             The newest stamp of all [s].
         """
-        if not self.odometry.has_twists:
+        if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        seen = self.noise.weigh(frame)  # 1 measurement noise
+        seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.calibration)  # 2 preintegration
         gated = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
@@ -140,7 +141,7 @@ class Chart:
         """
         if self.home.hypotheses is None:
             sets = self.map.landmarks.mapped, self.home.observation.bearings, self.home.names
-            words = complaint or why_home_is_not_found(*sets, self.odometry.has_twists)
+            words = complaint or why_home_is_not_found(*sets, bool(self._twists))
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self.monitor.is_lost:
             words = complaint or self.monitor.reason.words

@@ -33,6 +33,7 @@ from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_words
+from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
 from homeward.reasons import Reason, Rejection
 
@@ -73,7 +74,8 @@ class Localizer:
         self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
-        self._chart = Chart(self._home, self._robot, self.settings, self.counts)
+        self._twists = Twists()
+        self._chart = Chart(self._home, self._robot, self.settings, self.counts, self._twists)
         self._beside: Chart | None = None
         """Another one, begun where the robot was lost in the first."""
         self._lead = 0
@@ -106,9 +108,12 @@ class Localizer:
             self._reject(Rejection.LATE_ODOMETRY)
             return
         self._advance(t)
+        if not self._twists and self._robot.start is None:
+            self._chart.begin(t)  # what may have been driven before is of no interest
+        self._twists.add(t, v, omega)
         for chart in self._charts:
-            chart.add_twist(t, v, omega)
-        self._sign_check.odometry(t, v, omega)
+            chart.follow(t)
+        self._twists.forget(min(chart.odometry.needed for chart in self._charts))
         self._process_due()
 
     @guarded
@@ -131,7 +136,8 @@ class Localizer:
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, good))
-        self._sign_check.bearings(t, usable)
+        if (twist := self._twists.before(t)) is not None:
+            self._sign_check.bearings(t, usable, self._twists.heading(t), twist.v)
         innovations = self._process_due()
         return dataclasses.replace(self._estimate(t, innovations), t=said)
 
@@ -212,7 +218,7 @@ class Localizer:
     def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
-        for frame in self._reorder.due(self._chart.odometry.newest, self._t):
+        for frame in self._reorder.due(self._twists.newest, self._t):
             innovations = self._chart.add_bearings(frame, self._t)
             if self._beside is not None:
                 innovations = self._update_beside(self._beside, frame, innovations)
@@ -257,7 +263,8 @@ class Localizer:
     def _begin_beside(self, t: float) -> None:
         """Begin another map at the robot, at `t` [s]."""
         anywhere = self._robot.model_copy(update={"start": None})
-        self._beside = Chart(self._home, anywhere, self.settings, copy.deepcopy(self.counts))
+        counts = copy.deepcopy(self.counts)
+        self._beside = Chart(self._home, anywhere, self.settings, counts, self._twists)
         self._lead = 0
         if self._keeps:
             self._beside.keep_closed()

@@ -17,6 +17,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
 from homeward.one_thread import one_thread
@@ -103,10 +104,11 @@ def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
 
 def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float) -> Odometry:
     """Return an odometry that starts at `begin` [s] and knows the twists until `end` [s]."""
-    odometry = Odometry(noise_rates(drive.settings.odometry, settings.odometry))
+    twists = Twists()
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * LONGEST_LAG, end]).tolist()):
-        odometry.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
+        twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
+    odometry = Odometry(twists, noise_rates(drive.settings.odometry, settings.odometry))
     odometry.restart(begin)
     return odometry
 

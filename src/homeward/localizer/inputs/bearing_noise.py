@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.clock import LATE_S
 from homeward.localizer.inputs.reorder import BearingFrame
 
 LEAST = 1.0
@@ -83,7 +82,6 @@ class BearingNoise:
         """Noise scale: how many times larger than given the deviations are estimated to be [1]."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
         self._last: dict[str, deque[tuple[float, float]]] = {}
-        self._heading = _Heading()
 
     @property
     def sigma(self) -> float:
@@ -105,27 +103,20 @@ class BearingNoise:
             self._typical = sorted(sigmas)[len(sigmas) // 2]
         return np.array(sigmas)
 
-    def weigh(self, frame: BearingFrame) -> WeighedFrame:
-        """Give each bearing of a frame its noise, and learn from them."""
+    def weigh(self, frame: BearingFrame, heading: float) -> WeighedFrame:
+        """Give each bearing of a frame, seen at a `heading` [rad], its noise; learn from them."""
         t, sightings, told = frame
-        self.add_bearings(t, sightings, told)
+        self.add_bearings(frame, heading)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
         return WeighedFrame(t, names, bearings, self.sigmas(names, told))
 
-    def add_turn_rate(self, t: float, omega: float) -> None:
-        """Take a turn rate that holds from `t` [s] on [rad/s]."""
-        self._heading.take(t, omega)
-
-    def add_bearings(
-        self, t: float, sightings: Mapping[str, float], told: Mapping[str, float] | None = None
-    ) -> None:
-        """Take the bearings of a stamp `t` [s], and the deviations of some, by landmark [rad]."""
-        told = told or {}
+    def add_bearings(self, frame: BearingFrame, heading: float) -> None:
+        """Take the bearings of a frame, the heading being what odometry alone has [rad]."""
+        t, sightings, told = frame
         self._told = self._given is not None or bool(told)
         if self._given is not None:
             return
-        heading = self._heading.at(t)
         for name, bearing in sightings.items():
             if name in told:
                 continue
@@ -178,33 +169,6 @@ class BearingNoise:
         if before > 1.0 or excess > EXCESSIVE:
             self.scale = max(1.0, before * excess)
         return self.scale / before
-
-
-class _Heading:
-    """The heading as odometry alone has it, now and shortly before."""
-
-    def __init__(self) -> None:
-        self._rates: deque[tuple[float, float, float]] = deque()
-        """Since when [s] there is which turn rate [rad/s], and the heading then [rad]."""
-
-    def take(self, t: float, omega: float) -> None:
-        """Let a turn rate hold from `t` [s] on [rad/s]."""
-        later = []
-        while self._rates and self._rates[-1][0] > t:
-            later.append(self._rates.pop())
-        self._rates.append((t, omega, self.at(t)))
-        for since, rate, _ in reversed(later):
-            self._rates.append((since, rate, self.at(since)))
-        while self._rates[0][0] < self._rates[-1][0] - 2.0 * LATE_S:
-            self._rates.popleft()
-
-    def at(self, t: float) -> float:
-        """Return the heading at `t` [s], not before the oldest turn rate that is kept [rad]."""
-        if not self._rates:
-            return 0.0
-        kept = (r for r in reversed(self._rates) if r[0] <= t)
-        since, omega, heading = next(kept, self._rates[0])
-        return heading + omega * max(t - since, 0.0)
 
 
 def deviation(sigma: float) -> float:

@@ -12,8 +12,6 @@ import math
 from collections import deque
 from collections.abc import Mapping
 
-from homeward.estimator import HOLD_S
-
 LEAST_TURN, LONGEST_S = 0.1, 5.0
 """Two sightings of a landmark are compared when the robot has turned by so much [rad] in no more
 than so much time [s]."""
@@ -36,8 +34,6 @@ class SignCheck:
 
     def __init__(self, yaw: float) -> None:
         self._yaw = yaw
-        self._twist = (-math.inf, 0.0, 0.0)
-        self._heading = 0.0
         self._last: dict[str, tuple[float, float, float]] = {}
         """When a landmark was seen [s], and heading and bearing then [rad]."""
         self._agrees: deque[bool] = deque(maxlen=CERTAIN)
@@ -48,33 +44,24 @@ class SignCheck:
         """Whether most bearings go the wrong way."""
         return len(self._agrees) >= ENOUGH and sum(self._agrees) <= FEW * len(self._agrees)
 
-    def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
-        if not self._known and t >= self._twist[0]:
-            self._heading = self._heading_at(t)
-            self._twist = (t, v, omega)
+    def bearings(self, t: float, sightings: Mapping[str, float], heading: float, v: float) -> None:
+        """Take sightings of stamp `t` [s], bearings from the camera's axis [rad] by landmark.
 
-    def bearings(self, t: float, sightings: Mapping[str, float]) -> None:
-        """Take sightings of stamp `t` [s], bearings from the camera's axis [rad] by landmark."""
+        The robot's heading is by odometry alone [rad], it drives at `v` [m/s].
+        """
         if self._known:
             return
-        heading, forward = self._heading_at(t), self._twist[1]
         for name, beta in sightings.items():
             now = (t, heading, math.remainder(beta + self._yaw, math.tau))
             before = self._last.setdefault(name, now)
             turn = heading - before[1]
             if abs(turn) >= LEAST_TURN or t - before[0] > LONGEST_S:
                 self._last[name] = now
-                if t - before[0] <= LONGEST_S and _tells(turn, forward, before[2], now[2]):
+                if t - before[0] <= LONGEST_S and _tells(turn, v, before[2], now[2]):
                     self._agrees.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
         if len(self._agrees) == CERTAIN and sum(self._agrees) > (1.0 - FEW) * CERTAIN:
             self._known = True
             self._last.clear()
-
-    def _heading_at(self, t: float) -> float:
-        """Return the heading at `t` [s], as odometry alone has it [rad]."""
-        since, _, omega = self._twist
-        return self._heading + omega * min(max(t - since, 0.0), HOLD_S)
 
 
 def _tells(turn: float, forward: float, before: float, now: float) -> bool:

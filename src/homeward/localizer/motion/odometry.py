@@ -1,4 +1,4 @@
-"""Odometry: the history of twists, and the preintegrated motion since the newest keyframe."""
+"""Odometry: the preintegrated motion since the newest keyframe."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
 from homeward.localizer.motion.dropout import MotionPrior
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
+from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
 
 ADVANCE_S = 0.5
@@ -62,17 +63,18 @@ class _Done(NamedTuple):
 
 
 class Odometry:
-    """Twists as they come, and the motion since the last keyframe.
+    """The motion since the last keyframe, by the twists.
 
     Parameters
     ----------
+    twists : Twists
+        The history of them, which others may share.
     rates : ndarray, shape (3, 3)
         Of their noise; see `noise_rates`.
     """
 
-    def __init__(self, rates: np.ndarray) -> None:
-        self._rates = rates
-        self._twists: deque[tuple[float, float, float]] = deque()
+    def __init__(self, twists: Twists, rates: np.ndarray) -> None:
+        self._twists, self._rates = twists, rates
         self._motion = Motion.identity()
         self._done = -math.inf
         self._path_by_bend = np.zeros(BENDS)
@@ -81,16 +83,10 @@ class Odometry:
         self._motion_prior = MotionPrior()
         self._before: deque[_Done] = deque()
 
-    def add(self, t: float, v: float, omega: float) -> None:
-        """Take a twist, which may be late; one of the same stamp as another replaces it."""
-        self._go_back(t)
-        later = []
-        while self._twists and self._twists[-1][0] > t:
-            later.append(self._twists.pop())
-        if self._twists and t == self._twists[-1][0]:
-            self._twists.pop()
-        self._twists.append((t, v, omega))
-        self._twists.extend(reversed(later))
+    def rewind(self, t: float) -> None:
+        """Undo what ran ahead of `t` [s], where a late twist came."""
+        while self._before and t < self._done:
+            self._done, self._motion, self._path_by_bend, self._motion_prior = self._before.pop()
 
     def restart(self, t: float) -> None:
         """Let the motion begin anew at `t` [s]: there is a keyframe now."""
@@ -119,7 +115,7 @@ class Odometry:
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion up to `t` [s], and be done with it: nothing earlier is to come."""
-        self._go_back(t)
+        self.rewind(t)
         self._before.clear()
         self._integrate(t, calibration)
         return self._motion
@@ -137,14 +133,9 @@ class Odometry:
         return not self._twists or t >= (self._before[0].t if self._before else self._done)
 
     @property
-    def has_twists(self) -> bool:
-        """Whether there was a twist at all."""
-        return bool(self._twists)
-
-    @property
-    def newest(self) -> float:
-        """Stamp of the newest twist [s]; minus infinity where there was none."""
-        return self._twists[-1][0] if self._twists else -math.inf
+    def needed(self) -> float:
+        """Since when twists are still needed [s]."""
+        return (self._before[0].t if self._before else self._done) - 2.0 * LONGEST_LAG
 
     @property
     def done(self) -> float:
@@ -160,37 +151,22 @@ class Odometry:
         self._motion, self._done = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
-        self._forget((self._before[0].t if self._before else t) - 2.0 * LONGEST_LAG)
-
-    def _go_back(self, t: float) -> None:
-        """Undo what ran ahead of `t` [s]."""
-        while self._before and t < self._done:
-            self._done, self._motion, self._path_by_bend, self._motion_prior = self._before.pop()
-
-    def _forget(self, t: float) -> None:
-        """Drop the twists that ended before `t` [s]."""
-        while len(self._twists) > 1 and self._twists[1][0] < t:
-            self._twists.popleft()
 
     def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> list[Piece]:
         """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
         lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
         begin, end = begin - lag, end - lag
-        twists = self._twists
-        first = len(twists)
-        while first > 0 and twists[first - 1][0] >= begin:
-            first -= 1
-        held = [twists[i] for i in range(max(first - 1, 0), len(twists)) if twists[i][0] < end]
+        held = self._twists.between(begin, end)
         if not held:  # before the first twist, or none at all
             return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0)]
         pieces: list[Piece] = []
-        until = [t for t, _, _ in held[1:]] + [end]
-        for (t, v, omega), then in zip(held, until, strict=True):
+        until = [twist.t for twist in held[1:]] + [end]
+        for (t, v, omega, _), then in zip(held, until, strict=True):
             start, silent = max(t, begin), t + HOLD_S
             known = min(max(silent - start, 0.0), then - start)
             pieces.append(Piece(*self._unknown(silent, start + known, then), known, v, omega))
-        if held[0][0] > begin:
-            shift, swing = self._unknown(-math.inf, begin, held[0][0])
+        if held[0].t > begin:
+            shift, swing = self._unknown(-math.inf, begin, held[0].t)
             begun = pieces[0]
             pieces[0] = begun._replace(shift=begun.shift + shift, swing=begun.swing + swing)
         return pieces

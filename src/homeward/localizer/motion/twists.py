@@ -1,0 +1,73 @@
+"""History of twists, late ones in their place, and the heading that they alone tell."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from homeward.estimator import HOLD_S
+
+
+class Twist(NamedTuple):
+    """A twist, which holds from its stamp on, and the heading there."""
+
+    t: float
+    """[s]"""
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+    heading: float
+    """As odometry alone has it [rad]."""
+
+
+class Twists:
+    """The one history of twists, which all ask that need any of it."""
+
+    def __init__(self) -> None:
+        self._twists: deque[Twist] = deque()
+
+    def __bool__(self) -> bool:
+        """Whether there was a twist at all."""
+        return bool(self._twists)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest twist [s]; minus infinity where there was none."""
+        return self._twists[-1].t if self._twists else -math.inf
+
+    def add(self, t: float, v: float, omega: float) -> None:
+        """Take a twist, which may be late; one of the same stamp as another replaces it."""
+        later = []
+        while self._twists and self._twists[-1].t > t:
+            later.append(self._twists.pop())
+        if self._twists and t == self._twists[-1].t:
+            self._twists.pop()
+        self._twists.append(Twist(t, v, omega, self.heading(t)))
+        for twist in reversed(later):
+            self._twists.append(twist._replace(heading=self.heading(twist.t)))
+
+    def before(self, t: float) -> Twist | None:
+        """Return the twist that holds at `t` [s], or did last; None before the first."""
+        return next((twist for twist in reversed(self._twists) if twist.t <= t), None)
+
+    def heading(self, t: float) -> float:
+        """Return the heading at `t` [s], by the twists alone [rad]."""
+        twist = self.before(t)
+        if twist is None:
+            return self._twists[0].heading if self._twists else 0.0
+        return twist.heading + twist.omega * min(t - twist.t, HOLD_S)
+
+    def between(self, begin: float, end: float) -> list[Twist]:
+        """Return the twists that hold from `begin` until `end` [s], at least in part."""
+        first = len(self._twists)
+        while first > 0 and self._twists[first - 1].t >= begin:
+            first -= 1
+        held = (self._twists[i] for i in range(max(first - 1, 0), len(self._twists)))
+        return [twist for twist in held if twist.t < end]
+
+    def forget(self, t: float) -> None:
+        """Drop the twists that ended before `t` [s]."""
+        while len(self._twists) > 1 and self._twists[1].t < t:
+            self._twists.popleft()
