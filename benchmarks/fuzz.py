@@ -49,8 +49,8 @@ from homeward.studies.planning.settings import load_plan, plans_folder
 from homeward.studies.single_run import load_run
 from homeward.studies.study.plan import make_plan
 from homeward.studies.study.settings import load_study, shipped
-from homeward.vision.images import read_grey
-from homeward.vision.settings import read_image_settings
+from homeward.vision.cameras.image_files import read_grey
+from homeward.vision.recorded.settings import read_image_settings
 
 LONGEST_S = 30.0
 MOST_MEMORY = 2 * 2**30

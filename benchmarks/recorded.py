@@ -26,9 +26,9 @@ from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.scenario import Circle
 from homeward.track import run
-from homeward.vision.folder import see_folder
 from homeward.vision.opencv import opencv
-from homeward.vision.recorded import SeenDrive
+from homeward.vision.recorded.estimator import SeenDrive
+from homeward.vision.recorded.folder import see_folder
 
 HOMING, CIRCLE = "homings", "circles"
 ROUND = Circle(speed=0.15, omega=0.27, duration=60.0)

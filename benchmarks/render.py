@@ -37,9 +37,9 @@ from homeward.simulation.render.raycast import points, trace
 from homeward.simulation.render.rooms import PLANS, room
 from homeward.simulation.render.settings import RenderScenario
 from homeward.track import track_of
-from homeward.vision.camera import unit_vectors
-from homeward.vision.compare import compare
-from homeward.vision.features import View, look
+from homeward.vision.cameras.panoramic import unit_vectors
+from homeward.vision.comparison import compare
+from homeward.vision.features.detection import View, look
 from homeward.vision.opencv import opencv
 
 NEAR_HOME = 0.02

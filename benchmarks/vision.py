@@ -20,7 +20,7 @@ from benchmarks.timing import clock, in_turns
 from homeward.angles import wrap
 from homeward.scoring import normalised_squared
 from homeward.vision import Comparison, Equirectangular, compare, look
-from homeward.vision.images import read_grey
+from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 
 CHI_SQUARE_2_95 = 5.991

@@ -12,7 +12,7 @@ from benchmarks.mrclam import data
 from benchmarks.panoramas.baselines import compass, min_warping
 from homeward.angles import wrap
 from homeward.vision import Equirectangular, View, compare, look
-from homeward.vision.images import read_grey
+from homeward.vision.cameras.image_files import read_grey
 
 CAMERA = Equirectangular(horizon=0.8, tilt_sigma=0.005)
 """Rendered without any tilt; the horizon was read off the pictures."""

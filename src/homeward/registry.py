@@ -28,7 +28,7 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     if type(drive) is Drive:
         return localizer
     # Imported here alone: what only reads logs needs no images.
-    from homeward.vision.recorded import RecordedSight, SeenDrive
+    from homeward.vision.recorded.estimator import RecordedSight, SeenDrive
 
     return RecordedSight(localizer, drive) if isinstance(drive, SeenDrive) else localizer
 

@@ -23,7 +23,7 @@ from homeward.simulation.render.rooms import load_room
 from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import load_run
 from homeward.studies.study.settings import load_study
-from homeward.vision.settings import read_image_settings
+from homeward.vision.recorded.settings import read_image_settings
 
 SETTINGS_READERS = {
     "drive.yaml": lambda file: read_settings(file, DriveSettings),

@@ -11,7 +11,7 @@ from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageLoop, panorama_of
 from homeward.simulation.render.rooms import room
-from homeward.vision.features import look
+from homeward.vision.features.detection import look
 from homeward.vision.front_end import FrontEnd
 
 

@@ -6,8 +6,8 @@ from pydantic import ValidationError
 
 from homeward.angles import wrap
 from homeward.errors import InputError
-from homeward.vision.camera import SECTORS, Cylindrical, Equirectangular, sector_of
-from homeward.vision.ring import HELD_BACK, Ring, find_ring
+from homeward.vision.cameras.panoramic import SECTORS, Cylindrical, Equirectangular, sector_of
+from homeward.vision.cameras.ring import HELD_BACK, Ring, find_ring
 
 cv2 = pytest.importorskip("cv2")
 SHAPE = (100, 360)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homeward.frames import Pose
-from homeward.vision.fix import Fix, joined
+from homeward.vision.homing.fix import Fix, joined
 
 
 def fix(pose, sigmas, sure=True, t=0.0):

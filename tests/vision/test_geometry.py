@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.vision.camera import tilt_matrix
-from homeward.vision.covariance import covariance
-from homeward.vision.epipolar import Motion, Pairs, residuals
-from homeward.vision.refine import MOST_OTHERS, SAME, refine
-from homeward.vision.search import search
-from homeward.vision.two_point import costs, rows_of, solve
+from homeward.vision.cameras.panoramic import tilt_matrix
+from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
+from homeward.vision.geometry.jackknife import covariance
+from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.refinement import MOST_OTHERS, SAME, refine
+from homeward.vision.geometry.two_point import costs, rows_of, solve
 
 SIGMA = 0.002
 

@@ -11,9 +11,9 @@ from vision_scene import make_room
 
 from homeward.errors import InputError
 from homeward.vision import Equirectangular, Mask, compare, look
+from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.ring import Ring, find_ring
 from homeward.vision.front_end import FrontEnd
-from homeward.vision.grey import as_grey
-from homeward.vision.ring import Ring, find_ring
 
 CAMERA = Equirectangular()
 RING = Ring(centre=(64, 64), inner=20, outer=60, elevations=(-0.5, 0.5))

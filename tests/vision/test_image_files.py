@@ -7,10 +7,10 @@ import pytest
 from PIL import ExifTags, Image
 
 from homeward.errors import InputError
-from homeward.vision.camera import Equirectangular
-from homeward.vision.compare import compare
-from homeward.vision.features import look
-from homeward.vision.images import read_grey, read_view
+from homeward.vision.cameras.image_files import read_grey, read_view
+from homeward.vision.cameras.panoramic import Equirectangular
+from homeward.vision.comparison import compare
+from homeward.vision.features.detection import look
 
 
 def picture(width=256, height=64, seed=0):

@@ -28,7 +28,7 @@ from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import room
 from homeward.track import run
-from homeward.vision.recorded import WAYS, RecordedSight
+from homeward.vision.recorded.estimator import WAYS, RecordedSight
 
 MOST_A_MATCH, MOST_BESIDE = 300, 4096
 """What a picture's comparison may hold [bytes]."""

@@ -11,10 +11,10 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of
 from homeward.simulation.render.rooms import room
 from homeward.vision import Equirectangular, compare, look
-from homeward.vision.camera import tilt_matrix, unit_vectors
-from homeward.vision.epipolar import Motion
+from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
 from homeward.vision.front_end import PROVEN, FrontEnd
-from homeward.vision.tilt import AS_HOME, Tilt
+from homeward.vision.geometry.epipolar import Motion
+from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 JITTER = 0.03
 """[rad]"""

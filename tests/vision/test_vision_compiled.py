@@ -6,12 +6,12 @@ import pytest
 pytest.importorskip("cv2")
 
 from homeward.vision import Equirectangular, compare, look
-from homeward.vision.alignment import align
 from homeward.vision.compiled import compiled
-from homeward.vision.epipolar import Pairs, residuals
-from homeward.vision.picture import Picture
-from homeward.vision.refine import descend
-from homeward.vision.two_point import costs
+from homeward.vision.features.patch_alignment import align
+from homeward.vision.features.pyramid import Picture
+from homeward.vision.geometry.epipolar import Pairs, residuals
+from homeward.vision.geometry.refinement import descend
+from homeward.vision.geometry.two_point import costs
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 

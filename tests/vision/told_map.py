@@ -9,9 +9,9 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
 from homeward.frames import Pose, to_polar
-from homeward.vision.acceptance import Verdict
-from homeward.vision.compare import Comparison
-from homeward.vision.epipolar import Motion, Pairs
+from homeward.vision.comparison import Comparison
+from homeward.vision.geometry.a_contrario import Verdict
+from homeward.vision.geometry.epipolar import Motion, Pairs
 
 SIGMA = 0.002
 

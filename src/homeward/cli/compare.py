@@ -37,12 +37,12 @@ def compare(
     from homeward.one_thread import one_thread
     from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
     from homeward.report.output import check_output
-    from homeward.vision.compare import compare as compare_views
-    from homeward.vision.images import read_view
-    from homeward.vision.panorama import require_panoramas
-    from homeward.vision.settings import read_image_settings
-    from homeward.vision.settings_doubt import doubts
-    from homeward.vision.turning_along import turning_along
+    from homeward.vision.cameras.image_files import read_view
+    from homeward.vision.checks.camera_settings import doubts
+    from homeward.vision.checks.seam import require_panoramas
+    from homeward.vision.checks.self_occlusion import turning_along
+    from homeward.vision.comparison import compare as compare_views
+    from homeward.vision.recorded.settings import read_image_settings
 
     settings = read_image_settings(camera)
     home_image, home_view = read_view(home, settings.camera, mask=mask or settings.mask)

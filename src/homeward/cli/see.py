@@ -31,7 +31,7 @@ def see(
     from homeward.errors import InputError
     from homeward.report.output import check_output
     from homeward.report.sightings import describe_sightings
-    from homeward.vision.folder import see_folder
+    from homeward.vision.recorded.folder import see_folder
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)

@@ -47,7 +47,7 @@ def _models() -> dict[str, tuple[str, type[Strict]]]:
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.planning.settings import Plan
     from homeward.studies.study.settings import StudySettings
-    from homeward.vision.settings import ImageSettings
+    from homeward.vision.recorded.settings import ImageSettings
 
     return {
         **{

@@ -149,7 +149,7 @@ def _open_images(path: Path, choices: Choices) -> Drive:
     choices.refuse("folder of images", path)
     choices.refuse_topics("folder of images", path)
     # Imported here alone: what only reads logs needs no images.
-    from homeward.vision.folder import see_folder
+    from homeward.vision.recorded.folder import see_folder
 
     return see_folder(path, choices.tell)
 

@@ -15,8 +15,8 @@ from homeward.report.canvas import WIDTH_IN, bare, new_figure, png, style
 from homeward.report.files import number
 from homeward.report.output import whole_folder
 from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
-from homeward.vision.compare import Comparison
-from homeward.vision.features import View
+from homeward.vision.comparison import Comparison
+from homeward.vision.features.detection import View
 
 Images = tuple[np.ndarray, np.ndarray]
 """Panoramas at home and now, uint8 (height, width)."""

@@ -5,10 +5,10 @@
 >>> seen.accepted, seen.heading, seen.homewards
 """
 
-from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
-from homeward.vision.compare import Comparison, compare
-from homeward.vision.features import View, look
-from homeward.vision.mask import Mask
+from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
+from homeward.vision.comparison import Comparison, compare
+from homeward.vision.features.detection import View, look
 
 __all__ = [
     "Comparison",

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.vision.camera import Panorama, sector_of
-from homeward.vision.compare import Comparison, compare
-from homeward.vision.features import View, look
-from homeward.vision.grey import require_like_home
-from homeward.vision.tilt import AS_HOME, Tilt
+from homeward.vision.cameras.grey import require_like_home
+from homeward.vision.cameras.panoramic import Panorama, sector_of
+from homeward.vision.comparison import Comparison, compare
+from homeward.vision.features.detection import View, look
+from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
 """A keyframe serves while this share of what its first successor shared with it agrees."""

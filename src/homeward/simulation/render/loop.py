@@ -15,10 +15,10 @@ from homeward.one_thread import one_thread
 from homeward.simulation.course import Ending, course_settings, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
-from homeward.vision.camera import Cylindrical, Equirectangular, Panorama
-from homeward.vision.features import View, look
+from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
+from homeward.vision.features.detection import View, look
 from homeward.vision.front_end import FrontEnd
-from homeward.vision.home_sight import HomeSight
+from homeward.vision.homing.visual_homing import HomeSight
 
 LEAST_TILT = 0.002
 """A camera that is said not to tilt is still not trusted more than this [rad]."""

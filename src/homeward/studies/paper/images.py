@@ -20,10 +20,10 @@ from homeward.simulation.render.settings import Furnish, PanoramaCamera, RenderS
 from homeward.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world, fault_count
-from homeward.vision.camera import Panorama, unit_vectors
-from homeward.vision.compare import Comparison, compare
-from homeward.vision.features import View, look
-from homeward.vision.grey import as_grey
+from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.panoramic import Panorama, unit_vectors
+from homeward.vision.comparison import Comparison, compare
+from homeward.vision.features.detection import View, look
 
 SIDE = 3.8
 """Length of the room's walls [m]: landmarks are 1 to 2.5 m from home, as in the paper's layout."""

@@ -1,0 +1,1 @@
+"""Panoramic cameras and their pictures: which direction each pixel looks in."""

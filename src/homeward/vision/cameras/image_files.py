@@ -1,0 +1,166 @@
+"""Panoramas from files, whatever the files hold.
+
+Pillow decodes them, since it refuses what is truncated, which OpenCV fills with grey.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from homeward.drives.files import naming, opened
+from homeward.errors import InputError
+from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_like_home, require_size
+from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.features.detection import View, look
+
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Read an image as grey, turned as its Exif orientation says: as a viewer shows it.
+
+    Parameters
+    ----------
+    path : Path
+        PNG, JPEG, BMP, TIFF, PPM, WebP or GIF, of one frame; 16-bit images are scaled by the
+        power of two that holds their brightest pixel.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width)
+
+    Raises
+    ------
+    InputError
+        When it is no whole image of one frame, or of a size that is no panorama's.
+    """
+    with naming(path, "cannot be read"), opened(path) as stream:
+        return _decoded(stream, path)
+
+
+def _decoded(stream: IO[bytes], path: Path) -> np.ndarray:
+    """Decode an open file."""
+    if not stream.read(1):
+        raise InputError("empty file", path)
+    stream.seek(0)
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of large images and odd tags; sizes are checked below.
+            warnings.simplefilter("ignore")
+            with Image.open(stream, formats=FORMATS) as image:
+                _check(image)
+                return _grey(_upright(image))
+    except InputError as error:
+        raise InputError(error.what, path) from None
+    except UnidentifiedImageError:
+        raise InputError("not an image that can be read", path) from None
+    except Image.DecompressionBombError:
+        raise InputError(f"more than {MOST_PIXELS // 10**6} million pixels", path) from None
+    except Exception as error:  # whatever decoders make of bytes that are no picture
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"not a whole image: {reason}", path) from None
+
+
+def read_view(
+    path: Path, camera: Panorama, like: View | None = None, mask: Path | None = None
+) -> tuple[np.ndarray, View]:
+    """Read an image, and find its features.
+
+    Parameters
+    ----------
+    path : Path
+        As in `read_grey`.
+    camera : Panorama
+        That took it.
+    like : View, optional
+        Of home: the panorama must have the same size, and is masked as that was.
+    mask : Path, optional
+        Of home's picture, see `read_mask`.
+
+    Returns
+    -------
+    panorama : ndarray of uint8, shape (height, width)
+    view : View
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or its size does not suit the camera, home or the picture.
+    """
+    grey = read_grey(path)
+    try:
+        panorama = camera.panorama(grey)
+        if like is not None:
+            require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
+    except InputError as error:
+        raise InputError(error.what, path) from None
+    masked = like.mask if like is not None else None
+    if mask is not None:
+        masked = read_mask(mask, camera, grey.shape)
+    return panorama, look(panorama, camera, masked)
+
+
+def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
+    """Read a mask from a file.
+
+    Parameters
+    ----------
+    path : Path
+        An image as for `read_grey`, as the camera's pictures are stored: a ring is unwrapped.
+    camera : Panorama
+        That takes the pictures.
+    shape : tuple of int
+        Height and width of a picture as it is stored [px].
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, has another size, or leaves nothing.
+    """
+    grey = read_grey(path)
+    if grey.shape != shape:
+        (height, width), (wanted_height, wanted_width) = grey.shape, shape
+        raise InputError(
+            f"{width}x{height} pixels: a mask is as large as the pictures, "
+            f"{wanted_width}x{wanted_height}",
+            path,
+        )
+    try:
+        return Mask.of(camera.panorama(grey))
+    except InputError as error:
+        raise InputError(error.what, path) from None
+
+
+def _check(image: Image.Image) -> None:
+    """Refuse what is no single panorama, before it is decoded."""
+    require_size(*image.size)
+    if (frames := getattr(image, "n_frames", 1)) > 1:
+        raise InputError(f"holds {frames} frames; give one image a file")
+
+
+def _upright(image: Image.Image) -> Image.Image:
+    """Turn or mirror an image as its Exif orientation says."""
+    # What is wrong with the pixels is raised here, and refused; a broken tag is no reason to.
+    image.load()
+    try:
+        return ImageOps.exif_transpose(image)
+    except (OSError, SyntaxError, ValueError, TypeError, KeyError, struct.error):
+        return image
+
+
+def _grey(image: Image.Image) -> np.ndarray:
+    """Decode to 8 bits of grey."""
+    if image.mode.startswith("I"):
+        return eight_bits(np.asarray(image))
+    if image.mode == "F":
+        raise InputError("floating-point pixels; save it with 8 or 16 bits")
+    if image.mode in ("P", "PA"):
+        image = image.convert("RGB")
+    return np.asarray(image.convert("L"))

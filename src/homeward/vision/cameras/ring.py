@@ -1,0 +1,252 @@
+"""Ring images: a catadioptric camera or a fisheye, looking up or down, unwrapped to a panorama."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from homeward.drives.drive import Finite, NonNegative, Positive
+from homeward.errors import InputError
+from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.opencv import opencv
+
+FINEST, COARSEST = 2048, 256
+"""Widths of an unwrapped panorama [px]."""
+TABLE = 512
+"""Radii at which a mirror's elevation is tabulated."""
+FEWEST_RAYS = 30
+"""On fewer of 360 the edge of a ring is not measured again."""
+HELD_BACK = 2.0
+"""How much of a ring that was found is left out at either edge, which is blurred there [px]."""
+
+
+class Ring(Panorama):
+    """A ring round a centre: the angle round it is azimuth, the radius is elevation.
+
+    The elevation at a radius r [px] is given either at both edges of the ring, and grows evenly
+    between them; or by Scaramuzza's polynomial: the ray of radius r has the direction
+    (r, f(r)), f(r) = a0 + a1 r + a2 r^2 + ..., f being what it points upwards ("A toolbox for
+    easily calibrating omnidirectional cameras", IROS 2006, with the sign of z turned round); or by
+    a hyperbolic mirror of eccentricity e over a camera of focal length f [px] (Baker and Nayar,
+    "A theory of single-viewpoint catadioptric image formation", IJCV 1999).
+    """
+
+    model: Literal["ring"] = "ring"
+    centre: tuple[Finite, Finite]
+    """Column and row [px]."""
+    inner: NonNegative
+    """Radius of the ring's inner edge [px]."""
+    outer: Positive
+    """Radius of its outer edge [px]."""
+    elevations: tuple[Finite, Finite] | None = None
+    """At the inner and the outer edge [rad]."""
+    polynomial: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=12)] | None = None
+    """a0, a1, ... of f(r) in px."""
+    mirror: tuple[Positive, Positive] | None = None
+    """Eccentricity (above 1) of a hyperbolic mirror and the camera's focal length [px]; the camera
+    looks up into the mirror, and the ring's inner edge looks down."""
+    axis_direction: Finite = 0.0
+    """Direction of the camera's axis (azimuth 0) in the image [rad], anti-clockwise from the right
+    as one looks at it."""
+    mirrored: bool = True
+    """Whether azimuth runs clockwise in the image, as it does in a mirror seen from below and in a
+    fisheye that looks up; false for a camera that looks down."""
+
+    @model_validator(mode="after")
+    def _one_model(self) -> Ring:
+        if (self.axis, self.horizon) != (0.5, 0.5):
+            raise ValueError("a ring has axis_direction and elevations, no axis and horizon")
+        if self.outer - self.inner < 8:
+            raise ValueError("outer must be at least 8 px beyond inner")
+        if sum(way is not None for way in (self.elevations, self.polynomial, self.mirror)) != 1:
+            raise ValueError("give one of elevations, polynomial and mirror")
+        if self.mirror is not None and self.mirror[0] <= 1.0:
+            raise ValueError("mirror: the eccentricity of a hyperbola is above 1")
+        span = self._table()[1]
+        steps = np.diff(span)
+        if not (np.all(steps > 0) or np.all(steps < 0)):
+            raise ValueError("the elevation must rise or fall all the way from inner to outer")
+        return self
+
+    def panorama(self, image: np.ndarray) -> np.ndarray:
+        """Unwrap a ring image to an equirectangular panorama with square pixels."""
+        grey = as_grey(image)
+        height, width = grey.shape
+        (x, y), margin = self.centre, 1.5
+        if not (
+            self.outer - margin <= x <= width - 1 - self.outer + margin
+            and self.outer - margin <= y <= height - 1 - self.outer + margin
+        ):
+            raise InputError(
+                f"{width}x{height} pixels do not hold a ring of radius {self.outer:g} px "
+                f"round ({x:g}, {y:g})"
+            )
+        columns, rows = self._map()
+        cv2 = opencv()
+        return np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR))
+
+    def _map(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return where each pixel of the panorama lies in the ring image."""
+        radii, elevation = self._table()
+        width = self._width()
+        step = self.column_angle(width)
+        top, bottom = self._edges()
+        height = max(int((top - bottom) / step), 16)
+        wanted = top - (np.arange(height) + 0.5) * step
+        rising = elevation[-1] > elevation[0]
+        order = slice(None) if rising else slice(None, None, -1)
+        radius = np.interp(wanted, elevation[order], radii[order])[:, None]
+        azimuth = (width / 2 - 0.5 - np.arange(width))[None, :] * step
+        # Rows run downwards in the image.
+        angle = self.axis_direction + (-azimuth if self.mirrored else azimuth)
+        columns = self.centre[0] + radius * np.cos(angle)
+        rows = self.centre[1] - radius * np.sin(angle)
+        return columns.astype(np.float32), rows.astype(np.float32)
+
+    def _width(self) -> int:
+        """Choose as many columns as the middle of the ring has pixels."""
+        around = math.pi * (self.inner + self.outer)
+        return int(np.clip(16 * round(around / 16), COARSEST, FINEST))
+
+    def _elevation(self, above: np.ndarray) -> np.ndarray:
+        top, bottom = self._edges()
+        return above + (top + bottom) / 2
+
+    def _edges(self) -> tuple[float, float]:
+        """Return the greatest and the least elevation [rad]."""
+        elevation = self._table()[1]
+        return float(elevation.max()), float(elevation.min())
+
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return radii [px] and the elevation at each [rad]."""
+        radii = np.linspace(self.inner, self.outer, TABLE)
+        if self.elevations is not None:
+            return radii, np.linspace(*self.elevations, TABLE)
+        if self.polynomial is not None:
+            up = np.polynomial.polynomial.polyval(radii, np.array(self.polynomial))
+            return radii, np.arctan2(up, radii)
+        assert self.mirror is not None
+        e, focal = self.mirror
+        nadir = np.arctan2(radii, focal)
+        # From the mirror's focus: tan of half the angles are in the ratio (e + 1) / (e - 1).
+        from_axis = 2 * np.arctan((e + 1) / (e - 1) * np.tan(nadir / 2))
+        return radii, from_axis - math.pi / 2
+
+
+class FoundRing(NamedTuple):
+    """Centre and radii of a ring in an image [px]."""
+
+    centre: tuple[float, float]
+    inner: float
+    outer: float
+
+
+def find_ring(image: np.ndarray) -> FoundRing:
+    """Find centre and radii of the bright ring of a catadioptric or fisheye image.
+
+    The edges are circles fitted to where the brightness is half-way to that of the dark surround,
+    and of the dark middle if there is one. From both, `HELD_BACK` px of picture are given up: a rim
+    in the panorama turns with the camera, and is taken for a place that home saw, too.
+
+    Parameters
+    ----------
+    image : ndarray
+        Of any kind that `as_grey` takes, dark outside the ring.
+
+    Raises
+    ------
+    InputError
+        When it is no picture, or no dark surround is there to tell the ring from.
+    """
+    image, cv2 = as_grey(image), opencv()
+    blur = max(image.shape) / 250
+    smooth = cv2.GaussianBlur(image, (0, 0), blur)
+    border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
+    dark = float(np.percentile(border, 25))
+    bright = float(np.percentile(smooth, 90))
+    if bright - dark < 20:
+        raise InputError("no bright ring on a dark surround in the image")
+    lit = smooth > dark + 0.25 * (bright - dark)
+    row, column = np.nonzero(lit)
+    centre = np.array([np.median(column), np.median(row)])
+    for _ in range(5):
+        outer_edge = _edge(lit, centre, outwards=False)
+        centre, outer = _circle(outer_edge)
+    inner_edge = _edge(lit, centre, outwards=True)
+    inner = float(np.median(np.linalg.norm(inner_edge - centre, axis=1)))
+    # So far the blur has pushed the edges out of the ring; it finds them within a few pixels.
+    reach, contrast = 2 * blur + 3, 0.25 * (bright - dark)
+    for _ in range(2):
+        rim = _half_way(image, centre, outer, reach, contrast)
+        if len(rim) >= FEWEST_RAYS:
+            centre, outer = _circle(rim)
+    if inner > 3:
+        rim = _half_way(image, centre, inner, -reach, contrast)
+        if len(rim) >= FEWEST_RAYS:
+            inner = float(np.median(np.linalg.norm(rim - centre, axis=1)))
+        inner += HELD_BACK
+    else:
+        inner = 0.0
+    return FoundRing((float(centre[0]), float(centre[1])), inner, outer - HELD_BACK)
+
+
+def _half_way(
+    image: np.ndarray, centre: np.ndarray, radius: float, reach: float, contrast: float
+) -> np.ndarray:
+    """Return where, (n, 2), the brightness falls to half-way between ring and surround.
+
+    Along each ray, from `reach` before `radius` to as much behind it; negative for the inner edge.
+    Rays with less contrast, as where the ring itself is dark, are left out.
+    """
+    cv2 = opencv()
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    radii = np.maximum(radius + np.linspace(-reach, reach, 8 * math.ceil(abs(reach)) + 1), 0.0)
+    x = centre[0] + np.outer(np.cos(angles), radii)
+    y = centre[1] + np.outer(np.sin(angles), radii)
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.float32)
+    grey = cv2.remap(smooth, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
+    few = len(radii) // 4
+    ring, surround = np.median(grey[:, :few], axis=1), np.median(grey[:, -few:], axis=1)
+    lit = grey > (ring + surround)[:, None] / 2
+    last = len(radii) - 1 - lit[:, ::-1].argmax(axis=1)
+    within = (x >= 0) & (x <= image.shape[1] - 1) & (y >= 0) & (y <= image.shape[0] - 1)
+    told = np.flatnonzero((ring - surround > contrast) & within.all(axis=1))
+    return np.column_stack([x[told, last[told]], y[told, last[told]]])
+
+
+def _edge(lit: np.ndarray, centre: np.ndarray, outwards: bool) -> np.ndarray:
+    """Return the first lit point, (n, 2), on each ray from the centre, or from the rim inwards."""
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    reach = np.arange(0.0, math.hypot(*lit.shape), 0.5)
+    x = centre[0] + np.outer(np.cos(angles), reach)
+    y = centre[1] + np.outer(np.sin(angles), reach)
+    height, width = lit.shape
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    on = (
+        inside
+        & lit[
+            np.clip(y.round().astype(int), 0, height - 1),
+            np.clip(x.round().astype(int), 0, width - 1),
+        ]
+    )
+    hit = on.any(axis=1)
+    first = on.argmax(axis=1) if outwards else on.shape[1] - 1 - on[:, ::-1].argmax(axis=1)
+    rows = np.flatnonzero(hit)
+    return np.column_stack([x[rows, first[rows]], y[rows, first[rows]]])
+
+
+def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fit a circle to points, (n, 2), most of which lie on it."""
+    weight = np.ones(len(points))
+    centre, radius = points.mean(axis=0), 1.0
+    for _ in range(20):
+        design = np.column_stack([2 * points, np.ones(len(points))]) * weight[:, None]
+        x, y, c = np.linalg.lstsq(design, (points**2).sum(axis=1) * weight, rcond=None)[0]
+        centre, radius = np.array([x, y]), math.sqrt(max(c + x * x + y * y, 0.0))
+        off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
+        weight = 1.0 / (1.0 + (off / max(1.5 * float(np.median(off)), 0.5)) ** 2)
+    return centre, radius

@@ -1,0 +1,67 @@
+"""What two pictures say against their settings: one is mirrored, or the horizon is elsewhere.
+
+Each other setting is tried, and believed where the matches then agree far less likely by chance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.cameras.ring import Ring
+from homeward.vision.comparison import Comparison, compare
+from homeward.vision.features.detection import View, look
+from homeward.vision.geometry.a_contrario import LARGEST_LOG_FALSE_ALARMS
+
+HORIZONS = np.linspace(0.1, 0.9, 9)
+"""Shares of the height at which the horizon is tried."""
+LEAST_OFF = 0.15
+"""A horizon nearer to the one told than this share of the height is no other."""
+
+
+def doubts(
+    seen: Comparison,
+    pictures: tuple[np.ndarray, np.ndarray],
+    views: tuple[View, View],
+    camera: Panorama,
+) -> str | None:
+    """Say what other setting suits two pictures far better than the one told.
+
+    Parameters
+    ----------
+    seen : Comparison
+        What came out.
+    pictures : tuple of ndarray
+        The panoramas at home and now, as `Panorama.panorama` gives them.
+    views : tuple of View
+        What `look` made of them.
+    camera : Panorama
+        As it was told.
+
+    Returns
+    -------
+    str or None
+        In words; None where nothing speaks against the settings.
+    """
+    if not seen.accepted:
+        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
+        if compare(views[0], flipped, camera).accepted:
+            return "the pictures have something in common only when one is mirrored: mirror it back"
+    if isinstance(camera, Ring):
+        return None
+    told = seen.verdict.log_false_alarms if seen.motion else 0.0
+    best, most = None, told + LARGEST_LOG_FALSE_ALARMS - math.log10(HORIZONS.size)
+    for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
+        other = camera.model_copy(update={"horizon": horizon})
+        home, now = (look(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
+        found = compare(home, now, other)
+        if found.accepted and found.verdict.log_false_alarms < most:
+            best, most = horizon, found.verdict.log_false_alarms
+    if best is None:
+        return None
+    return (
+        f"with the horizon at {best:.1f} of the height more agrees by far than at "
+        f"{camera.horizon:g}: tell where it is (images.yaml, camera: horizon)"
+    )

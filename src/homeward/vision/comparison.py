@@ -1,0 +1,278 @@
+"""Two panoramas in, heading change and direction home out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.cameras.grey import require_like_home
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.features.detection import View
+from homeward.vision.features.match_propagation import neighbours, thinned
+from homeward.vision.features.matching import match
+from homeward.vision.features.moved_groups import moved_groups
+from homeward.vision.features.patch_alignment import Alignment, align
+from homeward.vision.features.self_similarity import recurring
+from homeward.vision.geometry.a_contrario import WITHIN, Verdict, judge, judge_alone
+from homeward.vision.geometry.epipolar import Motion, Pairs
+from homeward.vision.geometry.jackknife import covariance
+from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.refinement import SCALE, Fit, descend, refine
+from homeward.vision.geometry.single_object import carrying, costs, words
+from homeward.vision.geometry.tilt import Tilt
+
+LARGEST_DIRECTION_SIGMA = np.radians(30.0)
+"""With a larger one [rad] the direction counts as not known ..."""
+LEAST_PARALLAX = 5.0
+"""... and with less parallax [1]: two images from one place have up to three, by noise."""
+ALONE = 0.1
+"""What the covariance of matches alone counts, beside that of all that was found, as was found on
+rendered rooms: the first is too large for what all say, the second at times far too small."""
+SHARP = 1.0
+"""Scale of the robust loss in the end, once much has been found: then the best speak [standard
+deviations]."""
+LARGEST_TURN = 0.6
+"""A feature may be turned in the image by this much [rad]."""
+FORGIVING_RATIO = 0.9
+"""Of distances to the nearest and the second, once only a part of the panorama is searched."""
+MOST_ASKED = 100
+"""Of matches that agree, so many at most are asked whether they show what repeats itself."""
+CONFIRMED = 0.1
+"""What is found there is believed where its heading is the guessed one to within this [rad]: a
+tiled floor has some motion for any guess."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What two panoramas say of where the second camera stands, seen from the first (home).
+
+    Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
+    """
+
+    verdict: Verdict
+    pairs: Pairs
+    """All matches: where home saw a landmark, and where its patch lies now."""
+    home_row: np.ndarray
+    """(n,): the feature of the home view of each match."""
+    now_row: np.ndarray
+    """(n,): and that of the view now."""
+    place: np.ndarray
+    """(n, 2): column and row of home's patches now [px]."""
+    agrees: np.ndarray
+    """(n,) bool: matches that fit the motion."""
+    moved: np.ndarray
+    """(n,) bool: matches that do not, but agree with each other: on things that were moved."""
+    motion: Motion | None
+    """None when not even a guess could be made; not to be used unless `accepted`."""
+    covariance: np.ndarray
+    """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
+    tilt_covariance: np.ndarray
+    """(2, 2): of the motion's (roll, pitch) [rad^2]; infinite where not accepted."""
+    parallax: float
+    """See `Fit`; zero where there is none."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the motion stands on more than chance."""
+        return self.verdict.accepted
+
+    @property
+    def tilt(self) -> Tilt:
+        """How the camera was tilted against home's; where no motion was found, not at all."""
+        return Tilt.of(self.motion or Motion(0.0, 0.0), self.tilt_covariance)
+
+    @property
+    def heading(self) -> float:
+        """Heading now in the home frame, alpha [rad]; NaN when not accepted."""
+        return self.motion.alpha if self.accepted and self.motion else np.nan
+
+    @property
+    def heading_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[1, 1]))
+
+    @property
+    def direction(self) -> float:
+        """Direction now seen from home, theta [rad]; NaN when not accepted."""
+        return self.motion.theta if self.accepted and self.motion else np.nan
+
+    @property
+    def direction_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def knows_direction(self) -> bool:
+        """Whether the direction is known, not only the heading: too near to home, it is not."""
+        return self.shows_parallax and self.homewards_sigma < LARGEST_DIRECTION_SIGMA
+
+    @property
+    def shows_parallax(self) -> bool:
+        """Whether they were taken from two places; if so, which way may be unknown all the same."""
+        return self.accepted and self.parallax > LEAST_PARALLAX
+
+    @property
+    def homewards(self) -> float:
+        """Direction of home from the camera's axis now [rad]; NaN when not accepted."""
+        return float(wrap(self.direction + np.pi - self.heading))
+
+    @property
+    def homewards_sigma(self) -> float:
+        """Its standard deviation [rad]."""
+        away = np.array([1.0, -1.0])
+        return float(np.sqrt(away @ self.covariance @ away)) if self.accepted else math.inf
+
+
+def compare(home: View, now: View, camera: Panorama) -> Comparison:
+    """Compare two views.
+
+    A second time, where the first leaves the answer open: with the heading that it guessed, each
+    feature is looked for only where it can lie, so that fewer others look like it.
+
+    Parameters
+    ----------
+    home, now : View
+        From `homeward.vision.features.detection.look`.
+    camera : Panorama
+        That took both.
+
+    Raises
+    ------
+    InputError
+        When they are not of one size.
+    """
+    require_like_home(now.shape, home.shape)
+    seen = _compared(home, now, camera)
+    answered = seen.accepted and (seen.knows_direction or not seen.shows_parallax)
+    if answered or seen.motion is None:
+        return seen
+    again = _compared(home, now, camera, seen.motion.alpha)
+    confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < CONFIRMED
+    return again if confirmed and again.homewards_sigma < seen.homewards_sigma else seen
+
+
+def _compared(home: View, now: View, camera: Panorama, heading: float | None = None) -> Comparison:
+    """Compare two views, of which the heading now may be known to within `WITHIN` [rad]."""
+    rows, pairs, laid, quality = _paired(home, now, camera, heading)
+    i, j = rows.T
+    fit = search(pairs, quality, camera.tilt_sigma)
+    verdict = _asked(judge(fit, pairs, heading), fit, pairs, home, i, camera, heading)
+    agrees, moved = np.zeros((2, len(pairs)), bool)
+    spread = np.full((4, 4), np.inf)
+    if fit is not None:
+        if verdict.accepted:
+            fits = fit.inlier
+            (column, row), there = neighbours(home, now, i[fits], laid[fits])
+            at_home = np.column_stack(camera.directions(column, row, home.shape))
+            beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
+            fit, spread = _sharpened(fit, pairs, beside, camera)
+            # What lies beside may have led to another motion, on which matches agree less.
+            fit = replace(fit, inlier=fit.inlier[: len(pairs)])
+            verdict = verdict.reconsidered(fit.inlier, pairs)
+            verdict = _asked(verdict, fit, pairs, home, i, camera, heading)
+            thing = carrying(fit, pairs, heading)
+            spread = costs(thing, fit) * spread
+            verdict = replace(verdict, reason=words(verdict, thing, pairs))
+        agrees = fit.inlier
+    if verdict.accepted:
+        moved = moved_groups(home, now, rows, ~agrees)
+    else:
+        spread = np.full((4, 4), np.inf)
+    return Comparison(
+        verdict=verdict,
+        pairs=pairs,
+        home_row=i,
+        now_row=j,
+        place=laid.place,
+        agrees=agrees,
+        moved=moved,
+        motion=None if fit is None else fit.motion,
+        covariance=spread[:2, :2],
+        tilt_covariance=spread[2:, 2:],
+        parallax=0.0 if fit is None else fit.parallax,
+    )
+
+
+def _asked(
+    verdict: Verdict,
+    fit: Fit | None,
+    pairs: Pairs,
+    home: View,
+    rows: np.ndarray,
+    camera: Panorama,
+    heading: float | None,
+) -> Verdict:
+    """Return the verdict on a fit whose matches were asked whether they show what repeats itself.
+
+    `rows`, (n,), are the features of home that were matched.
+    """
+    if fit is None or not verdict.accepted:
+        return verdict
+    asked = thinned(np.flatnonzero(fit.inlier), MOST_ASKED)
+    recurs = recurring(home, rows[asked], camera)
+    return judge_alone(verdict, fit, pairs, asked, recurs, heading)
+
+
+def _paired(
+    home: View, now: View, camera: Panorama, heading: float | None
+) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
+    """Return the features that look alike, (n, 2) rows, their directions, places and qualities.
+
+    Features that turned in the image are left out, since cameras are nearly upright; so are
+    further ones at the same two places, and those whose surroundings do not look alike when laid
+    one upon the other.
+    """
+    if heading is None:
+        rows, quality = match(home.descriptor, now.descriptor)
+    else:
+        possible = _near(home.angle, now.angle, LARGEST_TURN)
+        possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
+        rows, quality = match(home.descriptor, now.descriptor, FORGIVING_RATIO, possible)
+    i, j = rows.T
+    upright = np.abs(wrap(now.angle[j] - home.angle[i])) < LARGEST_TURN
+    places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
+    order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
+    _, first = np.unique(places[order].round(), axis=0, return_index=True)
+    kept = np.sort(order[first])
+    i, j = rows[kept].T
+    growth = now.size[j] / home.size[i]
+    turn = wrap(now.angle[j] - home.angle[i])
+    at_home, at_now = np.hsplit(places[kept], 2)
+    laid = align(home.picture, now.picture, at_home, at_now, home.size[i], growth, turn)
+    directions = np.column_stack([home.azimuth[i], home.elevation[i]])
+    pairs = _pairs(directions, now, laid, np.log(growth), camera)
+    found = laid.found
+    return rows[kept][found], pairs[found], laid[found], quality[kept][found]
+
+
+def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:
+    """Return which angles a, (n,), and b, (m,), differ by less: (n, m) bool [rad]."""
+    one, other = (np.column_stack([np.cos(x), np.sin(x)]).astype(np.float32) for x in (a, b))
+    return np.asarray(one @ other.T > math.cos(most))
+
+
+def _pairs(
+    at_home: np.ndarray, now: View, laid: Alignment, growth: np.ndarray, camera: Panorama
+) -> Pairs:
+    """Return directions at home, (n, 2) [rad], with those of where their patches lie now."""
+    directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
+    return Pairs.of(at_home, directions, slope @ laid.spread @ slope.swapaxes(1, 2), growth)
+
+
+def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
+    """Fit the motion to what lies beside the matches, too; return also its covariance, (4, 4).
+
+    What lies beside errs with the match by which it was found: the covariance of matches alone has
+    a say, too, and theirs is the parallax. Where they tell no direction, another motion may be the
+    right one, of which what was found after them knows nothing: then they have the only say.
+    """
+    alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
+    forgiving = descend(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)
+    found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
+    together = covariance(found, everything, camera.tilt_sigma)
+    share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
+    spread = share * alone + (1.0 - share) * together
+    return replace(found, parallax=fit.parallax), spread[:4, :4]

@@ -1,0 +1,189 @@
+"""Features of a panorama: where they are, which direction they lie in, and what they look like."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from homeward.errors import InputError
+from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.features.pyramid import Picture, enlarged
+from homeward.vision.opencv import opencv
+
+CONTRAST = 0.02
+"""SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
+MOST_FEATURES = 5000
+"""The strongest count: of noise, a large picture has ten times as many, and what is compared grows
+with their square. Rooms have up to 2,000 with 2048 columns."""
+
+FEWEST_COLUMNS = 360
+"""Smaller panoramas are enlarged, for patches need some pixels: of real ones with 3 deg a pixel few
+features are found as they are, and twenty times as many in their enlargement."""
+
+CORNER_SIZE, CORNER_APART = 3.0, 5.0
+"""Diameter of a corner, and how near two of them may be [px, of what was enlarged]."""
+CORNER_LEAST = 0.01
+"""What a corner must have of the strongest one's contrast, squared [1]: weak ones tell little."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What is kept of one panorama. All arrays have n rows."""
+
+    shape: tuple[int, int]
+    """Height and width of the panorama [px]."""
+    axis: float
+    """Where azimuth 0 stands, as a share of the width from the left edge."""
+    column: np.ndarray
+    row: np.ndarray
+    size: np.ndarray
+    """Diameter of the patch that a feature describes [px]."""
+    angle: np.ndarray
+    """How that patch is turned, clockwise from the right [rad]."""
+    azimuth: np.ndarray
+    """In the level camera's frame [rad]."""
+    elevation: np.ndarray
+    """[rad]"""
+    sigma: np.ndarray
+    """Standard deviation of either angle [rad]."""
+    descriptor: np.ndarray
+    """(n, 128) float32, unit length (RootSIFT)."""
+    picture: Picture
+    """What it looks like about them."""
+    mask: Mask | None = None
+    """What of the panorama may be used; None: all of it."""
+
+    def __len__(self) -> int:
+        return self.column.size
+
+    @cached_property
+    def patches(self) -> tuple[np.ndarray, np.ndarray]:
+        """What can be laid onto another panorama: features and corners, one at each place.
+
+        Returns
+        -------
+        patches : ndarray, shape (k, 3)
+            Column, row and diameter [px].
+        of : ndarray of int, shape (n,)
+            Which of them lies where each feature does.
+        """
+        every = np.vstack([np.column_stack([self.column, self.row, self.size]), self._corners()])
+        place = every[:, :2].round() @ [1, 1j]
+        _, first, of = np.unique(place, return_index=True, return_inverse=True)
+        return every[first], of[: len(self)]
+
+    def _corners(self) -> np.ndarray:
+        """Return corners: column, row and diameter, (m, 3) [px].
+
+        They are patches whose place in another panorama is told well (Shi and Tomasi, "Good
+        features to track", CVPR 1994), but nothing describes them by which to find them again.
+        """
+        grey, times = self.picture.levels[0], self.picture.times
+        pad = self.picture.margin // times
+        used = None
+        if self.mask is not None:
+            # Given to OpenCV, since the strongest corner must not be one that is left out.
+            clear = np.pad(self.mask.clear(CORNER_SIZE / times), [(0, 0), (pad, pad)], mode="wrap")
+            used = np.kron(clear, np.ones((times, times), np.uint8))
+        found = opencv().goodFeaturesToTrack(
+            grey, 0, CORNER_LEAST, CORNER_APART, mask=used, blockSize=5
+        )
+        if found is None:
+            return np.zeros((0, 3))
+        place, inside = _on_panorama(found[:, 0].astype(float), times, pad, self.shape[1])
+        return np.insert(place[inside], 2, CORNER_SIZE / times, axis=1)
+
+
+def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
+    """Find the features of a panorama.
+
+    Parameters
+    ----------
+    image : ndarray
+        Of any kind that `as_grey` takes: 8 or 16 bits, grey, or colour in
+        OpenCV's order (BGR); columns all round.
+    camera : Panorama
+        What its pixels look at.
+    mask : Mask, optional
+        Leaves out what turns with the camera.
+
+    Raises
+    ------
+    InputError
+        When it is no picture, or the mask has another shape.
+    """
+    image = as_grey(image)
+    height, width = image.shape
+    times = math.ceil(FEWEST_COLUMNS / width)
+    found = _detect(image, times)
+    if mask is not None:
+        if mask.room.shape != image.shape:
+            (rows, columns), whole = mask.room.shape, f"{width}x{height}"
+            raise InputError(f"a mask of {columns}x{rows} pixels for a panorama of {whole}")
+        kept = mask.clear_at(*found[:3])
+        found = tuple(part[kept] for part in found)
+    column, row, size, angle, descriptor = found
+    azimuth, elevation = camera.directions(column, row, (height, width))
+    sigma = pixel_sigma(size) * camera.column_angle(width)
+    return View(
+        (height, width),
+        camera.axis,
+        column,
+        row,
+        size,
+        angle,
+        azimuth,
+        elevation,
+        sigma,
+        descriptor,
+        Picture.of(image, times),
+        mask,
+    )
+
+
+def pixel_sigma(size: np.ndarray) -> np.ndarray:
+    """Return how far off a feature of diameter `size` [px] is, each way [px]."""
+    return 0.14 + 0.04 * size
+
+
+def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
+    """Return columns, rows, sizes [px], angles and RootSIFT descriptors, the seam not felt."""
+    cv2, width = opencv(), image.shape[1]
+    pad = max(16, width // 32)
+    padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
+    points, found = _sift().detectAndCompute(enlarged(padded, times), None)
+    if not points:
+        return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
+    rows = np.array([(*p.pt, p.size, p.angle) for p in points])
+    rows[:, :2], inside = _on_panorama(rows[:, :2], times, pad, width)
+    rows[:, 2] /= times
+    rows, found = rows[inside], found[inside]
+    # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
+    found /= np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
+    column, row, size, degrees = rows.T
+    return column, row, size, np.radians(degrees), np.sqrt(found)
+
+
+def _on_panorama(
+    places: np.ndarray, times: int, pad: int, width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return column and row [px] of places, (n, 2), in what was padded, then enlarged.
+
+    And which of them, (n,), are not beyond the seam, where all is seen once more.
+    """
+    on = (places + 0.5) / times - [0.5 + pad, 0.5]
+    return on, (on[:, 0] >= -0.5) & (on[:, 0] < width - 0.5)
+
+
+def _sift() -> Any:
+    # Made anew each time, in a microsecond: threads share nothing.
+    # Without the precise upscale every keypoint is a quarter of a pixel off.
+    return opencv().SIFT_create(
+        nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
+    )

@@ -1,0 +1,76 @@
+"""Matches that contradict the motion but agree with each other: things that were moved.
+
+The features of one thing keep their arrangement. A match says by place, size and turn of its two
+features how a picture of the thing is carried from one panorama to the other (a similarity, as in
+Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004, section 7.3). Where
+enough other contradicting matches nearby follow the same one, the thing is believed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.vision.features.detection import View
+
+NEAR = 0.35
+"""A thing is seen within so large an angle [rad]."""
+TOLERANCE = 0.3
+"""A feature lands within this share of its distance from the other, and a feature's size."""
+SCALE, TURN = 1.6, 0.5
+"""The sizes' ratio may differ by this factor, and the turn by this angle [rad]."""
+FEWEST = 4
+"""Matches that must follow one similarity."""
+
+
+def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Tell which matches lie on things that moved.
+
+    Parameters
+    ----------
+    home, now : View
+        The two panoramas.
+    rows : ndarray of int, shape (n, 2)
+        Matched features of each.
+    candidates : ndarray of bool, shape (n,)
+        Matches that contradict the motion.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    moved = np.zeros(len(rows), bool)
+    chosen = np.flatnonzero(candidates)
+    if chosen.size < FEWEST:
+        return moved
+    i, j = rows[chosen].T
+    a, b = _offsets(home, i), _offsets(now, j)
+    ratio = np.log((now.size[j] / now.shape[1]) / (home.size[i] / home.shape[1]))
+    # Image rows run downwards, and so does OpenCV's angle; offsets are in that sense, too.
+    turn = now.angle[j] - home.angle[i]
+    carried = a * np.exp(ratio + 1j * turn)[:, None]
+    reach = TOLERANCE * np.abs(carried) + _angular(now, now.size[j])[:, None]
+    follows = (
+        (np.abs(b - carried) <= reach)
+        & (np.abs(a) < NEAR)
+        & (np.abs(b) < NEAR)
+        & (np.abs(ratio[:, None] - ratio[None, :]) < np.log(SCALE))
+        & (np.abs(np.angle(np.exp(1j * (turn[:, None] - turn[None, :])))) < TURN)
+    )
+    # Several features at one spot are one witness.
+    apart = np.abs(a) > _angular(home, home.size[i])[:, None] / 2
+    support = (follows & apart).sum(axis=1) + 1
+    for seed in np.flatnonzero(support >= FEWEST):
+        moved[chosen[follows[seed]]] = True
+    return moved
+
+
+def _offsets(view: View, rows: np.ndarray) -> np.ndarray:
+    """Return from each feature (row) to each (column) the way in the image, x + iy [rad]."""
+    scale = 2 * np.pi / view.shape[1]
+    x, y = view.column[rows] * scale, view.row[rows] * scale
+    dx = np.angle(np.exp(1j * (x[None, :] - x[:, None])))
+    return np.asarray(dx + 1j * (y[None, :] - y[:, None]))
+
+
+def _angular(view: View, pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels * 2 * np.pi / view.shape[1])

@@ -1,0 +1,277 @@
+"""Where a feature of one panorama lies in another, to a small part of a pixel.
+
+SIFT finds a feature in each panorama by itself, to a third of a pixel. Its picture at home is laid
+onto the picture now instead, carried by an affine map (shift, size, turn, shear): inverse
+compositional Lucas-Kanade (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004), all matches
+at once. Patches are compared by zero-mean, unit-length grey values, so that light does not matter,
+near their centre more than at their rim. How well they then agree says how far the place may be
+off, and that an edge of something near before something far away is no place at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from ctypes import CDLL
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from homeward.vision.compiled import compiled
+from homeward.vision.features.pyramid import Picture
+
+HALF = 6
+"""A patch is compared at (2 HALF + 1)^2 points."""
+LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
+"""Radius of a patch [px]: `PER_SIZE` times the feature's diameter, within bounds."""
+WINDOW = 0.6
+"""Standard deviation of the weight about the patch's centre, in radii."""
+STEPS = 8
+NOISE = 0.05
+"""Of a patch of unit length: against it and `SHAPE`, what a change of shape explains is weighed."""
+SHAPE = 0.3
+"""How far the map may be from the features' own size and turn, as a standard deviation [1]."""
+LONGEST_STEP = 0.5
+"""In radii, so that nothing jumps."""
+LEAST_AREA = 0.01
+"""To which one step may shrink a patch [1]."""
+LEAST_LIKENESS = 0.8
+"""Correlation below which the two patches do not show the same."""
+LONGEST_SHIFT = 0.5
+"""In radii: what lands farther off has slid onto something else."""
+SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
+"""Of a place now [px]: so much at least, and so many times what independent noise would do, as
+was found on rendered rooms: what is left between patches is not independent from pixel to pixel."""
+
+_across, _down = (
+    a.ravel().astype(np.float32) for a in np.meshgrid(*2 * [np.arange(-HALF, HALF + 1) / HALF])
+)
+_GRID = np.stack([_across, _down, np.ones_like(_across)])
+_ROOT = np.exp(-(_across**2 + _down**2) / (4 * WINDOW**2))
+_ROOT /= np.linalg.norm(_ROOT)
+_GRIDS = np.pad(np.stack([_across, _down, _ROOT]), [(0, 0), (0, -_ROOT.size % 16)])
+"""For compiled code, which sums up sixteen numbers at a time."""
+_PRIOR = np.array([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
+"""Information on a step: of the shift nothing is known beforehand."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where features of home lie now; n of them."""
+
+    column: np.ndarray
+    """(n,) [px]"""
+    row: np.ndarray
+    """(n,) [px]"""
+    shape: np.ndarray
+    """(n, 2, 2): how a step at home, right and down, is carried [px now by px at home]."""
+    spread: np.ndarray
+    """(n, 2, 2): covariance of column and row [px^2], by what is left between the two patches."""
+    likeness: np.ndarray
+    """(n,): correlation of the two patches."""
+    found: np.ndarray
+    """(n,) bool: whether the two patches show the same."""
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+    @property
+    def place(self) -> np.ndarray:
+        """Column and row, (n, 2) [px]."""
+        return np.column_stack([self.column, self.row])
+
+    @property
+    def area(self) -> np.ndarray:
+        """How many times larger an area is now, (n,)."""
+        return areas(self.shape)
+
+    def __getitem__(self, rows: np.ndarray) -> Alignment:
+        return Alignment(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Alignment]) -> Alignment:
+        """Return several, one after another."""
+        names = [part.name for part in fields(cls)]
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def align(
+    home: Picture,
+    now: Picture,
+    at_home: np.ndarray,
+    at_now: np.ndarray,
+    size: np.ndarray,
+    growth: np.ndarray,
+    turn: np.ndarray,
+) -> Alignment:
+    """Lay the patches about features of home onto the panorama now.
+
+    Parameters
+    ----------
+    home, now : Picture
+        The two panoramas.
+    at_home, at_now : ndarray, shape (n, 2)
+        Column and row of each feature and of its match [px].
+    size : ndarray, shape (n,)
+        Diameter of the feature at home [px].
+    growth : ndarray, shape (n,)
+        How many times larger it is now.
+    turn : ndarray, shape (n,)
+        And how far it is turned, clockwise [rad].
+    """
+    return lay(home, now, at_home, size, _similarity(at_now, growth, turn))
+
+
+def lay(
+    home: Picture,
+    now: Picture,
+    at_home: np.ndarray,
+    size: np.ndarray,
+    start: np.ndarray,
+    steps: int = STEPS,
+) -> Alignment:
+    """Lay patches as `align` does, beginning with any maps.
+
+    Parameters
+    ----------
+    home, now : Picture
+        The two panoramas.
+    at_home : ndarray, shape (n, 2)
+        Column and row of each feature [px].
+    size : ndarray, shape (n,)
+        Diameter of the feature at home [px].
+    start : ndarray, shape (n, 2, 3)
+        Of steps at home [px] to columns and rows now.
+    steps : int
+        Of Lucas and Kanade's method.
+    """
+    radius = radius_of(size, home)
+    begun = start.copy()
+    begun[:, :, :2] *= radius[:, None, None]
+    reach = np.sqrt(areas(begun))
+    task = _Task(home, now, at_home, radius, begun, reach, steps)
+    carried, likeness, spread = _lay(task)
+    left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
+    shape = carried[:, :, :2]
+    noise = shape @ spread @ shape.swapaxes(1, 2)
+    shift = np.hypot(*(carried[:, :, 2] - start[:, :, 2]).T)
+    return Alignment(
+        column=carried[:, 0, 2],
+        row=carried[:, 1, 2],
+        shape=shape / radius[:, None, None],
+        spread=SIGMA_FLOOR**2 * np.eye(2) + SIGMA_TIMES**2 * left[:, None, None] * noise,
+        likeness=likeness,
+        found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
+    )
+
+
+def areas(maps: np.ndarray) -> np.ndarray:
+    """Return how many times larger maps, (n, 2, 2 or 3), make an area."""
+    return np.asarray(np.abs(maps[:, 0, 0] * maps[:, 1, 1] - maps[:, 0, 1] * maps[:, 1, 0]))
+
+
+def radius_of(size: np.ndarray, home: Picture) -> np.ndarray:
+    """Return the radius of patches about features of a size, both in px."""
+    return np.asarray(np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be laid: n patches."""
+
+    home: Picture
+    now: Picture
+    at: np.ndarray
+    """(n, 2): column and row at home [px]."""
+    radius: np.ndarray
+    """(n,): there [px]."""
+    start: np.ndarray
+    """(n, 2, 3): maps from a patch's own coordinates to columns and rows now."""
+    reach: np.ndarray
+    """(n,): radius now, as they say [px]."""
+    steps: int
+
+
+def _lay(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
+
+    That is how alike patches then are, (n,), and the covariance of places, (n, 2, 2) [radii^2], for
+    noise of a variance of one in the grey values.
+    """
+    native = compiled()
+    if native is not None:
+        return _lay_compiled(native, task)
+    patch, slopes = _template(task.home, task.at, task.radius)
+    information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
+    known, spacing = np.linalg.inv(information), task.reach / HALF
+    back, carried = np.linalg.inv(task.start[:, :, :2]), task.start
+    for _ in range(task.steps):
+        laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
+        # To which the patch itself adds nothing: slopes are at right angles to it.
+        gradient = (laid[:, None, :] @ slopes)[:, 0]
+        gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
+        step = (known @ gradient[..., None])[..., 0]
+        carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
+    laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
+    return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
+
+
+def _lay_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_lay` does, in compiled code."""
+    pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
+    limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
+    given = (task.at, task.radius, task.reach, task.start)
+    told = [np.array(a, float, order="C") for a in given]
+    n = len(task.at)
+    likeness, spread = np.empty(n), np.empty((n, 2, 2))
+    if native.lay(
+        *(n, _GRIDS.shape[1], task.steps, limits, _PRIOR, _GRIDS),
+        *(*pictures[0], *pictures[1], *told, likeness, spread),
+    ):
+        raise ValueError("patches that cannot be laid")
+    return told[-1], likeness, spread
+
+
+def _template(home: Picture, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return patches, (n, k), and how they change with the six parameters, (n, k, 6).
+
+    In units of the patch's radius: shift (right, down), then the matrix row by row. What changes
+    only the mean or the length of a patch is taken out, as both are.
+    """
+    spacing = radius / HALF
+    points = _similarity(at, radius, np.zeros_like(radius)) @ _GRID
+    patch, length = _normal(home.sample(points, spacing))
+    slope = []
+    for way in np.eye(2):
+        half = spacing[:, None, None] * way[:, None] / 2
+        ahead, behind = (home.sample(points + side * half, spacing) for side in (1, -1))
+        slope.append((ahead - behind) * _ROOT * HALF / length[:, None])
+    x, y = slope
+    slopes = np.stack([x, y, x * _across, x * _down, y * _across, y * _down], axis=-1)
+    for known in (np.broadcast_to(_ROOT, patch.shape), patch):
+        slopes -= known[..., None] * (known[:, None, :] @ slopes)
+    return patch, slopes
+
+
+def _similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return maps, (n, 2, 3), from a patch's own coordinates to columns and rows."""
+    c, s = scale * np.cos(turn), scale * np.sin(turn)
+    return np.stack([np.stack([c, -s, at[:, 0]], -1), np.stack([s, c, at[:, 1]], -1)], axis=1)
+
+
+def _undone(step: np.ndarray) -> np.ndarray:
+    """Return the inverse, (n, 3, 3), of the map that a step stands for."""
+    x, y, a, b, c, d = (step + np.array([0, 0, 1, 0, 0, 1])).T
+    area = np.maximum(a * d - b * c, LEAST_AREA)
+    inverse = np.zeros((len(step), 3, 3))
+    inverse[:, 0] = np.column_stack([d, -b, b * y - d * x]) / area[:, None]
+    inverse[:, 1] = np.column_stack([-c, a, c * x - a * y]) / area[:, None]
+    inverse[:, 2, 2] = 1.0
+    return inverse
+
+
+def _normal(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted patches of zero mean and unit length, and the length that they had."""
+    weighted = grey * _ROOT
+    weighted -= (weighted @ _ROOT)[:, None] * _ROOT
+    length = np.maximum(np.linalg.norm(weighted, axis=1), 1e-3)
+    return weighted / length[:, None], length

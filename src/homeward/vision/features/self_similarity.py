@@ -1,0 +1,88 @@
+"""Whether what a feature shows recurs on the floor or the ceiling, as tiles do.
+
+In perspective no two tiles look the same, and yet those of another room do, from a place that lies
+as far from its joints: features on them are matched, and agree on a motion. That they repeat is
+seen only as from above (inverse perspective mapping: Mallot et al., "Inverse perspective mapping
+simplifies optical flow computation and obstacle detection", Biological Cybernetics 1991). No height
+needs to be known for that: on any level plane, a direction tells the place in units of the plane's
+own height. So each feature's patch is laid onto its own picture, wherever another feature lies on
+such a plane, by the map that a mere shift along the plane would be.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.features.detection import View
+from homeward.vision.features.match_propagation import MOST_GROWTH, thinned
+from homeward.vision.features.patch_alignment import areas, lay, radius_of
+
+LEAST_ELEVATION, MOST_ELEVATION = np.radians([10.0, 80.0])
+"""Nearer to the horizon a plane is too foreshortened to tell, and straight below a panorama is."""
+MOST_OTHERS = 500
+"""Features on which a patch is laid are thinned out evenly to so many: of tiles there are more."""
+SIZE_RATIO = 1.6
+"""How many times larger or smaller another feature may be than a shift would make this one."""
+APART = 1.5
+"""It must lie farther off than so many radii of the patch: nothing recurs on itself."""
+STEPS = 4
+LIKE = 0.9
+"""Correlation above which two patches show the same; 0.85 and 0.94 tell the same rooms apart."""
+
+
+def recurring(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return which features show what is seen elsewhere on their level plane, too.
+
+    Parameters
+    ----------
+    view : View
+        One panorama.
+    rows : ndarray of int, shape (n,)
+        Features of it.
+    camera : Panorama
+        That took it.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    found = np.zeros(len(rows), bool)
+    for up in (-view.elevation, view.elevation):
+        plane = (up > LEAST_ELEVATION) & (up < MOST_ELEVATION)
+        mine = np.flatnonzero(plane[rows])
+        others = thinned(np.flatnonzero(plane), MOST_OTHERS)
+        found[mine] = _recur(view, rows[mine], others, camera)
+    return found
+
+
+def _recur(view: View, rows: np.ndarray, others: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return which of the rows, (n,), show what is seen at one of the others, (m,), too."""
+    maps = _scale(view, others, camera) @ np.linalg.inv(_scale(view, rows, camera))[:, None]
+    area = areas(maps.reshape(-1, 2, 2)).reshape(maps.shape[:2])
+    place = np.column_stack([view.column, view.row])
+    step = place[others] - place[rows, None]
+    step[..., 0] -= view.shape[1] * np.rint(step[..., 0] / view.shape[1])
+    apart = np.hypot(*np.moveaxis(step, -1, 0))
+    grown = view.size[others] / (view.size[rows, None] * np.sqrt(area))
+    tried = (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
+    tried &= np.abs(np.log(grown)) < np.log(SIZE_RATIO)
+    tried &= apart > APART * radius_of(view.size[rows], view.picture)[:, None]
+    one, other = np.nonzero(tried)
+    start = np.dstack([maps[one, other], place[others[other]]])
+    at_home, size = place[rows[one]], view.size[rows[one]]
+    laid = lay(view.picture, view.picture, at_home, size, start, STEPS)
+    like = laid.found & (laid.likeness > LIKE)
+    return np.bincount(one[like], minlength=len(rows)) > 0
+
+
+def _scale(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return how features move with a step on their level plane, (n, 2, 2) [px by its height]."""
+    directions, slope = camera.directions_and_slope(view.column[rows], view.row[rows], view.shape)
+    azimuth, elevation = directions.T
+    far = 1 / np.tan(np.abs(elevation))
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    nearer = -np.sign(elevation) / (1 + far**2)  # of the elevation, by a step straight away
+    turned = np.stack([-s / far, c / far], axis=-1)
+    raised = np.stack([c, s], axis=-1) * nearer[:, None]
+    return np.asarray(np.linalg.inv(slope) @ np.stack([turned, raised], axis=1))

@@ -1,0 +1,1 @@
+"""Two-view geometry: the motion between two panoramas, from directions alone."""

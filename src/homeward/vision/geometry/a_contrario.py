@@ -1,0 +1,180 @@
+"""Whether matches that agree on a motion could agree by chance.
+
+The number of false alarms (Moisan and Stival, "A probabilistic criterion to detect rigid point
+matches between two images", IJCV 2004): how often one would expect matches drawn at random to
+agree as well. What a random match does is learnt from the pair of images itself, by pairing each
+home direction with the now directions of other matches.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.cameras.panoramic import SECTORS, sector_of
+from homeward.vision.geometry.epipolar import Pairs, residuals
+from homeward.vision.geometry.refinement import INLIER, Fit, squares
+
+LARGEST_LOG_FALSE_ALARMS = -4.0
+"""Accept below this (base 10)."""
+MOST_PER_SECTOR = 4
+"""More matches in one sector count as this many: repeated parts of one thing are one witness."""
+FEWEST_SECTORS = 4
+"""In so many must there be matches that agree."""
+CEILING = math.radians(25.0)
+"""Matches higher than this may be those of another room's like ceiling, and matches as far below
+the horizon those of other tiles of the floor."""
+FEWEST_LOW_SECTORS = 3
+"""In so many must there be matches that agree below `CEILING` ..."""
+LEAST_LOW_SHARE = 0.25
+"""... and such a share of all that agree: the tiles of a floor look the same a few tiles on, and
+from the other side."""
+LEAST_ALONE = 0.5
+"""Where a smaller share of matches shows what home saw but once, it must be enough by itself."""
+WITHIN = 0.6
+"""Where the heading is known, a feature lies within this of where a mere turn takes it [rad]."""
+SHUFFLES = 8
+"""How many random matches are made of each."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether to believe a motion."""
+
+    accepted: bool
+    reason: str
+    """In words."""
+    log_false_alarms: float
+    """Logarithm to base 10."""
+
+    def reconsidered(self, agrees: np.ndarray, pairs: Pairs) -> Verdict:
+        """Return the verdict on a fit that was accepted, where other matches, (n,) bool, agree."""
+        words = _agreement(agrees, pairs)
+        home, now = pairs.home[agrees], pairs.now[agrees]
+        if lack := lacking(home[:, 0], now[:, 0], elevation=home[:, 1]):
+            return replace(self, accepted=False, reason=f"not enough in common: {words}{lack}")
+        return replace(self, reason=words)
+
+
+def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdict:
+    """Say whether a fit stands on more than chance.
+
+    Parameters
+    ----------
+    fit : Fit or None
+        None where no motion was found.
+    pairs : Pairs
+        All matches.
+    heading : float, optional
+        Now, where matches were looked for `WITHIN` what it makes of their directions [rad].
+    """
+    if fit is None or fit.inlier.sum() < 3:
+        return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
+    alarms = _log_false_alarms(fit, pairs, heading)
+    if alarms > LARGEST_LOG_FALSE_ALARMS:
+        words = _agreement(fit.inlier, pairs)
+        return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
+    return Verdict(True, "", alarms).reconsidered(fit.inlier, pairs)
+
+
+def judge_alone(
+    verdict: Verdict,
+    fit: Fit,
+    pairs: Pairs,
+    asked: np.ndarray,
+    recurs: np.ndarray,
+    heading: float | None = None,
+) -> Verdict:
+    """Return the verdict on a fit that was accepted, where it is known which of its matches recur.
+
+    The tiles of a floor agree with those of another room: where they are most of what agrees, the
+    others must be enough by themselves.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        So far.
+    fit, pairs, heading
+        Of what.
+    asked : ndarray of int, shape (k,)
+        Some or all of the matches that agree.
+    recurs : ndarray of bool, shape (k,)
+        Whether what they show is seen elsewhere in home's picture, too.
+    """
+    alone = np.zeros(len(pairs), bool)
+    alone[asked[~recurs]] = True
+    if alone.sum() >= LEAST_ALONE * len(asked):
+        return verdict
+    if judge(replace(fit, inlier=alone), pairs, heading).accepted:
+        return verdict
+    words = f"{_agreement(fit.inlier, pairs)}, most of them on what repeats itself"
+    return replace(verdict, accepted=False, reason=f"not enough in common: {words}")
+
+
+def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
+    """Say what speaks against matches in such directions, (n,) each; nothing where nothing does.
+
+    Parameters
+    ----------
+    azimuths : ndarray
+        In one panorama or more [rad].
+    elevation : ndarray
+        Of the same matches [rad].
+    """
+    sectors = [sector_of(azimuth) for azimuth in azimuths]
+    low = np.abs(elevation) < CEILING
+    if _occupied(sectors) < FEWEST_SECTORS:
+        return " only"
+    if _occupied([s[low] for s in sectors]) < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
+        return ", most of them overhead or on the floor"
+    return ""
+
+
+def _agreement(good: np.ndarray, pairs: Pairs) -> str:
+    """Say how many matches agree: `good` (n,), bool."""
+    sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
+    return f"{int(good.sum())} of {len(good)} matches agree, in {_occupied(sectors)} directions"
+
+
+def _occupied(sectors: list[np.ndarray]) -> int:
+    """Return how many sectors are not empty, in each panorama."""
+    return min(np.unique(s).size for s in sectors)
+
+
+def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
+    """Return the logarithm (base 10) of the number of false alarms."""
+    sectors = [sector_of(side[:, 0]) for side in (pairs.home, pairs.now)]
+    n = min(_capped(s) for s in sectors)
+    k = min(_capped(s[fit.inlier]) for s in sectors)
+    if k <= 2:
+        return 0.0
+    chance = _chance(fit, pairs, heading)
+    choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+    models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
+    if heading is not None:
+        models += math.log(math.pi / WITHIN)  # so many others could have been guessed
+    return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
+
+
+def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
+    """Return how probably a wrong match fits the motion."""
+    n, searched = len(pairs), math.pi if heading is None else WITHIN
+    shifts = np.unique(np.linspace(1, n - 1, round(SHUFFLES * math.pi / searched)).astype(int))
+    order = np.argsort(pairs.now[:, 0], kind="stable")
+    other = np.empty((shifts.size, n), int)
+    for row, shift in zip(other, shifts, strict=True):
+        row[order] = np.roll(order, shift)
+    shuffled = pairs.mixed(np.tile(np.arange(n), shifts.size), other.ravel())
+    if heading is not None:
+        turned = wrap(shuffled.home[:, 0] - shuffled.now[:, 0] - heading)
+        shuffled = shuffled[np.abs(turned) < WITHIN]
+    found = residuals(np.array([fit.motion]), shuffled)
+    fits = int((squares(found) <= INLIER**2).sum())
+    return (fits + 1) / (len(shuffled) + 2)
+
+
+def _capped(sectors: np.ndarray) -> int:
+    return int(np.minimum(np.bincount(sectors, minlength=SECTORS), MOST_PER_SECTOR).sum())

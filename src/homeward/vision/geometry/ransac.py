@@ -1,0 +1,89 @@
+"""From matches, most of which may be wrong, to the motion that most of them agree on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.geometry.epipolar import Pairs
+from homeward.vision.geometry.refinement import INLIER, Fit, refine
+from homeward.vision.geometry.two_point import costs, rows_of, solve
+
+SAMPLES = 800
+"""Pairs of matches that are tried."""
+CANDIDATES = 12
+"""The best of them that are refined, each travelled both ways: what else the matches may say is
+what tells how sure an answer is."""
+TURNS = 50
+"""Matches from which a mere turn is tried."""
+APART = 0.1
+"""Candidates must differ by this much in theta or alpha [rad]."""
+
+
+def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) -> Fit | None:
+    """Find the motion between two panoramas.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        All matches.
+    quality : ndarray, shape (n,)
+        Of each match; small is good: good ones are tried more often.
+    tilt_sigma : float
+        How far each camera may be tilted from what is known [rad].
+    seed : int
+        Of the choice of samples.
+
+    Returns
+    -------
+    Fit or None
+        None when there are fewer than three matches or no motion at all fits two of them.
+    """
+    if len(pairs) < 3:
+        return None
+    chosen = _candidates(pairs, quality, tilt_sigma, seed)
+    if not len(chosen):
+        return None
+    starts = np.zeros((2, len(chosen), 5))
+    starts[..., :2] = chosen, chosen + np.array([np.pi, 0.0])
+    # Near home, which way round is told only by places as exactly known as they are.
+    return refine(starts.reshape(-1, 5), pairs, tilt_sigma)
+
+
+def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int) -> np.ndarray:
+    """Return the best solutions, (k, 2), of many samples that differ from each other."""
+    rows = rows_of(pairs.home_vectors, pairs.now_vectors)
+    first, second = _samples(quality, seed)
+    motions = np.concatenate([solve(rows[first], rows[second]), _turns(pairs, first)])
+    total = costs(motions, pairs, tilt_sigma, INLIER**2)
+    return _distinct(motions[np.argsort(total, kind="stable")])
+
+
+def _distinct(motions: np.ndarray) -> np.ndarray:
+    """Return the first motions, (k, 2), that differ from all before, whichever way travelled."""
+    free = np.ones(len(motions), bool)
+    chosen: list[int] = []
+    way, turned = np.exp(1j * motions.T)
+    while len(chosen) < CANDIDATES and free.any():
+        i = int(free.argmax())
+        chosen.append(i)
+        apart = np.abs((way * way[i].conj()).imag) > APART
+        free &= apart | ((turned * turned[i].conj()).real < 1 - APART**2 / 2)
+    return motions[chosen]
+
+
+def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
+    """Return a mere turn, (k, 2), for each of some matches: at home any direction fits."""
+    some = np.unique(rows)[:TURNS]
+    alpha = wrap(pairs.home[some, 0] - pairs.now[some, 0])
+    return np.column_stack([np.zeros(some.size), alpha])
+
+
+def _samples(quality: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw pairs of matches; one of each from the better half."""
+    rng, n = np.random.default_rng(seed), quality.size
+    order = np.argsort(quality, kind="stable")
+    first = order[rng.integers(0, max(2, (n + 1) // 2), SAMPLES)]
+    second = rng.integers(0, n, SAMPLES)
+    different = first != second
+    return first[different], second[different]

@@ -1,0 +1,197 @@
+"""The motion between two panoramas, refined robustly, with an honest covariance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.vision.compiled import compiled
+from homeward.vision.geometry.epipolar import (
+    LIMITS,
+    Motion,
+    Pairs,
+    Residuals,
+    derivative_noise,
+    residuals,
+)
+
+LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
+"""Of the matches, step by step, as a share of the tilt that is allowed for: a first guess fits far
+worse than places are known, and matches that strict would hold it where it is."""
+LONGEST_STEP = 0.3
+"""Where home is near, theta is hardly determined: no wild turns on the way [rad]."""
+SCALE = 3.0
+"""Of the robust loss [standard deviations]: matches farther off count for less and less."""
+INLIER = 3.0
+"""A match fits within this many standard deviations."""
+SAME = 0.002
+"""Motions whose theta and alpha differ by less are one [rad]."""
+MOST_OTHERS = 5
+"""Of the other motions that starts led to, those of least loss are kept."""
+
+MOST_RATIO = 100.0
+"""A single match with much parallax does not speak for all."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A motion, and what supports it."""
+
+    motion: Motion
+    inlier: np.ndarray
+    """(n,) bool"""
+    information: np.ndarray
+    """(5, 5): of the motion, were all errors independent and as large as assumed."""
+    parallax: float
+    """How much more the matches have shifted along their ways than noise alone makes them seem to
+    [1, of squares]: one for two images from the same place, and up to three as theta fits noise."""
+    scale: float
+    """Of the robust loss [standard deviations]."""
+    others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
+    """(m, 5): the other motions that starts led to, that of least loss first."""
+
+
+def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = SCALE) -> Fit:
+    """Fit a motion to matches by iteratively reweighted least squares, from several starts.
+
+    Parameters
+    ----------
+    starts : ndarray, shape (m, 5)
+        Motions to begin from, all at once.
+    pairs : Pairs
+        All matches, wrong ones among them.
+    tilt_sigma : float
+        How far each camera may be tilted from what is known [rad].
+    scale : float
+        Of the robust loss [standard deviations].
+
+    Returns
+    -------
+    Fit
+        The one of least loss.
+    """
+    prior = prior_information(tilt_sigma)
+    x = descend(starts, pairs, tilt_sigma, scale)
+    found = residuals(x, pairs)
+    order = np.argsort(_loss(found, scale) + np.sum((x @ prior) * x, axis=1), kind="stable")
+    best = Residuals(*(part[order[0]] for part in found))
+    fit = _judged(x[order[0]], pairs, best, prior, scale)
+    return replace(fit, others=_distinct(x[order])[1 : 1 + MOST_OTHERS])
+
+
+def _distinct(motions: np.ndarray) -> np.ndarray:
+    """Return those motions, (k, 5), that are not the same as one before."""
+    apart = np.abs(wrap(motions[:, None, :2] - motions[:, :2])).max(axis=2)
+    return np.asarray(motions[~np.tril(apart < SAME, -1).any(axis=1)])
+
+
+def descend(
+    starts: np.ndarray,
+    pairs: Pairs,
+    tilt_sigma: float,
+    scale: float,
+    counts: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Return motions, (m, 5), that fit matches robustly, each from its own start.
+
+    Parameters
+    ----------
+    starts : ndarray, shape (m, 5)
+        Motions to begin from.
+    pairs : Pairs
+        n matches.
+    tilt_sigma : float
+        How far each camera may be tilted from what is known [rad].
+    scale : float
+        Of the robust loss [standard deviations].
+    counts : ndarray, shape (m, n), or 1
+        What each match counts for in each of the fits.
+    """
+    x = np.array(starts, float, order="C")
+    if not _descended(x, pairs, tilt_sigma, scale, counts):
+        x = _steps(np.array(starts), pairs, tilt_sigma, scale, counts)
+    x[:, :2] = wrap(x[:, :2])
+    return x
+
+
+def _steps(
+    x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
+) -> np.ndarray:
+    """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
+    prior = prior_information(tilt_sigma)
+    for looseness in LOOSENESS:
+        found = residuals(x, pairs, looseness * tilt_sigma)
+        weight = _weight(found, scale) * counts
+        weighted = (found.jacobian * weight[..., None]).swapaxes(1, 2)
+        normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
+        gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
+        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        x = x - np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+    return x
+
+
+def _descended(
+    x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
+) -> bool:
+    """Do in place, in compiled code, what `_steps` does; False where that cannot be."""
+    native = compiled()
+    if native is None:
+        return False
+    count, wide = pairs.columns.shape
+    counted = np.zeros((len(x), wide))
+    counted[:, : len(pairs)] = counts
+    looseness = np.array(LOOSENESS) * tilt_sigma
+    prior = np.diag(prior_information(tilt_sigma)).copy()
+    given = (pairs.columns, counted, looseness, prior, scale, LONGEST_STEP, LIMITS)
+    return not native.descend(len(x), wide, count, len(looseness), x, *given)
+
+
+def prior_information(tilt_sigma: float) -> np.ndarray:
+    """Return the information, (5, 5), that both cameras are upright and at one height."""
+    known = 1.0 / (2.0 * tilt_sigma**2)
+    return np.diag([0.0, 0.0, known, known, known])
+
+
+def squares(found: Residuals) -> np.ndarray:
+    """Return the squared residuals; infinite for impossible matches."""
+    return np.where(found.possible, found.value**2, np.inf)
+
+
+def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, scale: float) -> Fit:
+    inlier = squares(found) <= INLIER**2
+    root = np.sqrt(_weight(found, scale) * inlier)
+    by_theta, by_vertical = (
+        _beyond_noise(found.jacobian[:, column], noise, root**2)
+        for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True)
+    )
+    # Near home there is no parallax, but noise looks like it, and seems to tell a direction.
+    factor = np.ones(5)
+    for column, ratio in ((0, by_theta), (4, by_vertical)):
+        factor[column] = math.sqrt(max(0.0, 1.0 - 2.0 / max(ratio, 1e-12)))
+    rows = found.jacobian * root[:, None] * factor
+    return Fit(
+        motion=Motion(*x.tolist()),
+        inlier=inlier,
+        information=rows.T @ rows + prior,
+        parallax=by_theta,
+        scale=scale,
+    )
+
+
+def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> float:
+    """Return the mean of a column of the Jacobian, squared, over what noise alone makes of it."""
+    ratio = np.minimum(jacobian**2 / noise, MOST_RATIO)
+    return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
+
+
+def _loss(found: Residuals, scale: float) -> np.ndarray:
+    """Return Geman and McClure's loss of each motion, (m,): what `descend` makes small."""
+    return np.asarray(scale**2 * (1.0 - np.sqrt(_weight(found, scale))).sum(axis=-1))
+
+
+def _weight(found: Residuals, scale: float) -> np.ndarray:
+    """Return Geman and McClure's weights; impossible matches do not count."""
+    return np.asarray(found.possible / (1.0 + (found.value / scale) ** 2) ** 2)

@@ -1,0 +1,62 @@
+"""Whether one thing carries the whole answer: a chandelier, or the robot's own tripod.
+
+All that is seen on one thing errs together: where it has been moved, or moves along, its matches
+agree on a motion as well as any.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.vision.geometry.a_contrario import Verdict, judge
+from homeward.vision.geometry.epipolar import Pairs
+from homeward.vision.geometry.refinement import Fit
+
+REACH = math.radians(22.5)
+"""What lies within this of one direction may be one thing [rad]: as wide as the windows of
+azimuth in `geometry.jackknife`, overhead, too."""
+MOST = 0.5
+"""A thing carries the answer that has more than such a share of the matches that agree ..."""
+
+
+def carrying(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
+    """Return which of the matches that agree, (n,) bool, are on one thing that carries the answer.
+
+    None, where no thing has most of them, or the others are enough by themselves.
+
+    Parameters
+    ----------
+    fit, pairs, heading
+        As for `geometry.a_contrario.judge`.
+    """
+    rows = np.flatnonzero(fit.inlier)
+    thing = np.zeros(len(pairs), bool)
+    if not rows.size:
+        return thing
+    near = pairs.home_vectors[rows] @ pairs.home_vectors[rows].T > math.cos(REACH)
+    thing[rows[near[near.sum(axis=1).argmax()]]] = True
+    if thing.sum() <= MOST * rows.size:
+        return np.zeros(len(pairs), bool)
+    others = Fit(fit.motion, fit.inlier & ~thing, fit.information, fit.parallax, fit.scale)
+    return np.zeros(len(pairs), bool) if judge(others, pairs, heading).accepted else thing
+
+
+def costs(thing: np.ndarray, fit: Fit) -> float:
+    """Return the factor of the covariance where all matches on one thing, (n,), are one witness."""
+    agree, on_it = int(fit.inlier.sum()), int(thing.sum())
+    return agree / (agree - on_it + 1) if on_it else 1.0
+
+
+def words(verdict: Verdict, thing: np.ndarray, pairs: Pairs) -> str:
+    """Return a verdict's reason; it tells of one thing that carries the answer, and where."""
+    if not thing.any():
+        return verdict.reason
+    x, y, z = pairs.home_vectors[thing].mean(axis=0)
+    up = math.degrees(math.atan2(z, math.hypot(x, y)))
+    where = "overhead" if up > 45.0 else f"{math.degrees(math.atan2(y, x)):.0f} deg from its axis"
+    return (
+        f"{verdict.reason}; {int(thing.sum())} of them are on one thing ({where} at home), and the "
+        "others are not enough: if it was moved, or moves along, this is wrong"
+    )

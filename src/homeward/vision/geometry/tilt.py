@@ -1,0 +1,73 @@
+"""How a picture was tilted against home's, as its matches tell, and what that does to bearings.
+
+A tilt that nobody knows shifts every bearing of one picture by the tangent of its elevation, to one
+side ahead and to the other behind: as errors, these have all in common. But home's picture defines
+what level is. Bearings in a camera that stands as home's stood are those of a planar scene, however
+home's itself was tilted: points and places are then all projected along home's own vertical.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
+from homeward.vision.geometry.epipolar import Motion
+
+STEEPEST = 0.05
+"""A direction nearer to the vertical than this [rad] counts as so near: it has no azimuth."""
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """Of a camera against home's."""
+
+    rotation: np.ndarray
+    """(3, 3), from the camera's frame to one with the same heading, as level as home's."""
+    covariance: np.ndarray
+    """(2, 2), of roll and pitch [rad^2]."""
+
+    @classmethod
+    def of(cls, motion: Motion, covariance: np.ndarray) -> Tilt:
+        """Return the tilt that a comparison with home tells."""
+        return cls(tilt_matrix(motion.roll, motion.pitch), covariance)
+
+    def then(self, motion: Motion, covariance: np.ndarray) -> Tilt:
+        """Return the tilt of a picture that was compared with one tilted like this."""
+        c, s = math.cos(motion.alpha), math.sin(motion.alpha)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        whole = self.rotation @ turn @ tilt_matrix(motion.roll, motion.pitch)
+        heading = math.atan2(whole[1, 0], whole[0, 0])
+        c, s = math.cos(heading), math.sin(heading)
+        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        ours = turn[:2, :2].T @ self.covariance @ turn[:2, :2]
+        return Tilt(back @ whole, ours + covariance)
+
+    def level(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bearings as a camera that stands as home's would have them.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n, 2)
+            Azimuth and elevation in the tilted camera's frame [rad].
+
+        Returns
+        -------
+        bearing : ndarray, shape (n,)
+            [rad]
+        lean : ndarray, shape (n, 2)
+            How they change with a further roll and pitch [1].
+        """
+        x, y, z = self.rotation @ unit_vectors(*directions.T).T
+        out = np.maximum(np.hypot(x, y), STEEPEST)
+        return np.arctan2(y, x), -np.column_stack([x, y]) * (z / out**2)[:, None]
+
+    def variance(self, lean: np.ndarray) -> np.ndarray:
+        """Return what the bearings' variances, (n,), owe to what is not known of the tilt."""
+        return np.asarray(np.einsum("ni,ij,nj->n", lean, self.covariance, lean))
+
+
+AS_HOME = Tilt(np.eye(3), np.zeros((2, 2)))
+"""Of home's picture itself."""

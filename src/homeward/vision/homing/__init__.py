@@ -1,0 +1,1 @@
+"""Visual homing: the direction home from home's own panorama, and the pose near home."""

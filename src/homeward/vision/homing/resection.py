@@ -1,0 +1,254 @@
+"""The pose from home's own picture: its features, on home's sight lines, seen again from here.
+
+A feature of the home image lies on the ray along which home saw it; how far away is what a map
+tells, or a guess. The pose follows by resection. Seen from home itself, features lie where home saw
+them, however far away they are: near home the map's errors cancel, which they do not in a pose
+within the map. What is not known of the picture's tilt is common to all its bearings: two unknowns
+beside the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Pose
+from homeward.vision.geometry.jackknife import WINDOW, kept
+
+DISTANCES = 60
+"""Places tried along the direction from home."""
+REACH = 2.0
+"""They go as far as so many median distances of the landmarks."""
+BLUR = 0.01
+"""So much is added to the bearings' sigma while places are tried [rad]."""
+STEPS = 10
+SETTLED = 1e-5
+"""A step smaller than this ends the iteration [m or rad]."""
+HEAVY = 3.0
+"""Residuals of more sigmas lose their weight (Geman and McClure)."""
+AGREES = 3.0
+"""A landmark agrees whose residual is within so many sigmas."""
+DIRECTION_FROM = 0.3
+"""Nearer to home than this [m] a direction told by two pictures is off by more than they know, and
+counts as if it were told from there."""
+LARGEST_CONDITION = 1e10
+"""Where the rest of the landmarks do not fix a pose at all, it says nothing."""
+LEAST_NEAR = 0.05
+"""No landmark is taken to be nearer to the camera than this [m]."""
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Landmarks on home's sight lines, and where they are seen now. All arrays have n rows."""
+
+    home: np.ndarray
+    """Bearing from home [rad]."""
+    now: np.ndarray
+    """Bearing from here [rad]."""
+    sigma: np.ndarray
+    """Of the difference of the two [rad]."""
+    distance: np.ndarray
+    """From home [m]."""
+    distance_sigma: np.ndarray
+    """[m]"""
+    mapped: np.ndarray
+    """bool, whether a map told the distance, as it did of one at least; else it is a guess."""
+    lean: np.ndarray
+    """(n, 2): how the bearings from here change with roll and pitch of the camera [1]."""
+
+    def __len__(self) -> int:
+        return self.home.size
+
+    def __getitem__(self, rows: np.ndarray) -> Anchors:
+        return Anchors(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+
+@dataclass(frozen=True)
+class Direction:
+    """What two pictures alone tell of where the second was taken."""
+
+    theta: float
+    """Direction from home [rad]."""
+    alpha: float
+    """Heading [rad]."""
+    covariance: np.ndarray
+    """(2, 2), of both."""
+
+
+@dataclass(frozen=True)
+class Resection:
+    """Where the camera is, in the frame of home's."""
+
+    pose: Pose
+    covariance: np.ndarray
+    """(3, 3), of x [m], y [m], heading [rad]."""
+    agrees: np.ndarray
+    """(n,) bool, which landmarks agree with that."""
+
+
+def resect(anchors: Anchors, seen: Direction, tilt: np.ndarray) -> Resection | None:
+    """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
+
+    The latter holds direction and heading where the map is poor; near home it fades away by its
+    own covariance.
+
+    Parameters
+    ----------
+    anchors : Anchors
+        The landmarks.
+    seen : Direction
+        What the two pictures alone tell.
+    tilt : ndarray, shape (2, 2)
+        Covariance of what is left of the camera's roll and pitch [rad^2].
+
+    Returns
+    -------
+    Resection or None
+        None where they do not fix a pose.
+    """
+    if len(anchors) < 3:
+        return None
+    # Guessed distances are worth little afar, much near home: what they hold there, they hold fast.
+    of_map = anchors[anchors.mapped]
+    upright = np.linalg.inv(tilt)
+    found = _fit(of_map, seen, upright, _begin(of_map, seen))
+    starts = [_begin(anchors, seen), *([] if found is None else [found.x])]
+    fits = [fit for x in starts if (fit := _fit(anchors, seen, upright, x)) is not None]
+    if not fits:
+        return None
+    best = min(fits, key=lambda fit: fit.loss)
+    x, y, heading = best.x[:3].tolist()
+    agrees = best.residual**2 <= AGREES**2 * best.variance
+    return Resection(Pose(x, y, float(wrap(heading))), _covariance(anchors, best), agrees)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A pose fitted to n landmarks."""
+
+    x: np.ndarray
+    """(5,): x [m], y [m], heading, and what is left of roll and pitch [rad]."""
+    information: np.ndarray
+    """(5, 5)"""
+    weight: np.ndarray
+    """(n,): of each landmark [rad^-2]."""
+    residual: np.ndarray
+    """(n,): of its bearing [rad]."""
+    variance: np.ndarray
+    """(n,): of that [rad^2]."""
+    jacobian: np.ndarray
+    """(n, 5): of the bearing."""
+    loss: float
+    """How unlikely the bearings of mapped landmarks are, the tilt, and what the two pictures alone
+    tell: of a distance that is guessed nobody knows how likely it is."""
+
+
+def _fit(anchors: Anchors, seen: Direction, upright: np.ndarray, x: np.ndarray) -> _Fit | None:
+    """Fit a pose that begins at `x`, (5,); None where the landmarks do not fix one.
+
+    `upright`, (2, 2), is the information that no roll or pitch is left.
+    """
+    across, known = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
+    for _ in range(STEPS):
+        residual, jacobian, variance = _predict(anchors, x)
+        off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
+        weight = _weight(residual**2 / variance) / variance
+        told = _weight(off @ known @ off / off.size) * across.T @ known
+        information = (jacobian.T * weight) @ jacobian + told @ across
+        information[3:, 3:] += upright
+        slope = (jacobian.T * weight) @ residual + told @ off
+        slope[3:] -= upright @ x[3:]
+        try:
+            step = np.linalg.solve(information, slope)
+        except np.linalg.LinAlgError:
+            return None
+        x = x + step
+        if np.abs(step).max() < SETTLED:
+            break
+    if not np.isfinite(x).all():
+        return None
+    residual, jacobian, variance = _predict(anchors, x)
+    unlike = _loss(residual**2 / variance) + np.log(variance / anchors.sigma**2)
+    of_direction = off.size * _loss(off @ known @ off / off.size)
+    loss = float(unlike[anchors.mapped].sum() + of_direction + x[3:] @ upright @ x[3:])
+    return _Fit(x, information, weight, residual, variance, jacobian, loss)
+
+
+def _loss(squares: np.ndarray) -> np.ndarray:
+    """Return Geman and McClure's loss of squared residuals over their variances."""
+    return squares / (1.0 + squares / HEAVY**2)
+
+
+def _weight(squares: np.ndarray) -> np.ndarray:
+    """Return the weights that it gives."""
+    return np.asarray((1.0 + squares / HEAVY**2) ** -2)
+
+
+def _covariance(anchors: Anchors, fit: _Fit) -> np.ndarray:
+    """Return the covariance (3, 3) of a pose.
+
+    What leaving out any one direction would change, one step of the fit, says how far landmarks of
+    one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
+    factor of the distance from home.
+    """
+    left_out = ~kept(anchors.home, np.ones(len(anchors), bool))
+    weight, jacobian = fit.weight, fit.jacobian
+    rest = fit.information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
+    slope = -np.einsum("wn,n,ni->wi", left_out, weight * fit.residual, jacobian)
+    regular = np.linalg.cond(rest) < LARGEST_CONDITION
+    change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
+    share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
+    scale = float(np.median(share[anchors.mapped]))
+    out = scale * np.array([fit.x[0], fit.x[1], 0.0])
+    together = change.T @ change / WINDOW
+    return np.asarray((np.linalg.inv(fit.information) + together)[:3, :3] + np.outer(out, out))
+
+
+def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return, (2, 5), what takes `_Fit.x` to (off the line from home [m], heading).
+
+    And the information, (2, 2), of these.
+    """
+    across = np.zeros((2, 5))
+    across[0, :2], across[1, 2] = (-np.sin(seen.theta), np.cos(seen.theta)), 1.0
+    lever = np.diag([distance, 1.0])
+    return across, np.linalg.inv(lever @ seen.covariance @ lever)
+
+
+def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
+    """Return the best of some places in a direction from home, as of `_Fit.x`."""
+    furthest = REACH * float(np.median(anchors.distance))
+    R = np.linspace(0.0, furthest, DISTANCES)
+    heading = np.full(DISTANCES, seen.alpha)
+    level = np.zeros((2, DISTANCES))
+    places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading, *level])
+    residual, variance, _ = _sighted(anchors, places)
+    costs = np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum(axis=1)
+    return np.asarray(places[np.argmin(costs)])
+
+
+def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals [rad], derivatives and variances of bearings from `x`.
+
+    Of shapes (n,), (n, 5) and (n,); derivatives are those of the predicted bearings.
+    """
+    residual, variance, per_metre = (a[0] for a in _sighted(anchors, x[None]))
+    jacobian = np.column_stack([per_metre, -np.ones(len(anchors)), -anchors.lean])
+    return residual, jacobian, variance
+
+
+def _sighted(anchors: Anchors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (m, n) [rad] of bearings from places (m, 5), and their variances.
+
+    And the derivatives of the predicted bearings by the place, (m, n, 2) [rad/m].
+    """
+    ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
+    dx, dy = np.moveaxis(anchors.distance[:, None] * ray - places[:, None, :2], -1, 0)
+    square = np.maximum(dx**2 + dy**2, LEAST_NEAR**2)
+    level = anchors.now + places[:, 2:3] + places[:, 3:] @ anchors.lean.T
+    residual = wrap(level - np.arctan2(dy, dx))
+    by_distance = (dx * ray[:, 1] - dy * ray[:, 0]) / square
+    variance = anchors.sigma**2 + (by_distance * anchors.distance_sigma) ** 2
+    return np.asarray(residual), variance, np.stack([dy / square, -dx / square], axis=-1)

@@ -1,0 +1,319 @@
+"""An estimator that looks at home's picture, too: the direction home at first, the pose near home.
+
+Two panoramas tell heading and direction from home at once, where a map takes a while to be made;
+and near home they tell the pose better than the map does (see `homing.resection`). Odometry
+leads from one picture to the next. What home's picture contradicts is not called sure, whatever the
+map says.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+from collections import deque
+from collections.abc import Mapping
+from typing import Unpack
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.clock import LATE_S, Clock
+from homeward.drives.dead_reckoning import dead_reckoning
+from homeward.drives.drive import Odometry, Robot
+from homeward.drives.known import known_robot
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.estimator import (
+    FASTEST,
+    HOLD_S,
+    Counts,
+    Estimate,
+    Estimator,
+    FindsMount,
+    LandmarkEstimate,
+    Status,
+    guarded,
+    in_turn,
+)
+from homeward.frames import (
+    Polar,
+    Pose,
+    between,
+    compose,
+    from_polar,
+    inverse,
+    polar_covariance_to_pose,
+)
+from homeward.reasons import Rejection
+from homeward.vision.comparison import Comparison
+from homeward.vision.front_end import home_name
+from homeward.vision.homing.direction_voting import Hints
+from homeward.vision.homing.fix import Fix, joined
+from homeward.vision.homing.moved_landmark_filter import Witness
+from homeward.vision.homing.resection import Anchors, Direction, resect
+
+FEWEST_ANCHORS = 6
+"""Landmarks of home, seen again, that a pose needs ..."""
+FEWEST_MAPPED = 4
+"""... and so many of them must be in the map."""
+AGREEING = 0.7
+"""Such a share of those in the map must agree with a pose from home's picture."""
+GUESSED = 4.0
+"""A landmark that is not in the map is as far as the others, give or take so many times that."""
+POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
+"""A pose that home's picture told is forgotten after this time [s], for the map knows more then; so
+is a direction later, for where the map knows nothing it is all there is."""
+UNKNOWN_DISTANCE = 3.0
+"""Where only the direction is known, the distance is said to be this, give or take as much [m]."""
+SLIP, TURN_SLIP = 0.05, 0.05
+"""Odometry between pictures is off by such shares of the way and of the turn, beside its noise."""
+CONTRADICTS = 4.0
+"""So many sigmas apart, the map and home's picture contradict each other."""
+NEAR_HOME, REFUSALS = 0.3, 3
+"""So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
+
+
+class HomeSight:
+    """Another estimator with an eye on home's picture, itself an `Estimator`.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Maps the landmarks.
+    **robot : Robot
+        As the estimator was told: where the camera is on the robot, now and at home.
+    """
+
+    def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:
+        self._inner, self._turn = estimator, threading.RLock()
+        self.name = estimator.name
+        self._told = known_robot(robot)
+        self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
+        self._twists: deque[tuple[float, float, float]] = deque()
+        """(t, v, omega) since the last fix, and as long as a picture may be late; and the one that
+        held when that began."""
+        self._fix: Fix | None = None
+        self._pictured = -math.inf
+        """The newest stamp of a picture [s]."""
+        self._refused = 0
+        """How often in a row home's picture was not recognised."""
+        self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
+
+    @property
+    def counts(self) -> Counts:
+        """Those of the other estimator, and the pictures that came late."""
+        return self._inner.counts
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the other estimator."""
+        return self._inner.notes
+
+    @guarded
+    def odometry(self, t: float, v: float, omega: float) -> None:
+        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        self._inner.odometry(t, v, omega)
+        t = self._clock.read(t)
+        if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
+            return
+        if self._twists and t < self._twists[-1][0]:
+            return
+        self._hints.odometry(t, v, omega)
+        self._twists.append((t, v, omega))
+        self._forget_twists()
+
+    @guarded
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Estimate:
+        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
+        self._witness.frame(sightings)
+        innovations = self._inner.bearings(t, sightings, sigmas).innovations
+        return dataclasses.replace(self.estimate(t), innovations=innovations)
+
+    @in_turn
+    def home(self, t: float, seen: Comparison | None) -> None:
+        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
+
+        It may come up to `LATE_S` after odometry of its stamp, and counts at its own. One that is
+        later, or older than another picture before, is left out and counted.
+        """
+        said, t = t, self._clock.read(t)
+        if seen is None:
+            return
+        newest = self._twists[-1][0] if self._twists else -math.inf
+        if not math.isfinite(t) or t < max(self._pictured, newest - LATE_S):
+            self.counts.reject(Rejection.LATE_PICTURE)
+            return
+        self._pictured = t
+        self._refused = 0 if seen.accepted else self._refused + 1
+        if not seen.accepted:
+            self._hints.guessed(t, seen)
+            return
+        self._hints.forget()
+        self._witness.home(seen)
+        fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
+        if fix is not None:
+            self._fix = joined(self._carried(t), fix)
+            self._forget_twists()
+
+    @guarded
+    def estimate(self, t: float) -> Estimate:
+        """Predict to `t` [s], not before the last sample, and change nothing."""
+        mapped, at = self._inner.estimate(t), self._clock.peek(t)
+        fix = self._carried(at)
+        if fix is None or not (fix.whole or fix.against or not agree(mapped, fix)):
+            return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
+        return self._answer(mapped, fix)
+
+    @guarded
+    def landmarks(self) -> list[LandmarkEstimate]:
+        """Everything known of each landmark; none is called moved that may be a wrong match."""
+        return self._witness.reconsidered(self._inner.landmarks())
+
+    def _hinted(self, mapped: Estimate, t: float) -> Estimate:
+        """Return what refused pictures say together; what the map says where they say nothing."""
+        hint = self._hints.at(t)
+        if hint is None:
+            return mapped
+        words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
+        there = self._of_robot(*_far(hint.direction, UNKNOWN_DISTANCE))
+        return self._answer(mapped, Fix(t, *there, False, False, False, words))
+
+    def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
+        """Return a pose that leads home, though its distance may be a guess."""
+        status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
+        return Estimate(mapped.t, status, fix.reason, fix.pose, fix.covariance)
+
+    def _unless_refused(self, mapped: Estimate) -> Estimate:
+        """Return what the map says; unsure where home's picture should be seen, but is not."""
+        polar = mapped.polar
+        if polar is None or polar.R > NEAR_HOME or self._refused < REFUSALS:
+            return mapped
+        words = "the map says home, but home's picture is not recognised"
+        return dataclasses.replace(mapped, status=Status.UNVERIFIED, reason=words)
+
+    def _whole(self, t: float, seen: Comparison) -> Fix | None:
+        """Return the pose from landmarks of home; None where too few are seen, or in the map."""
+        anchors = self._anchors(seen)
+        mapped = anchors.mapped
+        if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
+            return None
+        found = resect(anchors, _told(seen), seen.tilt_covariance)
+        if found is None:
+            return None
+        there = found.pose, found.covariance
+        agreeing, of = int(found.agrees[mapped].sum()), int(mapped.sum())
+        words = f"{agreeing} of {of} mapped landmarks agree with home's picture"
+        if agreeing < AGREEING * of:
+            if seen.knows_direction:
+                there = _far(_told(seen), UNKNOWN_DISTANCE)
+            return Fix(t, *self._of_robot(*there), False, False, True, f"only {words}")
+        return Fix(t, *self._of_robot(*there), True, True, False, words)
+
+    def _direction(self, t: float, seen: Comparison, mapped: Polar | None) -> Fix | None:
+        """Return heading and direction from home, the distance being the map's or a guess."""
+        if not seen.knows_direction:
+            return None
+        there = _far(_told(seen), UNKNOWN_DISTANCE if mapped is None else float(mapped.R))
+        words = "home's picture tells the direction home, not how far it is"
+        return Fix(t, *self._of_robot(*there), False, False, False, words)
+
+    def _anchors(self, seen: Comparison) -> Anchors:
+        """Return home's landmarks that are seen now."""
+        pairs, rows = seen.pairs[seen.agrees], seen.home_row[seen.agrees]
+        known = {m.landmark: m for m in self._inner.landmarks() if m.moved is False}
+        home_mount = self._mounts()[0]
+        distance, sigma = np.full((2, len(rows)), np.nan)
+        for i, row in enumerate(rows.tolist()):
+            landmark = known.get(home_name(row))
+            if landmark is not None and math.isfinite(landmark.distance):
+                at = between(home_mount, Pose(landmark.x, landmark.y, 0.0))
+                distance[i], sigma[i] = math.hypot(at.x, at.y), landmark.sigma_distance
+        mapped = np.isfinite(distance)
+        if mapped.any():
+            distance[~mapped] = np.median(distance[mapped])
+            sigma[~mapped] = GUESSED * distance[~mapped]
+        now, lean = seen.tilt.level(pairs.now)
+        return Anchors(pairs.home[:, 0], now, pairs.sigma, distance, sigma, mapped, lean)
+
+    def _mounts(self) -> tuple[Pose, Pose]:
+        """Return the camera on the robot, at home and now: as told, or as was found out."""
+        told, now = self._told, self._told.sensor.pose
+        if isinstance(self._inner, FindsMount):
+            now = self._inner.mount or now
+        return (now if told.home_sensor is None else told.home_mount.pose), now
+
+    def _of_robot(self, camera: Pose, covariance: np.ndarray) -> tuple[Pose, np.ndarray]:
+        """Return pose and covariance of the robot's centre, from the camera's."""
+        home_mount, mount = self._mounts()
+        off = inverse(mount)
+        robot = compose(compose(home_mount, camera), off)
+        c, s = math.cos(home_mount.heading), math.sin(home_mount.heading)
+        arm = compose(Pose(0.0, 0.0, home_mount.heading + camera.heading), off)
+        jacobian = np.array([[c, -s, -arm.y], [s, c, arm.x], [0.0, 0.0, 1.0]])
+        return robot, jacobian @ covariance @ jacobian.T
+
+    def _carried(self, t: float) -> Fix | None:
+        """Return the last fix, moved on to `t` by odometry; None where it is too old."""
+        fix = self._fix
+        if fix is None:
+            return None
+        t = max(fix.t, t)
+        if t - fix.t > (POSE_HOLD_S if fix.whole else DIRECTION_HOLD_S):
+            return None
+        if not self._twists:
+            return fix
+        times, v, omega = np.array(self._twists).T
+        ends = dead_reckoning(Odometry(times, v, omega), np.array([fix.t, t]))
+        start, end = (Pose(*(float(c[k]) for c in ends)) for k in (0, 1))
+        motion = between(start, end)
+        x, y, heading = compose(fix.pose, motion)
+        way = math.hypot(motion.x, motion.y)
+        jacobian = np.eye(3)
+        jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
+        slip = np.array([SLIP * way, SLIP * way, TURN_SLIP * motion.heading])
+        held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, fix.t)
+        held = np.clip(held, 0.0, HOLD_S)
+        noise = np.diag(slip**2 + self._white_noise(held, v, omega))
+        covariance = jacobian @ fix.covariance @ jacobian.T + noise
+        return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
+
+    def _forget_twists(self) -> None:
+        """Forget the twists that lie before all that is yet to be carried on."""
+        if not self._twists:
+            return
+        newest = self._twists[-1][0]
+        since = newest - LATE_S
+        if self._fix is not None and newest - self._fix.t <= DIRECTION_HOLD_S:
+            since = min(since, self._fix.t)
+        while len(self._twists) > 1 and self._twists[1][0] <= since:
+            self._twists.popleft()
+
+    def _white_noise(self, held: np.ndarray, v: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        """Return the variances, (3,), that odometry's noise adds over twists `held` so long [s]."""
+        moving = (v != 0.0) | (omega != 0.0)
+        done = np.array([held @ moving, held @ np.abs(v), held @ np.abs(omega)])
+        along, _, heading = self._noise_rates @ done
+        return np.array([along, along, heading])
+
+
+def _told(seen: Comparison) -> Direction:
+    return Direction(seen.direction, seen.heading, seen.covariance)
+
+
+def _far(told: Direction, distance: float) -> tuple[Pose, np.ndarray]:
+    """Return the camera's pose, and its covariance, at a distance that nobody knows [m]."""
+    there = Polar(distance, told.theta, told.alpha)
+    covariance = np.zeros((3, 3))
+    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, told.covariance
+    return from_polar(there), polar_covariance_to_pose(there, covariance)
+
+
+def agree(mapped: Estimate, fix: Fix) -> bool:
+    """Say whether the map's pose lies in the direction that home's picture tells."""
+    if mapped.pose is None or mapped.covariance is None:
+        return False
+    off = np.array(mapped.pose) - np.array(fix.pose)
+    off[2] = wrap(off[2])
+    return bool(off @ np.linalg.solve(mapped.covariance + fix.covariance, off) <= CONTRADICTS**2)

@@ -1,0 +1,1 @@
+"""Folders of panoramas, recorded along a drive."""

@@ -1,0 +1,237 @@
+"""Image folders: panoramas along a drive, home's, and odometry; made into an ordinary drive."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.dead_reckoning import dead_reckoning
+from homeward.drives.drive import Sightings
+from homeward.drives.files import is_there, require_folder
+from homeward.drives.folder import (
+    ODOMETRY,
+    SETTINGS,
+    TRUTH,
+    read_drive_settings,
+    read_odometry,
+    read_truth,
+)
+from homeward.drives.images import IMAGES, Images, file_within, read_images
+from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
+from homeward.errors import InputError
+from homeward.one_thread import one_thread
+from homeward.vision.cameras.image_files import read_grey, read_view
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.checks.camera_settings import doubts
+from homeward.vision.checks.seam import require_panoramas
+from homeward.vision.checks.self_occlusion import TurningAlong, TurnsAlong
+from homeward.vision.comparison import Comparison
+from homeward.vision.front_end import FrontEnd, Glance
+from homeward.vision.recorded.cache import Found, found_once, stamp_of
+from homeward.vision.recorded.estimator import SeenDrive
+from homeward.vision.recorded.settings import ImageSettings, read_image_settings
+
+IMAGE_SETTINGS = "images.yaml"
+FEWEST_SIGHTINGS = 8
+"""A landmark seen less often tells nothing."""
+HOME_STEM = "home"
+ASKED = 8
+"""So many pictures along the drive, and home's, are asked whether they are panoramas."""
+DOUBTED = 3
+"""Where none is like home, so many are asked whether other settings suit them."""
+UNLIKE = "images in which nothing seen before was found"
+RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
+
+
+@one_thread()
+def see_folder(
+    path: str | os.PathLike[str],
+    progress: Callable[[float], None] | None = None,
+    ready: Callable[[], None] | None = None,
+    force: bool = False,
+) -> SeenDrive:
+    """Turn an image folder into a drive.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder with images.csv (t [s], file), the images (JPEG or PNG), a home image, odometry.csv,
+        and perhaps images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+    ready : callable, optional
+        Called when everything but the images along the drive is read: looking at them takes long.
+    force : bool
+        Whether pictures are taken that look like no panoramas; images.yaml may say so, too.
+
+    Returns
+    -------
+    SeenDrive
+        Landmarks seen at home are called h and a number, others k and a number. Its remarks count
+        images that were like nothing seen before, what was left out, and matches that turn with the
+        camera, as what belongs to the robot does.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used, images and odometry do not overlap, or pictures
+        are no panoramas; names file, row and what is wrong.
+    """
+    folder = Path(path)
+    require_folder(folder)
+    if not is_there(folder / IMAGES):
+        raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
+    told = folder / IMAGE_SETTINGS
+    settings = read_image_settings(told if is_there(told) else None)
+    remarks: dict[str, int] = {}
+    images = read_images(folder, remarks)
+    if not images.files:
+        raise InputError("no rows", folder / IMAGES)
+    odometry = read_odometry(folder / ODOMETRY, remarks)
+    # Before images are looked at, which takes long.
+    spans = {"the odometry": _span(odometry.t), "the images": _span(images.t)}
+    require_overlap(spans, OTHER_CLOCK, folder)
+    sensor = read_drive_settings(folder / SETTINGS)
+    truth = read_truth(folder / TRUTH, remarks)
+    place = home_image(folder, settings)
+    picture, home = read_view(place, settings.camera, mask=settings.mask)
+    if not (force or settings.force):
+        _require_panoramas(picture, images.files, settings.camera, folder)
+    if ready is not None:
+        ready()
+    front_end = FrontEnd(home, settings.camera, settings.landmarks)
+    headings = dead_reckoning(odometry, images.t).heading
+    found = found_once(
+        lambda: stamp_of([place, *images.files], settings, images.t, headings),
+        lambda: _found(picture, front_end, images, headings, progress),
+    )
+    if progress is not None:
+        progress(1.0)
+    return SeenDrive(
+        name=folder.resolve().name,
+        odometry=odometry,
+        sightings=found.sightings,
+        home=found.home,
+        settings=sensor,
+        truth=truth,
+        remarks=remarks | found.remarks,
+        pictures=tuple(zip(images.t.tolist(), found.pictures, strict=True)),
+    )
+
+
+def home_image(folder: Path, settings: ImageSettings) -> Path:
+    """Return the file of the home image: named in the settings, or HOME_STEM in whatever case.
+
+    Raises
+    ------
+    InputError
+        When there is none, more than one could be it, or it lies outside the folder.
+    """
+    if settings.home is not None:
+        return file_within(folder, settings.home, "home", folder / IMAGE_SETTINGS)
+    found = sorted(
+        f
+        for f in folder.iterdir()
+        if f.stem.lower() == HOME_STEM and f.suffix.lower() not in ("", ".csv", ".yaml")
+    )
+    if len(found) != 1:
+        what = "no home image" if not found else f"{len(found)} files named home"
+        raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
+    return file_within(folder, found[0].name, "home", folder)
+
+
+def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, folder: Path) -> None:
+    """Raise InputError when home's panorama and some of the others are none."""
+    some = np.unique(np.linspace(0, len(files) - 1, ASKED).astype(int)).tolist()
+    pictures = [home, *(camera.panorama(read_grey(files[k])) for k in some)]
+    try:
+        require_panoramas(pictures, camera)
+    except InputError as error:
+        raise InputError(error.what, folder) from None
+
+
+def _span(t: np.ndarray) -> tuple[float, float]:
+    """Return the first and the last of times in order [s]."""
+    return float(t[0]), float(t[-1])
+
+
+def _found(
+    home: np.ndarray,
+    front_end: FrontEnd,
+    images: Images,
+    headings: np.ndarray,
+    progress: Callable[[float], None] | None,
+) -> Found:
+    """Look at all images, and return what they showed; headings are by odometry.
+
+    `home` is home's panorama.
+    """
+    glances, along = _look_at_all(front_end, images.files, headings, progress)
+    remarks: dict[str, int] = {}
+    if unlike := sum(not glance.bearings for glance in glances):
+        remarks[UNLIKE] = unlike
+    if along is not None:
+        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
+    sightings = _sightings(images.t, glances, remarks)
+    compared = tuple(glance.home for glance in glances)
+    remarks |= _settings_doubts(home, front_end, images.files, compared)
+    return Found(sightings, front_end.home_bearings, compared, remarks)
+
+
+def _settings_doubts(
+    home: np.ndarray,
+    front_end: FrontEnd,
+    files: list[Path],
+    compared: tuple[Comparison | None, ...],
+) -> dict[str, int]:
+    """Return a remark where another setting suits home and the first picture like it far better.
+
+    Of several along the drive, where none is like home.
+    """
+    tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
+    like = [pair for pair in tried if pair[1].accepted][:1]
+    some = np.unique(np.linspace(0, len(tried) - 1, DOUBTED).astype(int)).tolist()
+    for file, seen in like or [tried[k] for k in some]:
+        picture, view = read_view(file, front_end.camera, like=front_end.home)
+        views = front_end.home, view
+        if words := doubts(seen, (home, picture), views, front_end.camera):
+            return {f"pair of pictures was looked at closely, home and {file.name}: {words}": 1}
+    return {}
+
+
+def _look_at_all(
+    front_end: FrontEnd,
+    files: list[Path],
+    headings: np.ndarray,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[Glance], TurnsAlong | None]:
+    """Return what each image shows, and what turned with the camera; headings are by odometry."""
+    glances, along = [], TurningAlong()
+    for k, (file, heading) in enumerate(zip(files, headings.tolist(), strict=True)):
+        _, view = read_view(file, front_end.camera, like=front_end.home)
+        glances.append(front_end.take(view))
+        along.see(view, heading)
+        if progress is not None:
+            progress((k + 1) / len(files))
+    return glances, along.found
+
+
+def _sightings(t: np.ndarray, glances: list[Glance], remarks: dict[str, int]) -> Sightings:
+    """Put the sightings of all frames together, without landmarks that were seen too rarely."""
+    times = Counter(name for glance in glances for name in glance.bearings)
+    rows = [
+        (stamp, name, bearing, glance.sigmas[name])
+        for stamp, glance in zip(t.tolist(), glances, strict=True)
+        for name, bearing in glance.bearings.items()
+    ]
+    kept = [row for row in rows if times[row[1]] >= FEWEST_SIGHTINGS]
+    if rare := len(rows) - len(kept):
+        remarks[RARE] = rare
+    names = np.empty(len(kept), object)
+    names[:] = [row[1] for row in kept]
+    numbers_of = np.array([(row[0], row[2], row[3]) for row in kept], float).reshape(-1, 3)
+    return Sightings(numbers_of[:, 0], names, numbers_of[:, 1], numbers_of[:, 2])

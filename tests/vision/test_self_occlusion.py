@@ -1,0 +1,130 @@
+"""What turns with the camera is told where a mask is missing, and nowhere else."""
+
+# ruff: noqa: E402 (nothing is imported where OpenCV is missing)
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+cv2 = pytest.importorskip("cv2")
+
+from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, TURN, WIDTH, on_robot
+from vision_scene import look as draw
+from vision_scene import make_room
+
+from homeward.cli.main import app
+from homeward.vision import Mask, compare, look
+from homeward.vision.checks.self_occlusion import TurningAlong, turning_along
+
+STEP = 0.2
+"""What the robot turns by from frame to frame [rad]."""
+MASK = Mask.of(PAINTED)
+
+
+def frame(k, seed=7, steps=1.0):
+    """Return frame k of a robot that drives an arc."""
+    return draw(make_room(seed), 3.0 + 0.05 * k, 3.0, 0.4 + STEP * steps * k, seed=k)
+
+
+def told(frames, headings, mask=None):
+    along = TurningAlong()
+    for image, heading in zip(frames, headings, strict=True):
+        along.see(look(image, CAMERA, mask), heading)
+    return along.found
+
+
+HEADINGS = [STEP * k for k in range(12)]
+
+
+def test_a_deck_is_told_and_where_it_lies():
+    found = told([on_robot(frame(k)) for k in range(12)], HEADINGS)
+    assert found.matches > 50
+    top = np.degrees((HEIGHT / 2 - HORIZON) * 2 * np.pi / WIDTH)  # the mast is higher
+    assert np.degrees(found.lowest) < top - 10
+    assert np.degrees(found.lowest) > -45
+    assert "mask" in found.words
+
+
+def test_with_its_mask_nothing_is_told():
+    assert told([on_robot(frame(k)) for k in range(12)], HEADINGS, MASK) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clean_room_is_not_suspected(seed):
+    assert told([frame(k, seed) for k in range(12)], HEADINGS) is None
+
+
+def test_a_robot_that_does_not_turn_is_not_suspected():
+    """Its wheels slip, or its gyroscope drifts: then it is odometry that is wrong."""
+    assert told([frame(0)] * 12, HEADINGS) is None
+    assert told([frame(k, steps=0.0) for k in range(12)], HEADINGS) is None
+
+
+def test_without_a_turn_nothing_is_known():
+    frames = [on_robot(frame(k, steps=0.0)) for k in range(12)]
+    assert told(frames, [0.01 * k for k in range(12)]) is None
+
+
+def between(*images, mask=None):
+    home, now = (look(image, CAMERA, mask) for image in images)
+    return turning_along(compare(home, now, CAMERA), CAMERA)
+
+
+def test_of_two_panoramas_it_is_told_where_the_rest_tells_a_turn():
+    room = make_room(7)
+    clean = draw(room, 3.0, 3.0, 0.4, seed=0), draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)
+    painted = [on_robot(image) for image in clean]
+    assert between(*clean) is None
+    assert between(*painted).matches > 20
+    assert between(*painted, mask=MASK) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_panoramas_that_are_not_turned_are_not_suspected(seed):
+    room = make_room(seed)
+    for x in (3.0, 3.03, 3.3):
+        pair = draw(room, 3.0, 3.0, 0.4, seed=1), draw(room, x, 3.0, 0.4, seed=2)
+        assert between(*pair) is None
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A drive with the robot's own texture in its pictures."""
+    path = tmp_path / "drive"
+    path.mkdir()
+    cv2.imwrite(str(path / "home.png"), on_robot(draw(make_room(7), 3.0, 3.0, 0.4, seed=99)))
+    cv2.imwrite(str(path / "mask.png"), PAINTED)
+    rows = ["t,file"]
+    for k in range(16):
+        cv2.imwrite(str(path / f"{k}.png"), on_robot(frame(k)))
+        rows.append(f"{k},{k}.png")
+    (path / "images.csv").write_text("\n".join(rows) + "\n")
+    twists = [f"{0.5 * k},0.05,{STEP}" for k in range(32)]
+    (path / "odometry.csv").write_text("\n".join(["t,v,omega", *twists]) + "\n")
+    return path
+
+
+def words(*arguments):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code in (0, 1), result.output
+    return " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("command", ["see", "run"])
+def test_a_missing_mask_is_said_on_the_terminal(folder, tmp_path, command):
+    said = words(command, folder, "--out", tmp_path / "out")
+    assert "turn with the camera" in said
+    assert "(images.yaml, mask: FILE)" in said
+    (folder / "images.yaml").write_text("mask: mask.png\n")
+    assert "turn with the camera" not in words(command, folder, "--out", tmp_path / "masked")
+
+
+def test_compare_says_it_too(folder, tmp_path):
+    room = make_room(7)
+    cv2.imwrite(str(folder / "now.png"), on_robot(draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)))
+    pair = folder / "home.png", folder / "now.png"
+    said = words("compare", *pair, "--out", tmp_path / "a")
+    assert "turn with the camera" in said
+    assert "(--mask FILE)" in said
+    mask = folder / "mask.png"
+    again = words("compare", *pair, "--mask", mask, "--out", tmp_path / "b")
+    assert "turn with the camera" not in again
