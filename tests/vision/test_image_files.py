@@ -7,10 +7,10 @@ import pytest
 from PIL import ExifTags, Image
 
 from homeward.errors import InputError
-from homeward.vision.cameras.image_files import read_grey, read_view
+from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.cameras.panoramic import Equirectangular
 from homeward.vision.comparison import compare
-from homeward.vision.features.detection import look
+from homeward.vision.features.detection import look, read_view
 
 
 def picture(width=256, height=64, seed=0):

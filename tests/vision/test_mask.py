@@ -15,8 +15,9 @@ from homeward.cli.main import app
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.vision import Equirectangular, Mask, compare, look
-from homeward.vision.cameras.image_files import read_mask, read_view
+from homeward.vision.cameras.image_files import read_mask
 from homeward.vision.cameras.ring import Ring
+from homeward.vision.features.detection import read_view
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.recorded.settings import read_image_settings
 

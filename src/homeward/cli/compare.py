@@ -37,11 +37,11 @@ def compare(
     from homeward.one_thread import one_thread
     from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
     from homeward.report.output import check_output
-    from homeward.vision.cameras.image_files import read_view
     from homeward.vision.checks.camera_settings import doubts
     from homeward.vision.checks.seam import require_panoramas
     from homeward.vision.checks.self_occlusion import turning_along
     from homeward.vision.comparison import compare as compare_views
+    from homeward.vision.features.detection import read_view
     from homeward.vision.recorded.settings import read_image_settings
 
     settings = read_image_settings(camera)

@@ -15,10 +15,9 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.drives.files import naming, opened
 from homeward.errors import InputError
-from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_like_home, require_size
+from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.detection import View, look
 
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 
@@ -66,45 +65,6 @@ def _decoded(stream: IO[bytes], path: Path) -> np.ndarray:
     except Exception as error:  # whatever decoders make of bytes that are no picture
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a whole image: {reason}", path) from None
-
-
-def read_view(
-    path: Path, camera: Panorama, like: View | None = None, mask: Path | None = None
-) -> tuple[np.ndarray, View]:
-    """Read an image, and find its features.
-
-    Parameters
-    ----------
-    path : Path
-        As in `read_grey`.
-    camera : Panorama
-        That took it.
-    like : View, optional
-        Of home: the panorama must have the same size, and is masked as that was.
-    mask : Path, optional
-        Of home's picture, see `read_mask`.
-
-    Returns
-    -------
-    panorama : ndarray of uint8, shape (height, width)
-    view : View
-
-    Raises
-    ------
-    InputError
-        When a file cannot be read, or its size does not suit the camera, home or the picture.
-    """
-    grey = read_grey(path)
-    try:
-        panorama = camera.panorama(grey)
-        if like is not None:
-            require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
-    except InputError as error:
-        raise InputError(error.what, path) from None
-    masked = like.mask if like is not None else None
-    if mask is not None:
-        masked = read_mask(mask, camera, grey.shape)
-    return panorama, look(panorama, camera, masked)
 
 
 def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.grey import as_grey, require_like_home
+from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.pyramid import Picture, enlarged
@@ -145,6 +147,45 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
         Picture.of(image, times),
         mask,
     )
+
+
+def read_view(
+    path: Path, camera: Panorama, like: View | None = None, mask: Path | None = None
+) -> tuple[np.ndarray, View]:
+    """Read an image, and find its features.
+
+    Parameters
+    ----------
+    path : Path
+        As in `read_grey`.
+    camera : Panorama
+        That took it.
+    like : View, optional
+        Of home: the panorama must have the same size, and is masked as that was.
+    mask : Path, optional
+        Of home's picture, see `read_mask`.
+
+    Returns
+    -------
+    panorama : ndarray of uint8, shape (height, width)
+    view : View
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or its size does not suit the camera, home or the picture.
+    """
+    grey = read_grey(path)
+    try:
+        panorama = camera.panorama(grey)
+        if like is not None:
+            require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
+    except InputError as error:
+        raise InputError(error.what, path) from None
+    masked = like.mask if like is not None else None
+    if mask is not None:
+        masked = read_mask(mask, camera, grey.shape)
+    return panorama, look(panorama, camera, masked)
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:

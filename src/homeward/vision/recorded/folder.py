@@ -24,12 +24,13 @@ from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError
 from homeward.one_thread import one_thread
-from homeward.vision.cameras.image_files import read_grey, read_view
+from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.checks.camera_settings import doubts
 from homeward.vision.checks.seam import require_panoramas
 from homeward.vision.checks.self_occlusion import TurningAlong, TurnsAlong
 from homeward.vision.comparison import Comparison
+from homeward.vision.features.detection import read_view
 from homeward.vision.front_end import FrontEnd, Glance
 from homeward.vision.recorded.cache import Found, found_once, stamp_of
 from homeward.vision.recorded.estimator import SeenDrive
