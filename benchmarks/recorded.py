@@ -27,7 +27,7 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.scenario import Circle
 from homeward.track import run
 from homeward.vision.opencv import opencv
-from homeward.vision.recorded.estimator import SeenDrive
+from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.folder import see_folder
 
 HOMING, CIRCLE = "homings", "circles"
@@ -35,7 +35,7 @@ ROUND = Circle(speed=0.15, omega=0.27, duration=60.0)
 WITH, WITHOUT = "with home's picture", "the map alone"
 
 
-def recorded(number: int, width: int, course: str) -> SeenDrive | None:
+def recorded(number: int, width: int, course: str) -> ImageDrive | None:
     """Return a drive as it is read from a folder of images; None where it runs into something."""
     opencv().setNumThreads(1)
     made = scenario(number, width, (1.0, 4.0), moved=3)

@@ -28,9 +28,9 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     if type(drive) is Drive:
         return localizer
     # Imported here alone: what only reads logs needs no images.
-    from homeward.vision.recorded.estimator import RecordedSight, SeenDrive
+    from homeward.vision.recorded.estimator import ImageDrive, RecordedVisualHoming
 
-    return RecordedSight(localizer, drive) if isinstance(drive, SeenDrive) else localizer
+    return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
 
 
 def _filter(make: Callable[..., OnlineFilter]) -> _Maker:

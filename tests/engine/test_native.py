@@ -325,7 +325,7 @@ def test_functions_that_many_threads_ask_for_at_once_are_loaded_once(cache, monk
         return library.load(source)
 
     monkeypatch.setattr(program, "load", load)
-    functions = program.Program("homeward.vision", ["shared.h", "fit.c"], {}, ())
+    functions = program.Program("homeward.vision", ["shared.h", "refine.c"], {}, ())
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(lambda _: functions(), range(8)))
     assert len(loaded) == 1

@@ -8,9 +8,9 @@ from test_geometry import SIGMA, made_up, spread
 
 from homeward.angles import wrap
 from homeward.vision.features.matching import match
-from homeward.vision.geometry.a_contrario import WITHIN, judge
+from homeward.vision.geometry.a_contrario import WITHIN, assess
 from homeward.vision.geometry.epipolar import Motion, Pairs
-from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.ransac import estimate_motion
 
 HEADING = 0.8
 
@@ -28,8 +28,8 @@ def test_what_was_looked_for_near_a_heading_agrees_more_easily():
     alarms = []
     for seed in range(60):
         pairs = wrong(seed)
-        fit = search(pairs, np.ones(len(pairs)), 0.005)
-        verdicts = judge(fit, pairs), judge(fit, pairs, HEADING)
+        fit = estimate_motion(pairs, np.ones(len(pairs)), 0.005)
+        verdicts = assess(fit, pairs), assess(fit, pairs, HEADING)
         assert not verdicts[1].accepted
         alarms.append([verdict.log_false_alarms for verdict in verdicts])
     anywhere, near = np.mean(alarms, axis=0)
@@ -41,9 +41,9 @@ def test_what_was_looked_for_near_a_heading_agrees_more_easily():
 def test_a_third_of_right_matches_is_believed(seed, heading):
     right, other = made_up(Motion(1.0, HEADING), n=20, seed=seed, noise=SIGMA), wrong(seed)
     pairs = right + other
-    fit = search(pairs, np.ones(len(pairs)), 0.005)
+    fit = estimate_motion(pairs, np.ones(len(pairs)), 0.005)
     assert abs(wrap(fit.motion.alpha - HEADING)) < 0.02
-    assert judge(fit, pairs, heading).accepted
+    assert assess(fit, pairs, heading).accepted
 
 
 def unit(rows):
@@ -76,9 +76,9 @@ def on_floor(pairs, floor):
 def test_the_tiles_of_a_floor_alone_are_not_believed(floor, believed):
     """They agree from the other side, too: what stands up must have its say."""
     pairs = on_floor(made_up(Motion(1.0, HEADING), n=20, seed=0, noise=SIGMA), floor)
-    fit = search(pairs, np.ones(len(pairs)), 0.005)
+    fit = estimate_motion(pairs, np.ones(len(pairs)), 0.005)
     fit = replace(fit, inlier=np.ones(len(pairs), bool))
-    verdict = judge(fit, pairs)
+    verdict = assess(fit, pairs)
     assert verdict.accepted == believed
     assert ("floor" in verdict.reason) != believed
 
@@ -86,11 +86,11 @@ def test_the_tiles_of_a_floor_alone_are_not_believed(floor, believed):
 def test_matches_left_after_a_refit_must_still_stand_all_round():
     """What lies beside matches may lead to another motion than the one that was judged."""
     pairs = made_up(Motion(1.0, HEADING), n=40, seed=0, noise=SIGMA)
-    verdict = judge(search(pairs, np.ones(len(pairs)), 0.005), pairs)
+    verdict = assess(estimate_motion(pairs, np.ones(len(pairs)), 0.005), pairs)
     assert verdict.accepted
-    assert verdict.reconsidered(np.ones(40, bool), pairs).accepted
+    assert verdict.reassessed(np.ones(40, bool), pairs).accepted
     one_side = np.abs(wrap(pairs.home[:, 0])) < 0.4
     for left in (one_side, np.zeros(40, bool)):
-        again = verdict.reconsidered(left, pairs)
+        again = verdict.reassessed(left, pairs)
         assert not again.accepted
         assert f"{left.sum()} of 40 matches agree" in again.reason

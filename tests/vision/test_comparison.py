@@ -63,7 +63,7 @@ def test_an_uncertain_direction_is_not_taken_for_being_there(room, home):
     for together, known in ((0.19, True), (-0.19, False)):
         spread = np.array([[0.2, together], [together, 0.2]])
         assert replace(seen, covariance=spread).knows_direction == known
-    refused = replace(seen, verdict=replace(seen.verdict, accepted=False))
+    refused = replace(seen, acceptance=replace(seen.acceptance, accepted=False))
     assert not refused.shows_parallax
 
 
@@ -94,7 +94,9 @@ def views_of(seed, x, y):
 
 def without_neighbours(patch):
     """Have comparisons rely on matches alone."""
-    patch.setattr(COMPARE, "neighbours", lambda _, __, known, laid: (np.zeros((2, 0)), laid[:0]))
+    patch.setattr(
+        COMPARE, "propagate_matches", lambda _, __, known, laid: (np.zeros((2, 0)), laid[:0])
+    )
 
 
 def test_what_lies_beside_the_matches_makes_the_direction_better():
@@ -105,9 +107,11 @@ def test_what_lies_beside_the_matches_makes_the_direction_better():
             without_neighbours(patch)
             alone = compare(*views, CAMERA)
         seen = compare(*views, CAMERA)
-        assert seen.verdict.accepted == alone.verdict.accepted
-        assert seen.verdict.log_false_alarms == alone.verdict.log_false_alarms
-        assert seen.verdict.reason.startswith(f"{seen.agrees.sum()} of {len(seen.pairs)} matches")
+        assert seen.acceptance.accepted == alone.acceptance.accepted
+        assert seen.acceptance.log_false_alarms == alone.acceptance.log_false_alarms
+        assert seen.acceptance.reason.startswith(
+            f"{seen.agrees.sum()} of {len(seen.pairs)} matches"
+        )
         assert seen.parallax == alone.parallax
         off.append([wrap(one.direction - truth) for one in (seen, alone)])
     together, alone = np.sqrt(np.mean(np.square(off), axis=0))
@@ -129,13 +133,13 @@ def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
 
 @pytest.mark.parametrize("seed", [42, 82])
 def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatch):
-    views, headings, once = views_of(seed, 5.6, 4.8), [], COMPARE._compared
+    views, headings, once = views_of(seed, 5.6, 4.8), [], COMPARE.compare_once
 
     def compared(home, now, camera, heading=None):
         headings.append(heading)
         return once(home, now, camera, heading)
 
-    monkeypatch.setattr(COMPARE, "_compared", compared)
+    monkeypatch.setattr(COMPARE, "compare_once", compared)
     seen = compare(*views, CAMERA)
     assert len(headings) == 2
     assert not once(*views, CAMERA).knows_direction
@@ -151,22 +155,24 @@ def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatc
 def test_a_second_look_must_confirm_the_heading_that_it_began_with(
     home, monkeypatch, off, believed
 ):
-    once = COMPARE._compared
+    once = COMPARE.compare_once
     found = once(home, home, CAMERA)
 
     def compared(home, now, camera, heading=None):
         if heading is None:
             seen = once(home, now, camera)
-            return replace(seen, verdict=replace(seen.verdict, accepted=False), covariance=UNKNOWN)
+            return replace(
+                seen, acceptance=replace(seen.acceptance, accepted=False), covariance=UNKNOWN
+            )
         return replace(found, motion=found.motion._replace(alpha=heading + off))
 
-    monkeypatch.setattr(COMPARE, "_compared", compared)
+    monkeypatch.setattr(COMPARE, "compare_once", compared)
     assert compare(home, home, CAMERA).accepted is believed
 
 
 def test_where_the_first_look_tells_there_is_no_second(room, home, monkeypatch):
-    once = COMPARE._compared
-    monkeypatch.setattr(COMPARE, "_compared", lambda a, b, camera: once(a, b, camera))
+    once = COMPARE.compare_once
+    monkeypatch.setattr(COMPARE, "compare_once", lambda a, b, camera: once(a, b, camera))
     assert compare(home, look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).knows_direction
     assert not compare(home, home, CAMERA).shows_parallax
 
@@ -194,7 +200,7 @@ def test_a_picture_as_rich_as_can_be_is_compared_by_its_strongest_features():
 def test_another_room_has_not_enough_in_common(home):
     seen = compare(home, look(draw(make_room(7), 3.0, 3.0, 0.4), CAMERA), CAMERA)
     assert not seen.accepted
-    assert "not enough in common" in seen.verdict.reason
+    assert "not enough in common" in seen.acceptance.reason
 
 
 def test_upside_down_is_not_accepted(room, home):
@@ -230,8 +236,8 @@ def test_the_picture_and_the_sentence_count_the_same(room, home, believed):
     now = look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
     seen = compare(home, now, CAMERA)
     if not believed:
-        words = f"not enough in common: {seen.verdict.reason}, which may be chance"
-        seen = replace(seen, verdict=replace(seen.verdict, accepted=False, reason=words))
+        words = f"not enough in common: {seen.acceptance.reason}, which may be chance"
+        seen = replace(seen, acceptance=replace(seen.acceptance, accepted=False, reason=words))
     blank = np.zeros(home.shape, np.uint8)
     (axes,) = picture(seen, (blank, blank), (home, now)).axes
     told = " ".join(text.get_text() for text in axes.get_legend().get_texts())

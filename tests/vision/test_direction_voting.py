@@ -11,8 +11,8 @@ from homeward.angles import wrap
 from homeward.estimator import Status
 from homeward.frames import Pose, compose, to_polar
 from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.homing.direction_voting import FEWEST_ALIKE, HOLD_HINT_S
-from homeward.vision.homing.visual_homing import HomeSight
+from homeward.vision.homing.direction_voting import FEWEST_ALIKE, HOLD_VOTES_S
+from homeward.vision.homing.visual_homing import VisualHoming
 
 SPEED, TURN = 0.25, 0.5
 EVERY = 0.4
@@ -51,7 +51,7 @@ def anything(k, pose):
 
 
 def lost():
-    return HomeSight(Map(POINTS[:0], status=Status.MAPPING))
+    return VisualHoming(Map(POINTS[:0], status=Status.MAPPING))
 
 
 def is_right(told, pose):
@@ -138,14 +138,14 @@ def test_one_thing_is_not_believed():
 def test_a_hint_lapses_and_gives_way_to_a_picture_that_is_recognised():
     sight = lost()
     t, pose = circle(sight, right, 12)
-    assert sight.estimate(t + HOLD_HINT_S).pose is not None
-    assert sight.estimate(t + HOLD_HINT_S + 0.1).pose is None
+    assert sight.estimate(t + HOLD_VOTES_S).pose is not None
+    assert sight.estimate(t + HOLD_VOTES_S + 0.1).pose is None
     sight.home(t, compared(POINTS, pose))
     assert "home's picture tells the direction" in sight.estimate(t).reason
     one_more = Pose(pose.x, pose.y, pose.heading + TURN * EVERY)
     sight.odometry(t + EVERY, SPEED, TURN)
     sight.home(t + EVERY, refused(right(0, one_more)))
-    assert sight.estimate(t + HOLD_HINT_S + 0.2).pose is None  # no hint of old guesses and this one
+    assert sight.estimate(t + HOLD_VOTES_S + 0.2).pose is None  # of old guesses and this one
 
 
 def test_at_home_nothing_is_guessed():
@@ -158,7 +158,7 @@ def test_at_home_nothing_is_guessed():
 
 
 def test_the_map_knows_better():
-    sight = HomeSight(Map(POINTS, pose=Pose(1.0, 1.0, 0.0)))
+    sight = VisualHoming(Map(POINTS, pose=Pose(1.0, 1.0, 0.0)))
     t, _ = circle(sight, right, 12)
     assert sight.estimate(t).pose == Pose(1.0, 1.0, 0.0)
 

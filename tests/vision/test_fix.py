@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homeward.frames import Pose
-from homeward.vision.homing.fix import Fix, joined
+from homeward.vision.homing.fix import Fix, fused
 
 
 def fix(pose, sigmas, sure=True, t=0.0):
@@ -13,7 +13,7 @@ def fix(pose, sigmas, sure=True, t=0.0):
 
 def test_the_same_told_twice_is_no_surer_than_once():
     once = fix((0.3, 0.1, 3.0), (0.02, 0.03, 0.01))
-    again = joined(once, once)
+    again = fused(once, once)
     np.testing.assert_allclose(again.covariance, once.covariance)
     np.testing.assert_allclose(again.pose, once.pose)
 
@@ -21,20 +21,20 @@ def test_the_same_told_twice_is_no_surer_than_once():
 def test_the_surer_counts_and_the_newer_says_when():
     sure, unsure = fix((0.3, 0.1, 1.0), (0.01, 0.01, 0.01)), fix((0.34, 0.1, 1.0), 3 * [0.1], t=0.4)
     for one, other in ((sure, unsure), (unsure, sure)):
-        both = joined(one, other)
+        both = fused(one, other)
         np.testing.assert_allclose(both.pose, sure.pose, atol=1e-9)
         assert both.t == other.t
 
 
 def test_what_one_knows_along_and_the_other_across_is_known():
     along, across = fix((0.0, 0.0, 0.0), (0.01, 0.2, 0.01)), fix((0.1, 0.1, 0.0), (0.2, 0.01, 0.01))
-    x, y, _ = np.sqrt(np.diag(joined(along, across).covariance))
+    x, y, _ = np.sqrt(np.diag(fused(along, across).covariance))
     assert max(x, y) < 0.02
-    assert joined(along, across).pose[:2] == pytest.approx((0.0, 0.1), abs=0.01)
+    assert fused(along, across).pose[:2] == pytest.approx((0.0, 0.1), abs=0.01)
 
 
 def test_headings_are_joined_across_the_seam():
-    either = joined(fix((0, 0, 3.13), (1, 1, 0.1)), fix((0, 0, -3.13), (0.9, 0.9, 0.1)))
+    either = fused(fix((0, 0, 3.13), (1, 1, 0.1)), fix((0, 0, -3.13), (0.9, 0.9, 0.1)))
     assert abs(either.pose.heading) > 3.1
 
 
@@ -46,7 +46,7 @@ def test_joined_fixes_are_honest_whatever_their_errors_have_in_common(consistent
         common, own, other = rng.standard_normal((3, 3))
         sigmas = rng.uniform(0.01, 0.1, (2, 3))
         errors = [np.sqrt(consistent) * common + np.sqrt(1 - consistent) * e for e in (own, other)]
-        both = joined(*(fix(e * s, s) for e, s in zip(errors, sigmas, strict=True)))
+        both = fused(*(fix(e * s, s) for e, s in zip(errors, sigmas, strict=True)))
         squared.append(both.pose @ np.linalg.solve(both.covariance, both.pose))
     assert np.mean(squared) < 3.4  # 3, and three times what chance makes of 400
 
@@ -56,6 +56,6 @@ def test_what_contradicts_or_is_not_sure_is_not_joined():
     far = fix((0.5, 0.0, 0.0), (0.02, 0.02, 0.02))
     unsure = fix((0.01, 0.0, 0.0), (0.02, 0.02, 0.02), sure=False)
     for new in (far, unsure):
-        assert joined(first, new) is new
-        assert joined(None, new) is new
-    assert joined(unsure, first) is first
+        assert fused(first, new) is new
+        assert fused(None, new) is new
+    assert fused(unsure, first) is first

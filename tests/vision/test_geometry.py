@@ -6,10 +6,10 @@ import pytest
 from homeward.angles import wrap
 from homeward.vision.cameras.panoramic import tilt_matrix
 from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
-from homeward.vision.geometry.jackknife import covariance
-from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.jackknife import jackknife_covariance
+from homeward.vision.geometry.ransac import estimate_motion
 from homeward.vision.geometry.refinement import MOST_OTHERS, SAME, refine
-from homeward.vision.geometry.two_point import costs, rows_of, solve
+from homeward.vision.geometry.two_point import coefficients, msac_costs, two_point_motions
 
 SIGMA = 0.002
 
@@ -72,7 +72,7 @@ def test_near_home_the_way_round_is_told(seed):
     rng = np.random.default_rng(seed)
     motion = Motion(*rng.uniform(-np.pi, np.pi, 2))
     pairs = made_up(motion, n=80, seed=seed, noise=SIGMA / 2, distance=0.12)
-    fit = search(pairs, np.ones(80), 0.02)
+    fit = estimate_motion(pairs, np.ones(80), 0.02)
     assert abs(wrap(fit.motion.theta - motion.theta)) < 0.15
     assert fit.inlier.mean() > 0.9
 
@@ -107,16 +107,16 @@ def test_two_points_give_the_motion_back(seed):
     rng = np.random.default_rng(seed)
     motion = Motion(*rng.uniform(-np.pi, np.pi, 2))
     pairs = made_up(motion, n=2, seed=seed)
-    rows = rows_of(pairs.home_vectors, pairs.now_vectors)
-    found = solve(rows[:1], rows[1:])
+    rows = coefficients(pairs.home_vectors, pairs.now_vectors)
+    found = two_point_motions(rows[:1], rows[1:])
     off = np.abs(np.sin(found[:, 0] - motion.theta)) + np.abs(wrap(found[:, 1] - motion.alpha))
     assert off.min() < 1e-6
-    assert costs(found, pairs, 0.0, 9.0).max() < 1e-2
+    assert msac_costs(found, pairs, 0.0, 9.0).max() < 1e-2
 
 
 def test_points_at_one_height_give_no_solution_and_no_warning():
     level = np.zeros((3, 4))
-    assert solve(level, level).shape == (0, 2)
+    assert two_point_motions(level, level).shape == (0, 2)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -124,7 +124,7 @@ def test_the_motion_is_found_among_wrong_matches(seed):
     rng = np.random.default_rng(seed)
     motion = Motion(*rng.uniform(-np.pi, np.pi, 2))
     pairs = made_up(motion, n=80, seed=seed, noise=SIGMA, wrong=40)
-    fit = search(pairs, np.ones(80), 0.01)
+    fit = estimate_motion(pairs, np.ones(80), 0.01)
     assert abs(wrap(fit.motion.theta - motion.theta)) < 0.02
     assert abs(wrap(fit.motion.alpha - motion.alpha)) < 0.01
     assert fit.inlier[40:].mean() > 0.9
@@ -135,7 +135,7 @@ def test_what_else_the_matches_may_say_is_kept_the_likeliest_first():
     """Two motions have half of the matches each: the one that is not the answer comes next."""
     truth, other = Motion(1.0, 0.4), Motion(-2.0, -1.5)
     pairs = made_up(truth, n=30, noise=SIGMA) + made_up(other, n=26, seed=1, noise=SIGMA)
-    fit = search(pairs, np.ones(56), 0.01)
+    fit = estimate_motion(pairs, np.ones(56), 0.01)
     motions = np.vstack([fit.motion, fit.others])
     off = [np.abs(wrap(motions[k, :2] - each[:2])).max() for k, each in enumerate((truth, other))]
     assert max(off) < 0.02
@@ -146,20 +146,20 @@ def test_what_else_the_matches_may_say_is_kept_the_likeliest_first():
 
 def test_tilt_is_taken_up():
     motion = Motion(0.7, -1.0, 0.035, -0.02, 0.01)
-    fit = search(made_up(motion, noise=SIGMA / 2), np.ones(60), 0.02)
+    fit = estimate_motion(made_up(motion, noise=SIGMA / 2), np.ones(60), 0.02)
     assert abs(wrap(fit.motion.theta - motion.theta)) < np.radians(0.5)
     assert abs(fit.motion.roll - motion.roll) < np.radians(0.3)
 
 
 def test_too_few_matches_give_nothing():
-    assert search(made_up(Motion(0, 0), n=2), np.ones(2), 0.01) is None
+    assert estimate_motion(made_up(Motion(0, 0), n=2), np.ones(2), 0.01) is None
 
 
 def test_at_home_the_direction_is_as_good_as_unknown_and_the_heading_known():
     motion = Motion(0.4, 0.9)
     pairs = made_up(motion, noise=SIGMA, distance=1e-4)
     fit = refine(np.array([motion]), pairs, 0.01)
-    sigmas = np.sqrt(np.diag(covariance(fit, pairs, 0.01)))
+    sigmas = np.sqrt(np.diag(jackknife_covariance(fit, pairs, 0.01)))
     assert abs(wrap(fit.motion.alpha - motion.alpha)) < 0.005
     assert sigmas[0] > 0.3
     assert sigmas[1] < 0.01
@@ -179,7 +179,7 @@ def test_the_covariance_covers_errors_that_a_sector_shares():
         error = wrap(np.array(fit.motion)[:2] - np.array(motion)[:2])
         for found, matrix in (
             (plain, np.linalg.inv(fit.information)),
-            (clustered, covariance(fit, shared, 0.01)),
+            (clustered, jackknife_covariance(fit, shared, 0.01)),
         ):
             found.append(error @ np.linalg.solve(matrix[:2, :2], error))
     assert np.mean(plain) > 3.0
@@ -217,6 +217,6 @@ def test_where_one_thing_carries_another_motion_the_covariance_says_so(seed):
         spread(28),
         np.concatenate([room.growth, thing.growth[near]]),
     )
-    fit = search(both, np.ones(28), 0.01)
+    fit = estimate_motion(both, np.ones(28), 0.01)
     error = wrap(np.array(fit.motion)[:2] - np.array(truth)[:2])
-    assert error @ np.linalg.solve(covariance(fit, both, 0.01)[:2, :2], error) < 16.0
+    assert error @ np.linalg.solve(jackknife_covariance(fit, both, 0.01)[:2, :2], error) < 16.0

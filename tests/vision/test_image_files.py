@@ -143,7 +143,7 @@ def test_nothing_but_grey_has_nothing_in_common():
     for a, b in ((grey, grey), (grey, other), (other, grey)):
         seen = compare(a, b, camera)
         assert not seen.accepted
-        assert "not enough in common" in seen.verdict.reason
+        assert "not enough in common" in seen.acceptance.reason
         assert np.isnan(seen.heading)
         assert np.isnan(seen.homewards)
 

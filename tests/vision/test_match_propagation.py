@@ -8,8 +8,8 @@ pytest.importorskip("cv2")
 import cv2
 
 from homeward.vision import Equirectangular, look
-from homeward.vision.features.match_propagation import neighbours
-from homeward.vision.features.patch_alignment import align
+from homeward.vision.features.match_propagation import propagate_matches
+from homeward.vision.features.patch_alignment import align_features
 
 WIDTH, HEIGHT = 512, 128
 MIDDLE = (255.5, 63.5)
@@ -40,7 +40,7 @@ def laid(home, now, rows, at_now, growth=1.0):
     """Lay some of home's features, at places that are known."""
     many = np.ones(len(rows))
     told = place(home, rows), at_now, home.size[rows], growth * many, 0 * many
-    return align(home.picture, now.picture, *told)
+    return align_features(home.pyramid, now.pyramid, *told)
 
 
 @pytest.mark.parametrize("columns", [0, 37, 300])
@@ -49,7 +49,7 @@ def test_features_beside_a_few_are_found_where_they_lie_across_the_seam(columns)
     now = seen(turned(blots(0), columns))
     known = np.flatnonzero((home.column < 20) | (home.column > WIDTH - 20))[::6]
     there = place(home, known) + np.array([columns, 0])
-    (column, row), found = neighbours(home, now, known, laid(home, now, known, there))
+    (column, row), found = propagate_matches(home, now, known, laid(home, now, known, there))
     assert len(column) > 2 * len(known)
     assert len(found) == len(column)
     across = (found.column - column - columns + WIDTH / 2) % WIDTH - WIDTH / 2
@@ -71,7 +71,7 @@ def test_size_and_shear_are_handed_on():
     begun = laid(home, now, known, place(home, known) @ shape.T + carry[:, 2], 1.25)
     off = np.abs(begun.shape - shape).max(axis=(1, 2))
     good = np.flatnonzero(begun.found & (off < 0.1))[:1]
-    places, found = neighbours(home, now, known[good], begun[good])
+    places, found = propagate_matches(home, now, known[good], begun[good])
     assert len(found) >= 5
     there = places.T @ shape.T + carry[:, 2]
     assert np.median(np.hypot(*(found.place - there).T)) < 0.2
@@ -84,14 +84,14 @@ def test_hardly_anything_is_found_where_all_looks_different(seed):
     known = np.arange(0, len(home), 5)
     same = laid(home, home, known, place(home, known))
     assert same.found.all()
-    _, found = neighbours(home, other, known, same)
+    _, found = propagate_matches(home, other, known, same)
     assert len(found) < 0.1 * len(home.patches[0])
 
 
 def test_one_of_each_place_and_none_where_something_is_known():
     home = seen(blots(4))
     known = np.arange(0, len(home), 3)
-    places, _ = neighbours(home, home, known, laid(home, home, known, place(home, known)))
+    places, _ = propagate_matches(home, home, known, laid(home, home, known, place(home, known)))
     fresh, taken = places.T.round(), place(home, known).round()
     assert len(fresh)
     assert len(np.unique(fresh, axis=0)) == len(fresh)
@@ -103,7 +103,7 @@ def test_nothing_known_and_nothing_else_there(monkeypatch):
     home = seen(blots(5))
     for known in (np.zeros(0, int), np.arange(len(home))):
         told = laid(home, home, known, place(home, known))
-        places, found = neighbours(home, home, known, told)
+        places, found = propagate_matches(home, home, known, told)
         assert places.shape[1] == len(found) < 3  # the strongest corner of all
         assert found.shape.shape == (len(found), 2, 2)
 
@@ -114,7 +114,7 @@ def test_maps_that_carry_nothing_are_left_alone(times):
     known = np.arange(0, len(home), 4)
     told = laid(home, home, known, place(home, known))
     told.shape[:] *= times
-    _, found = neighbours(home, home, known, told)
+    _, found = propagate_matches(home, home, known, told)
     assert len(found) == 0
 
 
@@ -122,10 +122,10 @@ def test_of_too_many_only_some_are_tried(monkeypatch):
     home = seen(blots(7))
     known = np.arange(0, len(home), 10)
     told = laid(home, home, known, place(home, known))
-    _, every = neighbours(home, home, known, told)
+    _, every = propagate_matches(home, home, known, told)
     monkeypatch.setattr("homeward.vision.features.match_propagation.MOST_PATCHES", 12)
     monkeypatch.setattr("homeward.vision.features.match_propagation.MOST_GUIDES", 5)
-    places, some = neighbours(home, home, known, told)
+    places, some = propagate_matches(home, home, known, told)
     assert len(every) > 36
     assert 0 < len(some) <= 36  # twelve in each of three rounds
     assert np.abs(some.place - places.T).max() < 0.1
@@ -135,7 +135,7 @@ def test_what_was_found_beside_is_less_sure_than_what_was_matched():
     home = seen(blots(8))
     known = np.arange(0, len(home), 4)
     begun = laid(home, home, known, place(home, known))
-    _, found = neighbours(home, home, known, begun)
+    _, found = propagate_matches(home, home, known, begun)
     assert found.spread[:, 0, 0].min() > 2 * begun.spread[:, 0, 0].min()
 
 
@@ -151,7 +151,7 @@ def squares(times, columns=(100, 400)):
 def test_corners_are_among_what_can_be_laid(times, enlarged):
     image = cv2.resize(squares(1), None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
     view = seen(image)
-    assert view.picture.times == enlarged
+    assert view.pyramid.times == enlarged
     patches, of = view.patches
     assert np.array_equal(patches[of, :2].round(), place(view, slice(None)).round())
     corners = np.delete(patches, of, axis=0)

@@ -8,8 +8,8 @@ from test_visual_homing import SIGMA, Map, compared, scene
 
 from homeward.estimator import LandmarkEstimate
 from homeward.frames import Pose
-from homeward.vision.homing.moved_landmark_filter import FEWEST_TOGETHER, Witness
-from homeward.vision.homing.visual_homing import HomeSight
+from homeward.vision.homing.moved_landmark_filter import FEWEST_TOGETHER, MovedLandmarkFilter
+from homeward.vision.homing.visual_homing import VisualHoming
 
 STILL = LandmarkEstimate("h9", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
 
@@ -27,8 +27,8 @@ def gone(name, by, at=0.0, distance=2.0):
     )
 
 
-def verdicts(witness, *landmarks):
-    return {m.landmark: m.moved for m in witness.reconsidered(list(landmarks))}
+def verdicts(moved_filter, *landmarks):
+    return {m.landmark: m.moved for m in moved_filter.filtered(list(landmarks))}
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def verdicts(witness, *landmarks):
 def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, verdict):
     inner = Map(scene(n=1))
     inner.found = [gone("h0", off), STILL]
-    sight = HomeSight(inner)
+    sight = VisualHoming(inner)
     for k in range(frames):
         sight.bearings(0.2 * k, {"h0": 0.1} if k < sightings else {"h9": 0.2})
     first, second = sight.landmarks()
@@ -54,18 +54,18 @@ def test_what_went_along_with_others_is_on_a_thing_that_was_moved(frames):
     seen.moved[:4] = True
     inner = Map(points)
     inner.found = [gone("h0", 0.05), gone("h5", 0.05, at=2.0)]
-    sight = HomeSight(inner)
+    sight = VisualHoming(inner)
     for k in range(frames):
         sight.home(0.2 * k, seen)
     assert [m.moved for m in sight.landmarks()] == [frames == FEWEST_TOGETHER or None, None]
 
 
 def test_what_has_gone_where_its_neighbour_has_is_moved_like_that_one():
-    witness = Witness()
+    moved_filter = MovedLandmarkFilter()
     for _ in range(20):
-        witness.frame(["h0"])
+        moved_filter.add_frame(["h0"])
     found = verdicts(
-        witness,
+        moved_filter,
         gone("h0", 0.3, at=math.pi - 0.05),
         gone("h1", 0.28, at=-math.pi + 0.05, distance=2.2),
         gone("far aside", 0.3, at=2.0),
@@ -78,17 +78,17 @@ def test_what_has_gone_where_its_neighbour_has_is_moved_like_that_one():
 
 
 def test_a_share_counts_of_the_frames_since_it_was_first_seen():
-    witness = Witness()
+    moved_filter = MovedLandmarkFilter()
     for k in range(60):
-        witness.frame(["h0"] if k >= 40 else [])
-    assert verdicts(witness, gone("h0", 0.3))["h0"]
+        moved_filter.add_frame(["h0"] if k >= 40 else [])
+    assert verdicts(moved_filter, gone("h0", 0.3))["h0"]
 
 
 def test_what_goes_along_with_others_now_and_then_is_not_on_a_thing():
     points = scene()
     inner = Map(points)
     inner.found = [gone("h0", 0.05)]
-    sight, seen = HomeSight(inner), compared(points, Pose(0.5, 0.2, 0.3))
+    sight, seen = VisualHoming(inner), compared(points, Pose(0.5, 0.2, 0.3))
     seen.moved[0] = True
     for k in range(FEWEST_TOGETHER):
         sight.home(float(k), seen)
@@ -98,15 +98,15 @@ def test_what_goes_along_with_others_now_and_then_is_not_on_a_thing():
 
 
 def test_half_a_turn_is_half_a_turn_either_way():
-    witness = Witness()
+    moved_filter = MovedLandmarkFilter()
     for _ in range(20):
-        witness.frame(["h0"])
-    assert verdicts(witness, gone("h0", math.pi - 0.01), gone("h1", math.pi + 0.01))["h1"]
+        moved_filter.add_frame(["h0"])
+    assert verdicts(moved_filter, gone("h0", math.pi - 0.01), gone("h1", math.pi + 0.01))["h1"]
 
 
 def test_two_that_are_not_sure_do_not_make_each_other_sure():
-    assert not any(verdicts(Witness(), gone("h0", 0.3), gone("h1", 0.3)).values())
+    assert not any(verdicts(MovedLandmarkFilter(), gone("h0", 0.3), gone("h1", 0.3)).values())
 
 
 def test_what_moved_before_the_robot_s_eyes_is_called_moved():
-    assert verdicts(Witness(), replace(gone("h0", 0.01), moved_at=12.0))["h0"]
+    assert verdicts(MovedLandmarkFilter(), replace(gone("h0", 0.01), moved_at=12.0))["h0"]

@@ -7,8 +7,8 @@ pytest.importorskip("cv2")
 
 import cv2
 
-from homeward.vision.features.patch_alignment import align
-from homeward.vision.features.pyramid import Picture
+from homeward.vision.features.patch_alignment import align_features
+from homeward.vision.features.pyramid import Pyramid
 
 WIDTH, HEIGHT = 256, 96
 
@@ -29,13 +29,13 @@ def drawn(carry=lambda column, row: (column, row), noise=0.0):
     column, row = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
     grey = scene(*carry(column, row))
     grey = grey + np.random.default_rng(1).normal(0, noise, grey.shape)
-    return Picture.of(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+    return Pyramid.of(np.clip(np.rint(grey), 0, 255).astype(np.uint8))
 
 
 def laid(home, now, at_home, at_now, size=4.0, growth=1.0, turn=0.0):
     at_home, at_now = (np.array(a, float).reshape(-1, 2) for a in (at_home, at_now))
     many = np.ones(len(at_home))
-    return align(home, now, at_home, at_now, size * many, growth * many, turn * many)
+    return align_features(home, now, at_home, at_now, size * many, growth * many, turn * many)
 
 
 def sigmas(found):
@@ -58,7 +58,7 @@ def test_a_shift_comes_back(shift):
 def test_light_does_not_matter_and_noise_is_told():
     dim = drawn(lambda c, r: (c - 0.7, r))
     noisy = drawn(lambda c, r: (c - 0.7, r), noise=8.0)
-    darker = Picture(tuple(0.5 * a + 30 for a in dim.levels), dim.times, dim.width, dim.margin)
+    darker = Pyramid(tuple(0.5 * a + 30 for a in dim.levels), dim.times, dim.width, dim.margin)
     found, rough = (laid(drawn(), now, PLACES, PLACES) for now in (darker, noisy))
     assert np.abs(found.column - PLACES[:, 0] - 0.7).max() < 0.05
     assert np.all(sigmas(rough) > sigmas(found))
@@ -115,7 +115,7 @@ def test_an_edge_is_sure_across_and_unsure_along():
     column = np.arange(WIDTH)
     image = np.tile(np.where(np.abs(column - 100) < 20, 200, 60), (HEIGHT, 1))
     noise = np.random.default_rng(0).normal(0, 2, (2, HEIGHT, WIDTH))
-    home, now = (Picture.of(np.rint(image + n).astype(np.uint8)) for n in noise)
+    home, now = (Pyramid.of(np.rint(image + n).astype(np.uint8)) for n in noise)
     edge = sigmas(laid(home, now, [80.0, 48.0], [80.0, 48.0]))[0]
     textured = sigmas(laid(drawn(), drawn(noise=2.0), PLACES, PLACES))
     assert edge[1] > 2 * textured.max()
@@ -123,7 +123,7 @@ def test_an_edge_is_sure_across_and_unsure_along():
 
 
 def test_blank_patches_give_no_warning_and_are_not_found():
-    blank = Picture.of(np.full((HEIGHT, WIDTH), 90, np.uint8))
+    blank = Pyramid.of(np.full((HEIGHT, WIDTH), 90, np.uint8))
     found = laid(blank, blank, PLACES, PLACES)
     assert not found.found.any()
     assert np.isfinite(found.column).all()
@@ -132,7 +132,7 @@ def test_blank_patches_give_no_warning_and_are_not_found():
 @pytest.mark.parametrize("shape", [(1, 4), (3, 5), (25, 120), (2, 2000)])
 def test_pictures_of_any_size_can_be_looked_up_anywhere(shape):
     rng = np.random.default_rng(0)
-    picture = Picture.of(rng.integers(0, 256, shape, dtype=np.uint8), times=3)
+    picture = Pyramid.of(rng.integers(0, 256, shape, dtype=np.uint8), times=3)
     points = rng.uniform(-1, 1, (7, 2, 9)) * 3 * max(shape)
     assert np.isfinite(picture.sample(points, rng.uniform(0.1, 9, 7))).all()
 
@@ -146,7 +146,7 @@ def test_a_whole_pixel_is_that_pixel():
     image = np.random.default_rng(0).integers(0, 256, (20, 40), dtype=np.uint8)
     rows, columns = np.meshgrid(np.arange(20), np.arange(-40, 80), indexing="ij")
     points = np.stack([columns.ravel(), rows.ravel()])[:, None, :].transpose(2, 0, 1)
-    picture = Picture.of(image)
+    picture = Pyramid.of(image)
     seen = picture.sample(points.astype(float), np.ones(len(points)))[:, 0].reshape(20, 120)
     smooth = cv2.GaussianBlur(np.tile(image, 3).astype(np.float32), (0, 0), 0.5)
     assert np.abs(seen - smooth)[:, 5:-5].max() < 0.5

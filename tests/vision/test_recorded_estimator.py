@@ -12,7 +12,7 @@ from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.reasons import Rejection
 from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S
-from homeward.vision.recorded.estimator import WAYS, RecordedSight, SeenDrive, way_home
+from homeward.vision.recorded.estimator import WAYS, ImageDrive, RecordedVisualHoming, way_home
 
 POINTS = scene()
 NONE = np.empty(0)
@@ -23,8 +23,8 @@ CAMERA = Pose(0.8, -0.3, 0.5)
 def sight(pictures, told):
     """Return an estimator around a map that says what it is told to."""
     sightings = Sightings(NONE, np.empty(0, object), NONE, NONE)
-    drive = SeenDrive("told", Odometry(NONE, NONE, NONE), sightings, {}, pictures=tuple(pictures))
-    return RecordedSight(told, drive)
+    drive = ImageDrive("told", Odometry(NONE, NONE, NONE), sightings, {}, pictures=tuple(pictures))
+    return RecordedVisualHoming(told, drive)
 
 
 def apart(said, pose):

@@ -28,7 +28,7 @@ from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import room
 from homeward.track import run
-from homeward.vision.recorded.estimator import WAYS, RecordedSight
+from homeward.vision.recorded.estimator import WAYS, RecordedVisualHoming
 
 MOST_A_MATCH, MOST_BESIDE = 300, 4096
 """What a picture's comparison may hold [bytes]."""
@@ -150,7 +150,7 @@ def test_later_pictures_alone_change_nothing_before(drive, track):
 def test_without_pictures_it_is_the_localiser(drive):
     blind = replace(drive, pictures=tuple((t, None) for t, _ in drive.pictures))
     estimator = make_estimator("robust", blind)
-    assert isinstance(estimator, RecordedSight)
+    assert isinstance(estimator, RecordedVisualHoming)
     track = run(blind, estimator)
     assert_same(track, run(drive, Localizer(drive.home, **drive.settings.robot)), track.t.size)
     assert f"0 of {len(drive.pictures)} pictures" in track.notes[-1]
@@ -158,10 +158,11 @@ def test_without_pictures_it_is_the_localiser(drive):
 
 def test_pictures_of_another_place_are_no_reason_to_be_sure(drive):
     """None of them is accepted: what the map says near home is in doubt."""
-    unlike = tuple(
-        (t, None if seen is None else replace(seen, verdict=replace(seen.verdict, accepted=False)))
-        for t, seen in drive.pictures
-    )
+
+    def refused(seen):
+        return seen and replace(seen, acceptance=replace(seen.acceptance, accepted=False))
+
+    unlike = tuple((t, refused(seen)) for t, seen in drive.pictures)
     other = replace(drive, pictures=unlike)
     track = run(other, make_estimator("robust", other))
     assert track.status[-1] is Status.UNVERIFIED

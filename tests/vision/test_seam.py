@@ -16,7 +16,7 @@ from homeward.errors import InputError  # noqa: E402
 from homeward.vision import Equirectangular, compare, look  # noqa: E402
 from homeward.vision.cameras.image_files import read_grey  # noqa: E402
 from homeward.vision.cameras.panoramic import Cylindrical  # noqa: E402
-from homeward.vision.checks.camera_settings import doubts  # noqa: E402
+from homeward.vision.checks.camera_settings import better_settings  # noqa: E402
 from homeward.vision.checks.seam import LEAST_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
 
 SEEDS = range(12)
@@ -151,7 +151,7 @@ def pair():
 
 def said_against(pictures, camera=CAMERA):
     views = tuple(look(picture, camera) for picture in pictures)
-    return doubts(compare(*views, camera), tuple(pictures), views, camera)
+    return better_settings(compare(*views, camera), tuple(pictures), views, camera)
 
 
 def test_right_settings_are_not_doubted(pair):

@@ -13,7 +13,7 @@ from vision_scene import make_room
 
 from homeward.cli.main import app
 from homeward.vision import Mask, compare, look
-from homeward.vision.checks.self_occlusion import TurningAlong, turning_along
+from homeward.vision.checks.self_occlusion import SelfOcclusionDetector, find_self_occlusion
 
 STEP = 0.2
 """What the robot turns by from frame to frame [rad]."""
@@ -26,7 +26,7 @@ def frame(k, seed=7, steps=1.0):
 
 
 def told(frames, headings, mask=None):
-    along = TurningAlong()
+    along = SelfOcclusionDetector()
     for image, heading in zip(frames, headings, strict=True):
         along.see(look(image, CAMERA, mask), heading)
     return along.found
@@ -66,7 +66,7 @@ def test_without_a_turn_nothing_is_known():
 
 def between(*images, mask=None):
     home, now = (look(image, CAMERA, mask) for image in images)
-    return turning_along(compare(home, now, CAMERA), CAMERA)
+    return find_self_occlusion(compare(home, now, CAMERA), CAMERA)
 
 
 def test_of_two_panoramas_it_is_told_where_the_rest_tells_a_turn():

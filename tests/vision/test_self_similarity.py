@@ -17,10 +17,10 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import room
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.features.match_propagation import thinned
-from homeward.vision.features.self_similarity import recurring
-from homeward.vision.geometry.a_contrario import judge, judge_alone
+from homeward.vision.features.self_similarity import self_similar
+from homeward.vision.geometry.a_contrario import assess, assess_unrepeated
 from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.ransac import estimate_motion
 
 CAMERA = Equirectangular()
 TILED = ("kitchen", 2), ("corridor", 0), ("hall", 1)
@@ -50,7 +50,7 @@ def test_rooms_with_the_same_tiles_have_not_enough_in_common(tiled):
 def test_a_tiled_room_is_known_by_what_else_is_in_it(tiled):
     for heading, home, now in tiled:
         seen = compare(home, now, CAMERA)
-        assert seen.accepted, seen.verdict.reason
+        assert seen.accepted, seen.acceptance.reason
         assert seen.knows_direction
         assert abs(wrap(seen.heading - heading)) < 0.01
 
@@ -59,8 +59,8 @@ def test_tiles_recur_and_what_stands_on_them_does_not(tiled):
     for _, home, _ in tiled:
         tiles = thinned(np.flatnonzero(home.elevation < np.radians(-20)), 50)
         others = thinned(np.flatnonzero(home.elevation > 0), 50)
-        assert recurring(home, tiles, CAMERA).mean() > 0.8
-        assert recurring(home, others, CAMERA).mean() < 0.3
+        assert self_similar(home, tiles, CAMERA).mean() > 0.8
+        assert self_similar(home, others, CAMERA).mean() < 0.3
 
 
 def painted(at, times):
@@ -79,7 +79,7 @@ def test_a_ceiling_recurs_where_its_painting_does():
     view = look(draw(painted(2.8, 4), 4.0, 3.0, 0.3, width=1024, height=512), CAMERA)
     overhead = thinned(np.flatnonzero(view.elevation > np.radians(40)), 50)
     assert len(overhead) == 50
-    assert recurring(view, overhead, CAMERA).mean() > 0.8
+    assert self_similar(view, overhead, CAMERA).mean() > 0.8
 
 
 def test_a_painted_floor_alone_is_known_again_where_it_is_painted_but_once():
@@ -87,24 +87,24 @@ def test_a_painted_floor_alone_is_known_again_where_it_is_painted_but_once():
     places = (3.0, 3.0, 0.4), (3.6, 3.1, 1.4)
     home, now = (look(draw(floor, *p, width=1024, height=512), CAMERA) for p in places)
     seen = compare(home, now, CAMERA)
-    assert seen.accepted, seen.verdict.reason
+    assert seen.accepted, seen.acceptance.reason
     assert abs(wrap(seen.heading - 1.0)) < 0.02
 
 
 def test_nothing_to_ask_and_nothing_to_compare_with():
     plain = look(np.full((128, 512), 90, np.uint8), CAMERA)
-    assert recurring(plain, np.zeros(0, int), CAMERA).shape == (0,)
+    assert self_similar(plain, np.zeros(0, int), CAMERA).shape == (0,)
 
 
 @pytest.mark.parametrize(("repeated", "believed"), [(0, True), (14, True), (24, True), (36, False)])
 def test_where_most_repeats_itself_the_others_must_be_enough(repeated, believed):
     pairs = made_up(Motion(1.0, 0.8), n=40, seed=0, noise=SIGMA)
-    fit = search(pairs, np.ones(40), 0.005)
+    fit = estimate_motion(pairs, np.ones(40), 0.005)
     fit = replace(fit, inlier=np.ones(40, bool))
-    verdict = judge(fit, pairs)
+    verdict = assess(fit, pairs)
     assert verdict.accepted
     rows = np.random.default_rng(1).permutation(40)
-    found = judge_alone(verdict, fit, pairs, rows, np.arange(40) < repeated)
+    found = assess_unrepeated(verdict, fit, pairs, rows, np.arange(40) < repeated)
     assert found.accepted == believed
     assert ("repeats itself" in found.reason) != believed
     assert "40 of 40 matches agree" in found.reason

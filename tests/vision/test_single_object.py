@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from homeward.vision.cameras.panoramic import unit_vectors
-from homeward.vision.geometry.a_contrario import judge
+from homeward.vision.geometry.a_contrario import assess
 from homeward.vision.geometry.epipolar import Motion, Pairs
-from homeward.vision.geometry.ransac import search
-from homeward.vision.geometry.single_object import carrying, costs, words
+from homeward.vision.geometry.ransac import estimate_motion
+from homeward.vision.geometry.single_object import covariance_factor, dominant_object, explain
 
 SIGMA = 0.002
 
@@ -33,9 +33,9 @@ def scattered(n, seed=1):
 def answer(directions):
     rng = np.random.default_rng(2)
     pairs = seen(directions, rng.uniform(2.0, 5.0, len(directions)))
-    fit = search(pairs, np.arange(len(pairs)) / len(pairs), 0.002)
-    verdict = judge(fit, pairs)
-    return fit, pairs, verdict, carrying(fit, pairs)
+    fit = estimate_motion(pairs, np.arange(len(pairs)) / len(pairs), 0.002)
+    verdict = assess(fit, pairs)
+    return fit, pairs, verdict, dominant_object(fit, pairs)
 
 
 @pytest.mark.parametrize("elevation", [0.2, 1.3])
@@ -49,8 +49,8 @@ def test_one_thing_with_most_of_the_matches_is_told_and_costs(elevation):
     fit, pairs, verdict, on_it = answer(np.vstack([thing, scattered(5)]))
     assert on_it[:30].sum() > 25
     assert not on_it[30:].any()
-    assert costs(on_it, fit) > 3.0
-    said = words(verdict, on_it, pairs)
+    assert covariance_factor(on_it, fit) > 3.0
+    said = explain(verdict, on_it, pairs)
     assert "on one thing" in said
     assert ("overhead" in said) == (elevation > math.radians(45.0))
 
@@ -59,8 +59,8 @@ def test_what_stands_all_round_costs_nothing():
     fit, pairs, verdict, on_it = answer(scattered(35))
     assert verdict.accepted
     assert not on_it.any()
-    assert costs(on_it, fit) == 1.0
-    assert words(verdict, on_it, pairs) == verdict.reason
+    assert covariance_factor(on_it, fit) == 1.0
+    assert explain(verdict, on_it, pairs) == verdict.reason
 
 
 def test_a_thing_with_most_matches_does_not_carry_what_the_others_tell_by_themselves():

@@ -7,11 +7,11 @@ pytest.importorskip("cv2")
 
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.compiled import compiled
-from homeward.vision.features.patch_alignment import align
-from homeward.vision.features.pyramid import Picture
+from homeward.vision.features.patch_alignment import align_features
+from homeward.vision.features.pyramid import Pyramid
 from homeward.vision.geometry.epipolar import Pairs, residuals
-from homeward.vision.geometry.refinement import descend
-from homeward.vision.geometry.two_point import costs
+from homeward.vision.geometry.refinement import irls
+from homeward.vision.geometry.two_point import msac_costs
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 
@@ -34,8 +34,8 @@ def test_patches_are_laid_alike(both, shape, times):
     at = rng.uniform(-0.5, 0.5, (n, 2)) * [shape[1], shape[0]] + np.array(shape[::-1]) / 2
     size, growth, turn = rng.uniform(0.5, 12, n), rng.uniform(0.7, 1.4, n), rng.normal(0, 0.2, n)
     there = at + rng.normal([3, 0], 0.5, (n, 2))
-    told = (Picture.of(home, times), Picture.of(now, times), at, there, size, growth, turn)
-    native, plain = both(align, *told)
+    told = (Pyramid.of(home, times), Pyramid.of(now, times), at, there, size, growth, turn)
+    native, plain = both(align_features, *told)
     # Where the two do not look alike, small differences grow from step to step.
     assert np.mean(native.found == plain.found) > 0.98
     same = native.found & plain.found
@@ -50,24 +50,28 @@ def test_patches_are_laid_alike(both, shape, times):
 def test_a_feature_is_laid_after_several_maps_as_after_each_alone():
     rng, n = np.random.default_rng(3), 20
     image = blots(rng, (96, 256))
-    pictures = Picture.of(image), Picture.of(np.roll(image, 3, axis=1))
+    pictures = Pyramid.of(image), Pyramid.of(np.roll(image, 3, axis=1))
     at = rng.uniform([0, 0], [256, 96], (n, 2))
     told = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.ones(n), np.zeros(n)
     other = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.full(n, 1.2), np.zeros(n)
     # Each feature twice, one after the other.
     pairs = (np.stack(pair, axis=1) for pair in zip(told, other, strict=True))
-    together = align(*pictures, *(pair.reshape(2 * n, *pair.shape[2:]) for pair in pairs))
-    for first, alone in enumerate((align(*pictures, *told), align(*pictures, *other))):
+    together = align_features(*pictures, *(pair.reshape(2 * n, *pair.shape[2:]) for pair in pairs))
+    for first, alone in enumerate(
+        (align_features(*pictures, *told), align_features(*pictures, *other))
+    ):
         assert np.array_equal(together.place[first::2], alone.place)
         assert np.array_equal(together.spread[first::2], alone.spread)
 
 
 def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):
     rng = np.random.default_rng(1)
-    picture = Picture.of(blots(rng, (50, 120)))
+    picture = Pyramid.of(blots(rng, (50, 120)))
     far = rng.choice([-1e9, -300.0, 0.0, 1e5, 1e12], (40, 2))
     growth = rng.choice([1e-3, 1.0, 30.0], 40)
-    for laid in both(align, picture, picture, far, -far, np.full(40, 4.0), growth, far[:, 0]):
+    for laid in both(
+        align_features, picture, picture, far, -far, np.full(40, 4.0), growth, far[:, 0]
+    ):
         assert np.isfinite(laid.column).all()
 
 
@@ -95,7 +99,7 @@ def test_residuals_are_alike(both, m, n, looseness):
 def test_motions_are_scored_alike(both, m, n):
     rng = np.random.default_rng(m)
     motions = rng.normal(0, 1, (m, 2)) * [3, 0.5]
-    native, plain = both(costs, motions, matches(rng, n), 0.02, 9.0)
+    native, plain = both(msac_costs, motions, matches(rng, n), 0.02, 9.0)
     assert native.dtype == plain.dtype
     # In single precision; of matches that fit, the equation is a difference.
     assert np.allclose(native, plain, rtol=1e-4, atol=1e-3)
@@ -107,7 +111,7 @@ def test_motions_are_fitted_alike(both):
     kept = rng.random((m, n)) < 0.7
     pairs = matches(rng, n)
     for scale, counts in ((3.0, kept), (1.0, 1.0)):
-        native, plain = both(descend, starts, pairs, 0.02, scale, counts)
+        native, plain = both(irls, starts, pairs, 0.02, scale, counts)
         # Some steps are hardly determined, and there rounding grows.
         assert np.median(np.abs(native - plain).max(axis=1)) < 1e-12
         assert np.abs(native - plain).max() < 1e-3
@@ -116,10 +120,10 @@ def test_motions_are_fitted_alike(both):
 def test_motions_without_matches_stay_where_they_are(both):
     starts = np.array([[1.0, 2.0, 0.0, 0.0, 0.0]])
     none = matches(np.random.default_rng(0), 0)
-    for fitted in both(descend, starts, none, 0.02, 3.0):
+    for fitted in both(irls, starts, none, 0.02, 3.0):
         assert np.allclose(fitted, starts)
     some = matches(np.random.default_rng(0), 5)
-    for fitted in both(descend, starts, some, 0.02, 3.0, np.zeros((1, 5))):
+    for fitted in both(irls, starts, some, 0.02, 3.0, np.zeros((1, 5))):
         assert np.allclose(fitted, starts)
 
 

@@ -11,8 +11,8 @@ from homeward.drives.drive import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
-from homeward.vision.homing.resection import Anchors, Direction, _predict, resect
-from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S, HomeSight
+from homeward.vision.homing.resection import Direction, HomeLandmarks, _predict, resect
+from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S, VisualHoming
 
 WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
 
@@ -24,7 +24,7 @@ def anchors(points, camera, scale=1.0, share=0.05):
     spread = np.full(len(points), SIGMA)
     known, lean = np.ones(len(points), bool), np.zeros((len(points), 2))
     now = bearings(points, camera)
-    return Anchors(home, now, spread, distance, share * distance, known, lean)
+    return HomeLandmarks(home, now, spread, distance, share * distance, known, lean)
 
 
 def guess(camera, covariance=WIDE):
@@ -146,7 +146,7 @@ def test_errors_of_one_thing_are_in_the_covariance(together):
 
 def test_near_home_its_picture_is_believed_and_not_a_pose_in_the_map():
     points, camera = scene(), Pose(0.02, -0.03, 0.5)
-    sight = HomeSight(Map(points, pose=Pose(0.08, 0.05, 0.47)))
+    sight = VisualHoming(Map(points, pose=Pose(0.08, 0.05, 0.47)))
     sight.home(1.0, compared(points, camera, direction_sigma=0.5))
     said = sight.estimate(1.0)
     assert said.status is Status.LOCALISED
@@ -158,7 +158,7 @@ def test_a_map_that_home_s_picture_contradicts_is_not_called_sure():
     # The same bearings from home, but at distances that have nothing to do with it.
     ray = points / np.hypot(*points.T)[:, None]
     wrong = np.random.default_rng(5).uniform(0.5, 6.0, len(points))[:, None] * ray
-    sight = HomeSight(Map(wrong, pose=Pose(0.0, 0.01, 0.5)))
+    sight = VisualHoming(Map(wrong, pose=Pose(0.0, 0.01, 0.5)))
     sight.home(1.0, compared(points, camera))
     said = sight.estimate(1.0)
     assert said.status is Status.UNVERIFIED
@@ -167,7 +167,7 @@ def test_a_map_that_home_s_picture_contradicts_is_not_called_sure():
 
 def test_home_must_be_recognised_where_the_map_says_home():
     points = scene()
-    near, far = (HomeSight(Map(points, pose=Pose(x, 0.0, 0.0))) for x in (0.1, 2.0))
+    near, far = (VisualHoming(Map(points, pose=Pose(x, 0.0, 0.0))) for x in (0.1, 2.0))
     for t in range(4):
         for sight in (near, far):
             sight.home(float(t), compared(points, Pose(0.1, 0.0, 0.0), accepted=False))
@@ -178,7 +178,7 @@ def test_home_must_be_recognised_where_the_map_says_home():
 
 def test_the_direction_is_told_before_there_is_a_map_and_kept_by_odometry():
     points, camera = scene(), Pose(1.5, 1.0, 2.0)
-    sight = HomeSight(Map(points[:0], status=Status.MAPPING))
+    sight = VisualHoming(Map(points[:0], status=Status.MAPPING))
     assert sight.estimate(0.0).pose is None
     sight.odometry(0.0, 0.0, 0.5)
     sight.home(0.5, compared(points, camera))
@@ -196,7 +196,7 @@ def test_the_direction_is_told_before_there_is_a_map_and_kept_by_odometry():
 
 def test_a_pose_from_home_s_picture_gives_way_to_the_map_when_home_is_out_of_sight():
     points, camera, mapped = scene(), Pose(0.4, 0.1, 0.5), Pose(0.5, 0.1, 0.5)
-    sight = HomeSight(Map(points, pose=mapped))
+    sight = VisualHoming(Map(points, pose=mapped))
     sight.home(1.0, compared(points, camera))
     assert sight.estimate(0.9 + POSE_HOLD_S).pose[0] == pytest.approx(0.4, abs=0.01)
     assert sight.estimate(1.1 + POSE_HOLD_S).pose == mapped
@@ -214,7 +214,7 @@ def test_between_pictures_a_pose_gets_as_unsure_as_odometry_is_noisy():
     noise = OdometryNoise(speed_sigma=0.02, turn_sigma=0.03)
     rng, squared = np.random.default_rng(6), []
     for _ in range(200):
-        sight = HomeSight(Map(points), odometry=noise)
+        sight = VisualHoming(Map(points), odometry=noise)
         sight.home(0.0, compared(points, begin))
         fixed = sight.estimate(0.0)
         for t in np.arange(0.0, seconds, 1 / rate):
@@ -235,7 +235,7 @@ def test_the_robot_s_centre_is_told_not_the_camera_s():
     camera = between(seen_at_home, compose(robot, mount.pose))
     points = scene()
     placed = [compose(seen_at_home, Pose(x, y, 0.0))[:2] for x, y in points.tolist()]
-    sight = HomeSight(Map(np.array(placed)), sensor=mount, home_sensor=home_mount)
+    sight = VisualHoming(Map(np.array(placed)), sensor=mount, home_sensor=home_mount)
     sight.home(0.0, compared(points, camera))
     np.testing.assert_allclose(sight.estimate(0.0).pose, robot, atol=1e-3)
 
@@ -245,7 +245,7 @@ def test_landmarks_that_no_map_knows_help_at_home_and_harm_nowhere():
     points = scene(n=30)
     points[10:] *= 0.3
     for camera in (Pose(0.002, 0.001, 0.5), Pose(0.1, 0.05, 0.5)):
-        sight = HomeSight(Map(points[:10]))
+        sight = VisualHoming(Map(points[:10]))
         sight.home(0.0, compared(points, camera, direction_sigma=0.3))
         np.testing.assert_allclose(sight.estimate(0.0).pose[:2], camera[:2], atol=4e-3)
 
@@ -282,20 +282,20 @@ def test_pictures_that_come_late_count_at_their_own_stamp(late):
     """As they do from a camera on a bus: odometry of their stamp was there before."""
     points = scene()
     pictures = {t + late: t for t in np.arange(0.2, 2.0, 0.4)}
-    said = deliver(HomeSight(Map(points)), 2.9, pictures, points)
+    said = deliver(VisualHoming(Map(points)), 2.9, pictures, points)
     np.testing.assert_allclose(said.pose, turning(2.9), atol=2e-3)
 
 
 def test_the_first_picture_may_be_late():
     points = scene()
-    said = deliver(HomeSight(Map(points)), 5.0, {4.8: 4.0}, points)
+    said = deliver(VisualHoming(Map(points)), 5.0, {4.8: 4.0}, points)
     np.testing.assert_allclose(said.pose, turning(5.0), atol=2e-3)
 
 
 @pytest.mark.parametrize("stale", [0.1, 1.2])
 def test_a_picture_older_than_another_before_is_left_out_and_counted(stale):
     points, other = scene(), Pose(-2.0, 1.0, 2.5)
-    sight = HomeSight(Map(points))
+    sight = VisualHoming(Map(points))
     before = deliver(sight, 2.0, {1.5: 1.5}, points)
     sight.home(1.5 - stale, compared(points, other))
     after = sight.estimate(2.0)
@@ -307,7 +307,7 @@ def test_a_picture_older_than_another_before_is_left_out_and_counted(stale):
 @pytest.mark.parametrize("stamp", [0.5, math.nan, -math.inf])
 def test_a_picture_that_is_too_late_is_left_out_and_counted(stamp):
     points = scene()
-    sight = HomeSight(Map(points))
+    sight = VisualHoming(Map(points))
     deliver(sight, 2.0, {}, points)
     sight.home(stamp, compared(points, turning(0.5)))
     assert sight.counts.rejected == {Rejection.LATE_PICTURE: 1}
@@ -316,7 +316,7 @@ def test_a_picture_that_is_too_late_is_left_out_and_counted(stamp):
 
 def test_refused_pictures_out_of_order_do_not_doubt_home():
     points = scene()
-    sight = HomeSight(Map(points, pose=Pose(0.1, 0.0, 0.0)))
+    sight = VisualHoming(Map(points, pose=Pose(0.1, 0.0, 0.0)))
     sight.home(5.0, compared(points, Pose(0.1, 0.0, 0.0)))
     for t in (4.9, 4.8, 4.7, 4.6):
         sight.home(t, compared(points, Pose(0.1, 0.0, 0.0), accepted=False))
@@ -330,7 +330,7 @@ def test_pictures_in_any_order_never_lead_astray(seed):
     pictures = dict(
         zip((stamps + rng.uniform(0.0, 2.0, stamps.size)).tolist(), stamps.tolist(), strict=True)
     )
-    sight = HomeSight(Map(points))
+    sight = VisualHoming(Map(points))
     said = deliver(sight, 8.0, pictures, points)
     np.testing.assert_allclose(said.pose, turning(8.0), atol=5e-3)
     assert sight.counts.rejected[Rejection.LATE_PICTURE] > 3

@@ -10,7 +10,7 @@ from homeward.angles import wrap
 from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
 from homeward.frames import Pose, to_polar
 from homeward.vision.comparison import Comparison
-from homeward.vision.geometry.a_contrario import Verdict
+from homeward.vision.geometry.a_contrario import Acceptance
 from homeward.vision.geometry.epipolar import Motion, Pairs
 
 SIGMA = 0.002
@@ -63,7 +63,7 @@ def compared(points, camera, accepted=True, direction_sigma=0.01):
     flat, spread = np.zeros(n), np.tile(2 * SIGMA**2 * np.eye(2), (n, 1, 1))
     rows = np.arange(n)
     return Comparison(
-        Verdict(accepted, "", -10.0),
+        Acceptance(accepted, "", -10.0),
         Pairs.of(*(np.column_stack([a, flat]) for a in angles), spread, flat),
         rows,
         rows,

@@ -37,9 +37,9 @@ def compare(
     from homeward.one_thread import one_thread
     from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
     from homeward.report.output import check_output
-    from homeward.vision.checks.camera_settings import doubts
+    from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas
-    from homeward.vision.checks.self_occlusion import turning_along
+    from homeward.vision.checks.self_occlusion import find_self_occlusion
     from homeward.vision.comparison import compare as compare_views
     from homeward.vision.features.detection import read_view
     from homeward.vision.recorded.settings import read_image_settings
@@ -53,12 +53,12 @@ def compare(
     with one_thread():
         seen = compare_views(home_view, now_view, settings.camera)
         images, views = (home_image, now_image), (home_view, now_view)
-        doubt = doubts(seen, images, views, settings.camera)
+        doubt = better_settings(seen, images, views, settings.camera)
     write_comparison(out, seen, images, views)
     say(describe(seen))
     if doubt is not None:
         warn(f"But {doubt}.")
-    if found := turning_along(seen, settings.camera):
+    if found := find_self_occlusion(seen, settings.camera):
         warn(f"{found.matches} {found.words} (--mask FILE).")
     say(f"Picture: {out / PICTURE}")
     if not seen.accepted:

@@ -29,13 +29,13 @@ MOST_LINES = 60
 def describe(seen: Comparison) -> str:
     """Return heading change and direction home in a few plain sentences."""
     if not seen.accepted:
-        return f"No answer: {seen.verdict.reason}."
+        return f"No answer: {seen.acceptance.reason}."
     heading = f"Heading change: {_turn(seen.heading)} +- {_deg(seen.heading_sigma)}."
     if seen.knows_direction:
         home = f"Home lies {_towards(seen.homewards)} +- {_deg(seen.homewards_sigma)}."
     else:
         home = "Direction home: not to be told (too near to home, or too little to go by)."
-    text = f"{heading} {home} {seen.verdict.reason[0].upper()}{seen.verdict.reason[1:]}."
+    text = f"{heading} {home} {seen.acceptance.reason[0].upper()}{seen.acceptance.reason[1:]}."
     if moved := int(seen.moved.sum()):
         text += f" {moved} more are on things that seem to have been moved."
     return text
@@ -74,8 +74,8 @@ def as_dict(seen: Comparison) -> dict[str, object]:
     """Return the answer as plain numbers, units in the keys; absent where there is none."""
     values: dict[str, object] = {
         "accepted": seen.accepted,
-        "reason": seen.verdict.reason,
-        "log10_false_alarms": seen.verdict.log_false_alarms,
+        "reason": seen.acceptance.reason,
+        "log10_false_alarms": seen.acceptance.log_false_alarms,
         "matches": len(seen.pairs),
         "agreeing": int(seen.agrees.sum()),
         "moved": int(seen.moved.sum()),

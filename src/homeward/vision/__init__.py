@@ -1,4 +1,4 @@
-"""Panoramas to bearings: the camera front-end. It needs the extra `vision` (OpenCV 5).
+"""Bearings from panoramic images, and visual homing. It needs the extra `vision` (OpenCV 5).
 
 >>> home, now = look(home_image, camera), look(image, camera)
 >>> seen = compare(home, now, camera)

@@ -11,17 +11,17 @@ from homeward.angles import wrap
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
-from homeward.vision.features.match_propagation import neighbours, thinned
+from homeward.vision.features.match_propagation import propagate_matches, thinned
 from homeward.vision.features.matching import match
 from homeward.vision.features.moved_groups import moved_groups
-from homeward.vision.features.patch_alignment import Alignment, align
-from homeward.vision.features.self_similarity import recurring
-from homeward.vision.geometry.a_contrario import WITHIN, Verdict, judge, judge_alone
+from homeward.vision.features.patch_alignment import Alignment, align_features
+from homeward.vision.features.self_similarity import self_similar
+from homeward.vision.geometry.a_contrario import WITHIN, Acceptance, assess, assess_unrepeated
 from homeward.vision.geometry.epipolar import Motion, Pairs
-from homeward.vision.geometry.jackknife import covariance
-from homeward.vision.geometry.ransac import search
-from homeward.vision.geometry.refinement import SCALE, Fit, descend, refine
-from homeward.vision.geometry.single_object import carrying, costs, words
+from homeward.vision.geometry.jackknife import jackknife_covariance
+from homeward.vision.geometry.ransac import estimate_motion
+from homeward.vision.geometry.refinement import SCALE, Fit, irls, refine
+from homeward.vision.geometry.single_object import covariance_factor, dominant_object, explain
 from homeward.vision.geometry.tilt import Tilt
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
@@ -52,7 +52,7 @@ class Comparison:
     Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
     """
 
-    verdict: Verdict
+    acceptance: Acceptance
     pairs: Pairs
     """All matches: where home saw a landmark, and where its patch lies now."""
     home_row: np.ndarray
@@ -77,7 +77,7 @@ class Comparison:
     @property
     def accepted(self) -> bool:
         """Whether the motion stands on more than chance."""
-        return self.verdict.accepted
+        return self.acceptance.accepted
 
     @property
     def tilt(self) -> Tilt:
@@ -145,44 +145,46 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         When they are not of one size.
     """
     require_like_home(now.shape, home.shape)
-    seen = _compared(home, now, camera)
+    seen = compare_once(home, now, camera)
     answered = seen.accepted and (seen.knows_direction or not seen.shows_parallax)
     if answered or seen.motion is None:
         return seen
-    again = _compared(home, now, camera, seen.motion.alpha)
+    again = compare_once(home, now, camera, seen.motion.alpha)
     confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < CONFIRMED
     return again if confirmed and again.homewards_sigma < seen.homewards_sigma else seen
 
 
-def _compared(home: View, now: View, camera: Panorama, heading: float | None = None) -> Comparison:
+def compare_once(
+    home: View, now: View, camera: Panorama, heading: float | None = None
+) -> Comparison:
     """Compare two views, of which the heading now may be known to within `WITHIN` [rad]."""
     rows, pairs, laid, quality = _paired(home, now, camera, heading)
     i, j = rows.T
-    fit = search(pairs, quality, camera.tilt_sigma)
-    verdict = _asked(judge(fit, pairs, heading), fit, pairs, home, i, camera, heading)
+    fit = estimate_motion(pairs, quality, camera.tilt_sigma)
+    acceptance = _asked(assess(fit, pairs, heading), fit, pairs, home, i, camera, heading)
     agrees, moved = np.zeros((2, len(pairs)), bool)
     spread = np.full((4, 4), np.inf)
     if fit is not None:
-        if verdict.accepted:
+        if acceptance.accepted:
             fits = fit.inlier
-            (column, row), there = neighbours(home, now, i[fits], laid[fits])
+            (column, row), there = propagate_matches(home, now, i[fits], laid[fits])
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
             # What lies beside may have led to another motion, on which matches agree less.
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
-            verdict = verdict.reconsidered(fit.inlier, pairs)
-            verdict = _asked(verdict, fit, pairs, home, i, camera, heading)
-            thing = carrying(fit, pairs, heading)
-            spread = costs(thing, fit) * spread
-            verdict = replace(verdict, reason=words(verdict, thing, pairs))
+            acceptance = acceptance.reassessed(fit.inlier, pairs)
+            acceptance = _asked(acceptance, fit, pairs, home, i, camera, heading)
+            thing = dominant_object(fit, pairs, heading)
+            spread = covariance_factor(thing, fit) * spread
+            acceptance = replace(acceptance, reason=explain(acceptance, thing, pairs))
         agrees = fit.inlier
-    if verdict.accepted:
+    if acceptance.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
     else:
         spread = np.full((4, 4), np.inf)
     return Comparison(
-        verdict=verdict,
+        acceptance=acceptance,
         pairs=pairs,
         home_row=i,
         now_row=j,
@@ -197,23 +199,23 @@ def _compared(home: View, now: View, camera: Panorama, heading: float | None = N
 
 
 def _asked(
-    verdict: Verdict,
+    acceptance: Acceptance,
     fit: Fit | None,
     pairs: Pairs,
     home: View,
     rows: np.ndarray,
     camera: Panorama,
     heading: float | None,
-) -> Verdict:
+) -> Acceptance:
     """Return the verdict on a fit whose matches were asked whether they show what repeats itself.
 
     `rows`, (n,), are the features of home that were matched.
     """
-    if fit is None or not verdict.accepted:
-        return verdict
+    if fit is None or not acceptance.accepted:
+        return acceptance
     asked = thinned(np.flatnonzero(fit.inlier), MOST_ASKED)
-    recurs = recurring(home, rows[asked], camera)
-    return judge_alone(verdict, fit, pairs, asked, recurs, heading)
+    recurs = self_similar(home, rows[asked], camera)
+    return assess_unrepeated(acceptance, fit, pairs, asked, recurs, heading)
 
 
 def _paired(
@@ -241,7 +243,7 @@ def _paired(
     growth = now.size[j] / home.size[i]
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
-    laid = align(home.picture, now.picture, at_home, at_now, home.size[i], growth, turn)
+    laid = align_features(home.pyramid, now.pyramid, at_home, at_now, home.size[i], growth, turn)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
     pairs = _pairs(directions, now, laid, np.log(growth), camera)
     found = laid.found
@@ -269,10 +271,10 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     a say, too, and theirs is the parallax. Where they tell no direction, another motion may be the
     right one, of which what was found after them knows nothing: then they have the only say.
     """
-    alone, everything = covariance(fit, pairs, camera.tilt_sigma), pairs + beside
-    forgiving = descend(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)
+    alone, everything = jackknife_covariance(fit, pairs, camera.tilt_sigma), pairs + beside
+    forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)
     found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
-    together = covariance(found, everything, camera.tilt_sigma)
+    together = jackknife_covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
     spread = share * alone + (1.0 - share) * together
     return replace(found, parallax=fit.parallax), spread[:4, :4]

@@ -9,14 +9,14 @@ from __future__ import annotations
 from homeward.engine.native.program import Program
 
 _FUNCTIONS = {
-    "lay": "iii" + "aaf" + 2 * "ila" + 6 * "a",
+    "align": "iii" + "aaf" + 2 * "ila" + 6 * "a",
     "score": "iii" + "ffdff",
     "residuals": "iiiaadaaab",
-    "descend": "iiii" + 5 * "a" + "dda",
+    "irls": "iiii" + 5 * "a" + "dda",
 }
 compiled = Program(
     "homeward.vision",
-    ("shared.h", "lay.c", "fit.c", "score.c"),
+    ("shared.h", "align.c", "refine.c", "score.c"),
     _FUNCTIONS,
-    may_fail=("lay", "residuals", "descend"),
+    may_fail=("align", "residuals", "irls"),
 )

@@ -48,7 +48,7 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
-class Glance:
+class FrameBearings:
     """What one frame showed."""
 
     bearings: dict[str, float]
@@ -106,7 +106,7 @@ class FrontEnd:
         pairs = zip(self.home.azimuth.tolist(), self.home.sigma.tolist(), strict=True)
         return {self._name(i): HomeBearing(*pair) for i, pair in enumerate(pairs)}
 
-    def see(self, panorama: np.ndarray) -> Glance:
+    def see(self, panorama: np.ndarray) -> FrameBearings:
         """Take a panorama as `Panorama.panorama` gives it, of any kind that `look` takes.
 
         Raises
@@ -116,7 +116,7 @@ class FrontEnd:
         """
         return self.take(look(panorama, self.camera, self.home.mask))
 
-    def take(self, view: View) -> Glance:
+    def take(self, view: View) -> FrameBearings:
         """Take the next frame of the drive; errors as of `see`."""
         require_like_home(view.shape, self.home.shape)
         landmark = np.full(len(view), NOBODY)
@@ -131,7 +131,7 @@ class FrontEnd:
         names = [self._name(landmark[i]) for i in chosen]
         bearing, lean = tilt.level(np.column_stack([view.azimuth[chosen], view.elevation[chosen]]))
         sigma = np.sqrt(view.sigma[chosen] ** 2 + tilt.variance(lean))
-        return Glance(
+        return FrameBearings(
             bearings=dict(zip(names, bearing.tolist(), strict=True)),
             sigmas=dict(zip(names, sigma.tolist(), strict=True)),
             home=compared.get(0),
@@ -235,10 +235,10 @@ class FrontEnd:
 
     def _words(self, compared: dict[int, Comparison], fits: list[int]) -> str:
         if 0 in fits:
-            return f"like home: {compared[0].verdict.reason}"
+            return f"like home: {compared[0].acceptance.reason}"
         if fits:
-            return f"like keyframe {fits[-1]}: {compared[fits[-1]].verdict.reason}"
-        return f"like nothing seen before: {next(iter(compared.values())).verdict.reason}"
+            return f"like keyframe {fits[-1]}: {compared[fits[-1]].acceptance.reason}"
+        return f"like nothing seen before: {next(iter(compared.values())).acceptance.reason}"
 
 
 def _moved_to(view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray) -> View:

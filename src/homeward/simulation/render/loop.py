@@ -18,7 +18,7 @@ from homeward.simulation.render.eye import Eye
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.features.detection import View, look
 from homeward.vision.front_end import FrontEnd
-from homeward.vision.homing.visual_homing import HomeSight
+from homeward.vision.homing.visual_homing import VisualHoming
 
 LEAST_TILT = 0.002
 """A camera that is said not to tilt is still not trusted more than this [rad]."""
@@ -104,7 +104,7 @@ class ImageLoop:
         InputError
             When the robot runs into something.
         """
-        sight = None if estimator is None else HomeSight(estimator, **self.drive.settings.robot)
+        sight = None if estimator is None else VisualHoming(estimator, **self.drive.settings.robot)
         log = Log(sight)
 
         def see(t: float, robot: Pose) -> None:

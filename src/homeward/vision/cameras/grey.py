@@ -1,4 +1,4 @@
-"""Pictures as the front-end wants them, whatever they come as: 8 bits of grey."""
+"""Conversion of images of any kind to 8 bits of grey."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from homeward.errors import InputError
 from homeward.vision.opencv import opencv
 
 NARROWEST, LOWEST = 64, 16
-"""Fewer columns or rows tell nothing [px]."""
+"""Size of the smallest panorama that is accepted [px]."""
 MOST_PIXELS = 64_000_000
-"""More are refused."""
+"""Size of the largest image that is accepted [px]."""
 
 
 def as_grey(image: ArrayLike) -> np.ndarray:

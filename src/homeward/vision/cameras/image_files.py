@@ -1,4 +1,4 @@
-"""Panoramas from files, whatever the files hold.
+"""Image files, read as 8 bits of grey.
 
 Pillow decodes them, since it refuses what is truncated, which OpenCV fills with grey.
 """

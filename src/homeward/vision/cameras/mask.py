@@ -1,7 +1,7 @@
-"""What of a panorama is not used: what turns with the camera.
+"""Image masks: pixels that show the robot itself are left out.
 
-A robot's deck or mast, or a time stamp in the picture, looks the same wherever the robot stands:
-matched with itself at home, it says that nothing has turned, and nothing is far.
+A deck, a mast or a time stamp in the picture looks the same wherever the robot stands: matched with
+itself at home, it says that the robot has neither moved nor turned.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from homeward.vision.cameras.grey import as_grey
 from homeward.vision.opencv import opencv
 
 HALF = 128
-"""Darker grey values are left out."""
+"""Pixels darker than this are left out."""
 SPARE = 1.0
-"""How far the centre of a patch must stand off, in its diameters: within half of one lies what
-makes it a feature, and as much again is for masks that are painted a little too small."""
+"""Least distance of a feature from masked pixels, in diameters of its patch. Half of one holds the
+patch itself; as much again allows for masks that are painted a little too small."""
 
 
 @dataclass(frozen=True)
 class Mask:
-    """What of a camera's panoramas may be used."""
+    """Which pixels of a camera's panoramas may be used."""
 
     room: np.ndarray
-    """(height, width) float32: how far it is to what is left out [px]; zero within."""
+    """(height, width) float32: distance to the next masked pixel [px]; zero where masked."""
 
     @classmethod
     def of(cls, panorama: np.ndarray) -> Mask:

@@ -139,7 +139,7 @@ class Cylindrical(Panorama):
 
 
 SECTORS = 24
-"""Of azimuth: the directions that what is spread all round is counted by."""
+"""Azimuth is divided into so many sectors where the spread of matches is counted."""
 
 
 def sector_of(azimuth: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ LEAST_OFF = 0.15
 """A horizon nearer to the one told than this share of the height is no other."""
 
 
-def doubts(
+def better_settings(
     seen: Comparison,
     pictures: tuple[np.ndarray, np.ndarray],
     views: tuple[View, View],
@@ -51,14 +51,14 @@ def doubts(
             return "the pictures have something in common only when one is mirrored: mirror it back"
     if isinstance(camera, Ring):
         return None
-    told = seen.verdict.log_false_alarms if seen.motion else 0.0
+    told = seen.acceptance.log_false_alarms if seen.motion else 0.0
     best, most = None, told + LARGEST_LOG_FALSE_ALARMS - math.log10(HORIZONS.size)
     for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
         home, now = (look(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
-        if found.accepted and found.verdict.log_false_alarms < most:
-            best, most = horizon, found.verdict.log_false_alarms
+        if found.accepted and found.acceptance.log_false_alarms < most:
+            best, most = horizon, found.acceptance.log_false_alarms
     if best is None:
         return None
     return (

@@ -17,8 +17,8 @@ from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import View
 from homeward.vision.features.matching import match
-from homeward.vision.geometry.a_contrario import judge
-from homeward.vision.geometry.ransac import search
+from homeward.vision.geometry.a_contrario import assess
+from homeward.vision.geometry.ransac import estimate_motion
 
 TURN = math.radians(30.0)
 """After so much of a turn [rad] it can be told."""
@@ -40,7 +40,7 @@ odometry that is wrong, of a robot that is stuck."""
 
 
 @dataclass(frozen=True)
-class TurnsAlong:
+class SelfOcclusion:
     """That something turns with the camera."""
 
     matches: int
@@ -60,7 +60,7 @@ class TurnsAlong:
         )
 
 
-class TurningAlong:
+class SelfOcclusionDetector:
     """Looks for what turns with the camera along a drive."""
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class TurningAlong:
         self._before.append((view, heading))
 
     @property
-    def found(self) -> TurnsAlong | None:
+    def found(self) -> SelfOcclusion | None:
         """What was found so far; None where nothing turns along."""
         elevation = np.concatenate([np.empty(0), *self._elevations])
         return _told(elevation, self._of_room)
@@ -112,7 +112,7 @@ class TurningAlong:
         self._of_room += of_room
 
 
-def turning_along(seen: Comparison, camera: Panorama) -> TurnsAlong | None:
+def find_self_occlusion(seen: Comparison, camera: Panorama) -> SelfOcclusion | None:
     """Return what turned with the camera between two panoramas; None where nothing is known of it.
 
     There is no odometry to tell the turn. But where the matches that do not lie where they lay are
@@ -129,8 +129,8 @@ def turning_along(seen: Comparison, camera: Panorama) -> TurnsAlong | None:
     pairs = seen.pairs
     along = _stays(pairs.home, pairs.now, SAME)
     rest = pairs[~along]
-    fit = search(rest, np.zeros(len(rest)), camera.tilt_sigma)
-    if fit is None or abs(fit.motion.alpha) < TURN or not judge(fit, rest).accepted:
+    fit = estimate_motion(rest, np.zeros(len(rest)), camera.tilt_sigma)
+    if fit is None or abs(fit.motion.alpha) < TURN or not assess(fit, rest).accepted:
         return None
     return _told(pairs.now[along, 1], int(fit.inlier.sum()))
 
@@ -140,9 +140,9 @@ def _stays(then: np.ndarray, now: np.ndarray, most: float) -> np.ndarray:
     return np.asarray((np.abs(wrap(now - then)) <= most).all(axis=1))
 
 
-def _told(elevation: np.ndarray, of_room: int) -> TurnsAlong | None:
+def _told(elevation: np.ndarray, of_room: int) -> SelfOcclusion | None:
     """Return what is to be said of matches at elevations, (n,) [rad]; None if it may be chance."""
     if elevation.size < max(FEWEST, LEAST_SHARE * of_room):
         return None
     lowest, highest = np.percentile(elevation, [5, 95])
-    return TurnsAlong(elevation.size, float(lowest), float(highest))
+    return SelfOcclusion(elevation.size, float(lowest), float(highest))

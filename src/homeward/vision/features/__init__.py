@@ -1,1 +1,1 @@
-"""What stands out in a panorama, and where it lies in another one."""
+"""Features: detection, matching, patch alignment, match propagation, self-similarity."""

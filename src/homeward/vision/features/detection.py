@@ -1,4 +1,4 @@
-"""Features of a panorama: where they are, which direction they lie in, and what they look like."""
+"""SIFT features with RootSIFT descriptors, and Shi-Tomasi corners, of a panorama."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from homeward.vision.cameras.grey import as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.pyramid import Picture, enlarged
+from homeward.vision.features.pyramid import Pyramid, enlarged
 from homeward.vision.opencv import opencv
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
 MOST_FEATURES = 5000
-"""The strongest count: of noise, a large picture has ten times as many, and what is compared grows
-with their square. Rooms have up to 2,000 with 2048 columns."""
+"""Only the strongest features are kept, since matching takes time with their square. Rooms have up
+to 2,000 with 2048 columns; noise has ten times as many."""
 
 FEWEST_COLUMNS = 360
-"""Smaller panoramas are enlarged, for patches need some pixels: of real ones with 3 deg a pixel few
-features are found as they are, and twenty times as many in their enlargement."""
+"""Smaller panoramas are enlarged, since SIFT needs some pixels about a feature: at 3 deg a pixel it
+finds twenty times as many in the enlargement."""
 
 CORNER_SIZE, CORNER_APART = 3.0, 5.0
-"""Diameter of a corner, and how near two of them may be [px, of what was enlarged]."""
+"""Diameter of a corner's patch, and least distance of two corners [px of the enlargement]."""
 CORNER_LEAST = 0.01
-"""What a corner must have of the strongest one's contrast, squared [1]: weak ones tell little."""
+"""Least corner response (smaller eigenvalue), as a share of that of the strongest corner."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What is kept of one panorama. All arrays have n rows."""
+    """The features of one panorama, and its image pyramid. All arrays have n rows."""
 
     shape: tuple[int, int]
     """Height and width of the panorama [px]."""
@@ -56,17 +56,17 @@ class View:
     """Standard deviation of either angle [rad]."""
     descriptor: np.ndarray
     """(n, 128) float32, unit length (RootSIFT)."""
-    picture: Picture
-    """What it looks like about them."""
+    pyramid: Pyramid
+    """Of the panorama itself, for patch alignment."""
     mask: Mask | None = None
-    """What of the panorama may be used; None: all of it."""
+    """Which pixels may be used; None: all of them."""
 
     def __len__(self) -> int:
         return self.column.size
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray]:
-        """What can be laid onto another panorama: features and corners, one at each place.
+        """Patches that can be aligned with another panorama: features and corners, one at each place.
 
         Returns
         -------
@@ -86,8 +86,8 @@ class View:
         They are patches whose place in another panorama is told well (Shi and Tomasi, "Good
         features to track", CVPR 1994), but nothing describes them by which to find them again.
         """
-        grey, times = self.picture.levels[0], self.picture.times
-        pad = self.picture.margin // times
+        grey, times = self.pyramid.levels[0], self.pyramid.times
+        pad = self.pyramid.margin // times
         used = None
         if self.mask is not None:
             # Given to OpenCV, since the strongest corner must not be one that is left out.
@@ -113,7 +113,7 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     camera : Panorama
         What its pixels look at.
     mask : Mask, optional
-        Leaves out what turns with the camera.
+        Leaves out what belongs to the robot.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
         elevation,
         sigma,
         descriptor,
-        Picture.of(image, times),
+        Pyramid.of(image, times),
         mask,
     )
 
@@ -189,12 +189,12 @@ def read_view(
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:
-    """Return how far off a feature of diameter `size` [px] is, each way [px]."""
+    """Return the standard deviation of the place of a SIFT feature of diameter `size`, both px."""
     return 0.14 + 0.04 * size
 
 
 def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
-    """Return columns, rows, sizes [px], angles and RootSIFT descriptors, the seam not felt."""
+    """Return columns, rows, sizes [px], angles and descriptors; the panorama is closed."""
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 32)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)

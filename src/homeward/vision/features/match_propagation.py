@@ -1,12 +1,11 @@
-"""What else of home lies about a feature that was found again, and where it lies now.
+"""Match propagation: patches beside a match are aligned by its affine map.
 
-Of a panorama's features a tenth are found again: most are not detected twice, or look like several
-others. But a patch that was laid tells how what surrounds it is carried, be it detected now or not:
-features and corners of home beside it are laid where its map takes them, and those beside these in
-turn (Lhuillier and Quan, "Match propagation for image-based modeling and rendering", PAMI 2002).
-Where they are laid, no motion is assumed: they are measurements of their own, some four times as
-many as there were matches. They say nothing of whether two panoramas have anything in common,
-though, since they are right or wrong together with the match by which they were found.
+Lhuillier and Quan, "Match propagation for image-based modeling and rendering", PAMI 2002. A tenth
+of a panorama's features are matched: most are not detected twice, or look like several others. But
+the map of an aligned patch predicts where its neighbours lie, detected now or not; they are aligned
+from there, and theirs in turn. No motion is assumed, so that these are measurements of their own,
+some four for each match. They are right or wrong together with the match that led to them: whether
+two panoramas have anything in common, they do not tell.
 """
 
 from __future__ import annotations
@@ -17,38 +16,38 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.vision.features.detection import View
-from homeward.vision.features.patch_alignment import Alignment, lay, radius_of
+from homeward.vision.features.patch_alignment import Alignment, align_patches, radius_of
 
 NEAR = 4.0
-"""A map holds within so many radii of its patch."""
+"""A map is used within so many radii of its patch."""
 GUIDES = 2
-"""Of each patch, the nearest ones: that after whose map it looks most alike is believed."""
+"""So many maps, of the nearest patches, are tried; that of the best correlation counts."""
 ROUNDS = 3
 STEPS = 4
-"""Half of what a match takes: a map begins nearer than a feature's own size and turn."""
+"""Half of what a match needs, since a map begins nearer than a feature's own size and turn."""
 LEAST_LIKENESS = 0.9
-"""More than of a match, for which its descriptor speaks, too."""
+"""More than of a match, which its descriptor supports, too."""
 SIGMA_TIMES = 1.6
-"""How much farther off than a match that looks as alike, as was found on rendered rooms: there are
-corners that nothing has, where something near ends before something far away."""
+"""Standard deviation of a place, beside that of a match of the same correlation. Measured on rendered
+rooms: corners of which the near side moves and the far side does not, stand on no point."""
 MOST_PATCHES, MOST_GUIDES = 1500, 300
-"""More of a picture are thinned out evenly: its own matches tell enough, and a comparison takes no
-longer than it may. Rooms have half as many with 1024 columns, as many with 2048."""
+"""Of more, every n-th is used, so that the time is bounded. Rooms have half as many with 1024 columns,
+as many with 2048."""
 MOST_GROWTH = 10.0
-"""Of an area: maps that change it more, either way, carry nothing."""
+"""Maps that change an area by a larger factor, either way, are not used."""
 
 
-def neighbours(
+def propagate_matches(
     home: View, now: View, known: np.ndarray, laid: Alignment
 ) -> tuple[np.ndarray, Alignment]:
-    """Find what lies beside features that were found.
+    """Align patches of home that lie beside matched features.
 
     Parameters
     ----------
     home, now : View
         The two panoramas.
     known : ndarray of int, shape (n,)
-        Features of home that were found.
+        Features of home that were matched.
     laid : Alignment
         Where they lie now.
 
@@ -83,7 +82,7 @@ def _beside(
 ) -> tuple[np.ndarray, Alignment]:
     """Return those of other patches that lie where a guide's map takes them, and where that is."""
     at_home, size = np.split(home.patches[0], [2], axis=1)
-    radius = radius_of(size[:, 0], home.picture)
+    radius = radius_of(size[:, 0], home.pyramid)
     which, guide = _near(at_home[others], at_home[guides], radius[guides], home.shape[1])
     step = at_home[others[which]] - at_home[guides[guide]]
     step[:, 0] -= home.shape[1] * np.rint(step[:, 0] / home.shape[1])
@@ -92,7 +91,7 @@ def _beside(
     inside = (carried[:, 1] > 0) & (carried[:, 1] < now.shape[0] - 1)
     kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
     which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
-    tried = lay(home.picture, now.picture, at_home[which], size[which, 0], start, STEPS)
+    tried = align_patches(home.pyramid, now.pyramid, at_home[which], size[which, 0], start, STEPS)
     alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
     best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
     rows, first = np.unique(which[best_first], return_index=True)

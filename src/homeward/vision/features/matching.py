@@ -1,14 +1,14 @@
-"""Which features of two panoramas look alike."""
+"""Descriptor matching: mutual nearest neighbours that pass Lowe's ratio test."""
 
 from __future__ import annotations
 
 import numpy as np
 
 RATIO = 0.85
-"""The nearest descriptor must be this much nearer than the second (Lowe)."""
+"""Of the distances to the nearest and the second descriptor (Lowe, IJCV 2004)."""
 
 NEVER = -1.0
-"""The likeness of what is as far apart as unit vectors can be."""
+"""Likeness (cosine) of opposite descriptors: such a pair is excluded."""
 
 
 def match(

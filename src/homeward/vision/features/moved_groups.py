@@ -1,9 +1,9 @@
-"""Matches that contradict the motion but agree with each other: things that were moved.
+"""Groups of outliers that share a similarity transform: objects that were moved.
 
-The features of one thing keep their arrangement. A match says by place, size and turn of its two
-features how a picture of the thing is carried from one panorama to the other (a similarity, as in
-Lowe, "Distinctive image features from scale-invariant keypoints", IJCV 2004, section 7.3). Where
-enough other contradicting matches nearby follow the same one, the thing is believed.
+The features of one object keep their arrangement. Place, size and turn of a match's two features
+give the similarity that carries the object from one panorama to the other (Lowe, "Distinctive image
+features from scale-invariant keypoints", IJCV 2004, section 7.3). Where enough outliers nearby
+follow the same one, they are taken for one object.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 from homeward.vision.features.detection import View
 
 NEAR = 0.35
-"""A thing is seen within so large an angle [rad]."""
+"""Largest angle between two features of one object [rad]."""
 TOLERANCE = 0.3
-"""A feature lands within this share of its distance from the other, and a feature's size."""
+"""Largest error of a feature's place, as a share of its distance, beside its own size."""
 SCALE, TURN = 1.6, 0.5
-"""The sizes' ratio may differ by this factor, and the turn by this angle [rad]."""
+"""Largest factor between growths, and difference between turns [rad], within one object."""
 FEWEST = 4
-"""Matches that must follow one similarity."""
+"""Least number of matches that share one similarity."""
 
 
 def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """Tell which matches lie on things that moved.
+    """Return which matches lie on objects that were moved.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray
     rows : ndarray of int, shape (n, 2)
         Matched features of each.
     candidates : ndarray of bool, shape (n,)
-        Matches that contradict the motion.
+        Outliers of the motion.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray
         & (np.abs(ratio[:, None] - ratio[None, :]) < np.log(SCALE))
         & (np.abs(np.angle(np.exp(1j * (turn[:, None] - turn[None, :])))) < TURN)
     )
-    # Several features at one spot are one witness.
+    # Several features at one spot count once.
     apart = np.abs(a) > _angular(home, home.size[i])[:, None] / 2
     support = (follows & apart).sum(axis=1) + 1
     for seed in np.flatnonzero(support >= FEWEST):

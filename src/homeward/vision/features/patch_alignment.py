@@ -1,11 +1,11 @@
-"""Where a feature of one panorama lies in another, to a small part of a pixel.
+"""Patch alignment: affine, inverse compositional Lucas-Kanade, all patches at once.
 
-SIFT finds a feature in each panorama by itself, to a third of a pixel. Its picture at home is laid
-onto the picture now instead, carried by an affine map (shift, size, turn, shear): inverse
-compositional Lucas-Kanade (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004), all matches
-at once. Patches are compared by zero-mean, unit-length grey values, so that light does not matter,
-near their centre more than at their rim. How well they then agree says how far the place may be
-off, and that an edge of something near before something far away is no place at all.
+Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004. SIFT places a feature to a third of a
+pixel in each panorama by itself; to align its patch at home with the panorama now (shift, size,
+turn, shear) places it to a tenth. Grey values are compared with zero mean and unit length, so that
+light does not matter, and weighted towards the centre. What is left between the patches gives the
+covariance of the place, and rejects what does not look the same: edges of near things before far
+ones, look-alikes.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from homeward.vision.compiled import compiled
-from homeward.vision.features.pyramid import Picture
+from homeward.vision.features.pyramid import Pyramid
 
 HALF = 6
-"""A patch is compared at (2 HALF + 1)^2 points."""
+"""A patch is sampled at (2 HALF + 1)^2 points."""
 LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
-"""Radius of a patch [px]: `PER_SIZE` times the feature's diameter, within bounds."""
+"""Radius of a patch [px]: least, most, and as a multiple of the feature's diameter."""
 WINDOW = 0.6
-"""Standard deviation of the weight about the patch's centre, in radii."""
+"""Standard deviation of the Gaussian weight about the centre, in radii."""
 STEPS = 8
+"""Iterations."""
 NOISE = 0.05
-"""Of a patch of unit length: against it and `SHAPE`, what a change of shape explains is weighed."""
+"""Standard deviation of a unit-length patch's grey values, where the prior `SHAPE` is weighed."""
 SHAPE = 0.3
-"""How far the map may be from the features' own size and turn, as a standard deviation [1]."""
+"""Prior standard deviation of the map's matrix about the features' own size and turn [1]."""
 LONGEST_STEP = 0.5
-"""In radii, so that nothing jumps."""
+"""Largest change of a parameter in one iteration, in radii."""
 LEAST_AREA = 0.01
-"""To which one step may shrink a patch [1]."""
+"""Smallest factor by which one iteration may shrink a patch."""
 LEAST_LIKENESS = 0.8
-"""Correlation below which the two patches do not show the same."""
+"""Correlation below which two patches do not show the same."""
 LONGEST_SHIFT = 0.5
-"""In radii: what lands farther off has slid onto something else."""
+"""A patch that ends farther from where it began, in radii, has slid onto something else."""
 SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
-"""Of a place now [px]: so much at least, and so many times what independent noise would do, as
-was found on rendered rooms: what is left between patches is not independent from pixel to pixel."""
+"""Standard deviation of a place: at least this [px], and so many times what independent noise would
+give. The factor was measured on rendered rooms: residuals are correlated from pixel to pixel."""
 
 _across, _down = (
     a.ravel().astype(np.float32) for a in np.meshgrid(*2 * [np.arange(-HALF, HALF + 1) / HALF])
@@ -51,12 +52,12 @@ _ROOT /= np.linalg.norm(_ROOT)
 _GRIDS = np.pad(np.stack([_across, _down, _ROOT]), [(0, 0), (0, -_ROOT.size % 16)])
 """For compiled code, which sums up sixteen numbers at a time."""
 _PRIOR = np.array([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
-"""Information on a step: of the shift nothing is known beforehand."""
+"""Prior information on a step; hardly any on the shift."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where features of home lie now; n of them."""
+    """Where n patches of home lie now."""
 
     column: np.ndarray
     """(n,) [px]"""
@@ -94,20 +95,20 @@ class Alignment:
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-def align(
-    home: Picture,
-    now: Picture,
+def align_features(
+    home: Pyramid,
+    now: Pyramid,
     at_home: np.ndarray,
     at_now: np.ndarray,
     size: np.ndarray,
     growth: np.ndarray,
     turn: np.ndarray,
 ) -> Alignment:
-    """Lay the patches about features of home onto the panorama now.
+    """Align the patches about features of home with the panorama now.
 
     Parameters
     ----------
-    home, now : Picture
+    home, now : Pyramid
         The two panoramas.
     at_home, at_now : ndarray, shape (n, 2)
         Column and row of each feature and of its match [px].
@@ -118,22 +119,22 @@ def align(
     turn : ndarray, shape (n,)
         And how far it is turned, clockwise [rad].
     """
-    return lay(home, now, at_home, size, _similarity(at_now, growth, turn))
+    return align_patches(home, now, at_home, size, _similarity(at_now, growth, turn))
 
 
-def lay(
-    home: Picture,
-    now: Picture,
+def align_patches(
+    home: Pyramid,
+    now: Pyramid,
     at_home: np.ndarray,
     size: np.ndarray,
     start: np.ndarray,
     steps: int = STEPS,
 ) -> Alignment:
-    """Lay patches as `align` does, beginning with any maps.
+    """Align patches of home with the panorama now, beginning with any affine maps.
 
     Parameters
     ----------
-    home, now : Picture
+    home, now : Pyramid
         The two panoramas.
     at_home : ndarray, shape (n, 2)
         Column and row of each feature [px].
@@ -149,7 +150,7 @@ def lay(
     begun[:, :, :2] *= radius[:, None, None]
     reach = np.sqrt(areas(begun))
     task = _Task(home, now, at_home, radius, begun, reach, steps)
-    carried, likeness, spread = _lay(task)
+    carried, likeness, spread = _align(task)
     left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
     noise = shape @ spread @ shape.swapaxes(1, 2)
@@ -169,17 +170,17 @@ def areas(maps: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(maps[:, 0, 0] * maps[:, 1, 1] - maps[:, 0, 1] * maps[:, 1, 0]))
 
 
-def radius_of(size: np.ndarray, home: Picture) -> np.ndarray:
+def radius_of(size: np.ndarray, home: Pyramid) -> np.ndarray:
     """Return the radius of patches about features of a size, both in px."""
     return np.asarray(np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times)
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What is to be laid: n patches."""
+    """Alignment of n patches."""
 
-    home: Picture
-    now: Picture
+    home: Pyramid
+    now: Pyramid
     at: np.ndarray
     """(n, 2): column and row at home [px]."""
     radius: np.ndarray
@@ -191,15 +192,14 @@ class _Task:
     steps: int
 
 
-def _lay(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the maps, (n, 2, 3), that lay patches best, and how well they do.
+def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the maps, (n, 2, 3), the correlation of each pair of patches, (n,), and covariances.
 
-    That is how alike patches then are, (n,), and the covariance of places, (n, 2, 2) [radii^2], for
-    noise of a variance of one in the grey values.
+    The latter, (n, 2, 2) [radii^2], are those of places for grey values of unit variance.
     """
     native = compiled()
     if native is not None:
-        return _lay_compiled(native, task)
+        return _align_compiled(native, task)
     patch, slopes = _template(task.home, task.at, task.radius)
     information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
     known, spacing = np.linalg.inv(information), task.reach / HALF
@@ -215,15 +215,15 @@ def _lay(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
 
 
-def _lay_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `_lay` does, in compiled code."""
+def _align_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_align` does, in compiled code."""
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
     limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
     given = (task.at, task.radius, task.reach, task.start)
     told = [np.array(a, float, order="C") for a in given]
     n = len(task.at)
     likeness, spread = np.empty(n), np.empty((n, 2, 2))
-    if native.lay(
+    if native.align(
         *(n, _GRIDS.shape[1], task.steps, limits, _PRIOR, _GRIDS),
         *(*pictures[0], *pictures[1], *told, likeness, spread),
     ):
@@ -231,7 +231,7 @@ def _lay_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np
     return told[-1], likeness, spread
 
 
-def _template(home: Picture, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return patches, (n, k), and how they change with the six parameters, (n, k, 6).
 
     In units of the patch's radius: shift (right, down), then the matrix row by row. What changes

@@ -1,4 +1,4 @@
-"""A panorama that can be looked up anywhere between its pixels, at several scales."""
+"""Image pyramid of a panorama, sampled between pixels and across the seam."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from homeward.engine.native.program import address
 from homeward.vision.opencv import opencv
 
 LEVELS = 3
-"""The picture itself, and so many less one of half the size of the one before."""
+"""Levels of the pyramid; each has half the size of the one before."""
 BLUR = 0.5
-"""Standard deviation [px]: what noise there is between pixels is of no use."""
+"""Standard deviation of the smoothing of the first level [px]."""
 MARGIN = 64
-"""Columns from beyond the seam on either side, at most."""
+"""The image is continued beyond its seam by so many columns on either side, at most."""
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A smoothed panorama."""
+class Pyramid:
+    """A smoothed panorama at several scales."""
 
     levels: tuple[np.ndarray, ...]
     """float32, continued beyond the seam by `margin` columns of the first."""
@@ -31,7 +31,7 @@ class Picture:
     """In columns of the first level."""
 
     @classmethod
-    def of(cls, image: np.ndarray, times: int = 1) -> Picture:
+    def of(cls, image: np.ndarray, times: int = 1) -> Pyramid:
         """Return the picture of a grey panorama, uint8 (height, width), enlarged `times`."""
         cv2, width = opencv(), image.shape[1]
         around = min(MARGIN, width)

@@ -1,12 +1,11 @@
-"""Whether what a feature shows recurs on the floor or the ceiling, as tiles do.
+"""Self-similarity on level planes: does a feature's patch recur on the floor or the ceiling?
 
-In perspective no two tiles look the same, and yet those of another room do, from a place that lies
-as far from its joints: features on them are matched, and agree on a motion. That they repeat is
-seen only as from above (inverse perspective mapping: Mallot et al., "Inverse perspective mapping
-simplifies optical flow computation and obstacle detection", Biological Cybernetics 1991). No height
-needs to be known for that: on any level plane, a direction tells the place in units of the plane's
-own height. So each feature's patch is laid onto its own picture, wherever another feature lies on
-such a plane, by the map that a mere shift along the plane would be.
+Tiles do. In perspective no two of them look the same, but those of another room do, seen from a
+place as far from its joints: features on them are matched, and agree on a motion. Repetition shows
+only as seen from above (inverse perspective mapping: Mallot et al., Biological Cybernetics 1991).
+The height is not needed: on a level plane, a direction gives the place in units of that height. So
+each patch is aligned with its own panorama at every other feature of the plane, beginning at the
+map that a shift along the plane would be.
 """
 
 from __future__ import annotations
@@ -16,23 +15,24 @@ import numpy as np
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
 from homeward.vision.features.match_propagation import MOST_GROWTH, thinned
-from homeward.vision.features.patch_alignment import areas, lay, radius_of
+from homeward.vision.features.patch_alignment import align_patches, areas, radius_of
 
 LEAST_ELEVATION, MOST_ELEVATION = np.radians([10.0, 80.0])
-"""Nearer to the horizon a plane is too foreshortened to tell, and straight below a panorama is."""
+"""Features between these elevations, up or down, are looked at [rad]: near the horizon a plane is too
+foreshortened, near the vertical a panorama is."""
 MOST_OTHERS = 500
-"""Features on which a patch is laid are thinned out evenly to so many: of tiles there are more."""
+"""A patch is compared with so many other features at most, evenly chosen."""
 SIZE_RATIO = 1.6
-"""How many times larger or smaller another feature may be than a shift would make this one."""
+"""Largest factor between the size of another feature and what the shift would make of this one."""
 APART = 1.5
-"""It must lie farther off than so many radii of the patch: nothing recurs on itself."""
+"""Least distance of another feature, in radii of the patch: nothing recurs on itself."""
 STEPS = 4
 LIKE = 0.9
 """Correlation above which two patches show the same; 0.85 and 0.94 tell the same rooms apart."""
 
 
-def recurring(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
-    """Return which features show what is seen elsewhere on their level plane, too.
+def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return which features are self-similar: seen elsewhere on their level plane, too.
 
     Parameters
     ----------
@@ -67,11 +67,11 @@ def _recur(view: View, rows: np.ndarray, others: np.ndarray, camera: Panorama) -
     grown = view.size[others] / (view.size[rows, None] * np.sqrt(area))
     tried = (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
     tried &= np.abs(np.log(grown)) < np.log(SIZE_RATIO)
-    tried &= apart > APART * radius_of(view.size[rows], view.picture)[:, None]
+    tried &= apart > APART * radius_of(view.size[rows], view.pyramid)[:, None]
     one, other = np.nonzero(tried)
     start = np.dstack([maps[one, other], place[others[other]]])
     at_home, size = place[rows[one]], view.size[rows[one]]
-    laid = lay(view.picture, view.picture, at_home, size, start, STEPS)
+    laid = align_patches(view.pyramid, view.pyramid, at_home, size, start, STEPS)
     like = laid.found & (laid.likeness > LIKE)
     return np.bincount(one[like], minlength=len(rows)) > 0
 

@@ -41,7 +41,7 @@ SHUFFLES = 8
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Acceptance:
     """Whether to believe a motion."""
 
     accepted: bool
@@ -50,16 +50,16 @@ class Verdict:
     log_false_alarms: float
     """Logarithm to base 10."""
 
-    def reconsidered(self, agrees: np.ndarray, pairs: Pairs) -> Verdict:
+    def reassessed(self, agrees: np.ndarray, pairs: Pairs) -> Acceptance:
         """Return the verdict on a fit that was accepted, where other matches, (n,) bool, agree."""
         words = _agreement(agrees, pairs)
         home, now = pairs.home[agrees], pairs.now[agrees]
-        if lack := lacking(home[:, 0], now[:, 0], elevation=home[:, 1]):
+        if lack := too_narrow(home[:, 0], now[:, 0], elevation=home[:, 1]):
             return replace(self, accepted=False, reason=f"not enough in common: {words}{lack}")
         return replace(self, reason=words)
 
 
-def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdict:
+def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Acceptance:
     """Say whether a fit stands on more than chance.
 
     Parameters
@@ -72,22 +72,24 @@ def judge(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Verdic
         Now, where matches were looked for `WITHIN` what it makes of their directions [rad].
     """
     if fit is None or fit.inlier.sum() < 3:
-        return Verdict(False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0)
+        return Acceptance(
+            False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0
+        )
     alarms = _log_false_alarms(fit, pairs, heading)
     if alarms > LARGEST_LOG_FALSE_ALARMS:
         words = _agreement(fit.inlier, pairs)
-        return Verdict(False, f"not enough in common: {words}, which may be chance", alarms)
-    return Verdict(True, "", alarms).reconsidered(fit.inlier, pairs)
+        return Acceptance(False, f"not enough in common: {words}, which may be chance", alarms)
+    return Acceptance(True, "", alarms).reassessed(fit.inlier, pairs)
 
 
-def judge_alone(
-    verdict: Verdict,
+def assess_unrepeated(
+    acceptance: Acceptance,
     fit: Fit,
     pairs: Pairs,
     asked: np.ndarray,
     recurs: np.ndarray,
     heading: float | None = None,
-) -> Verdict:
+) -> Acceptance:
     """Return the verdict on a fit that was accepted, where it is known which of its matches recur.
 
     The tiles of a floor agree with those of another room: where they are most of what agrees, the
@@ -95,7 +97,7 @@ def judge_alone(
 
     Parameters
     ----------
-    verdict : Verdict
+    acceptance : Acceptance
         So far.
     fit, pairs, heading
         Of what.
@@ -107,14 +109,14 @@ def judge_alone(
     alone = np.zeros(len(pairs), bool)
     alone[asked[~recurs]] = True
     if alone.sum() >= LEAST_ALONE * len(asked):
-        return verdict
-    if judge(replace(fit, inlier=alone), pairs, heading).accepted:
-        return verdict
+        return acceptance
+    if assess(replace(fit, inlier=alone), pairs, heading).accepted:
+        return acceptance
     words = f"{_agreement(fit.inlier, pairs)}, most of them on what repeats itself"
-    return replace(verdict, accepted=False, reason=f"not enough in common: {words}")
+    return replace(acceptance, accepted=False, reason=f"not enough in common: {words}")
 
 
-def lacking(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
+def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
     """Say what speaks against matches in such directions, (n,) each; nothing where nothing does.
 
     Parameters

@@ -19,7 +19,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, sector_of
 from homeward.vision.geometry.epipolar import Pairs, residuals
-from homeward.vision.geometry.refinement import INLIER, Fit, descend, prior_information, squares
+from homeward.vision.geometry.refinement import INLIER, Fit, irls, prior_information, squares
 
 WINDOW = 3
 """So many sectors of azimuth at home are left out at once: what stands within 45 degrees may be one
@@ -33,7 +33,7 @@ LARGEST_SIGMA = 100.0
 """[rad]"""
 
 
-def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
+def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     """Return the covariance of a motion.
 
     Parameters
@@ -53,17 +53,17 @@ def covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
     # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
     plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
     by_prior = plain @ prior_information(tilt_sigma) @ plain
-    each = kept(pairs.home[:, 0], fit.inlier)
+    each = leave_windows_out(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)
     starts = _starts(fit, pairs, tilt_sigma, each)
-    change = descend(starts, pairs, tilt_sigma, fit.scale, each) - motion
+    change = irls(starts, pairs, tilt_sigma, fit.scale, each) - motion
     change[:, :2] = wrap(change[:, :2])
     n = int(fit.inlier.sum())
     share = SHARE * n / max(n - motion.size, 1)
     return np.asarray(by_prior + share * (plain - by_prior + change.T @ change / WINDOW))
 
 
-def kept(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def leave_windows_out(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return which matches, at azimuths (n,), are kept as each window in turn is left out.
 
     Windows in which none `counts`, (n,) bool, are passed over: shape (m, n), bool.

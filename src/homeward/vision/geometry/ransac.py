@@ -7,7 +7,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.geometry.epipolar import Pairs
 from homeward.vision.geometry.refinement import INLIER, Fit, refine
-from homeward.vision.geometry.two_point import costs, rows_of, solve
+from homeward.vision.geometry.two_point import coefficients, msac_costs, two_point_motions
 
 SAMPLES = 800
 """Pairs of matches that are tried."""
@@ -20,7 +20,9 @@ APART = 0.1
 """Candidates must differ by this much in theta or alpha [rad]."""
 
 
-def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) -> Fit | None:
+def estimate_motion(
+    pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0
+) -> Fit | None:
     """Find the motion between two panoramas.
 
     Parameters
@@ -52,10 +54,10 @@ def search(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int = 0) 
 
 def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float, seed: int) -> np.ndarray:
     """Return the best solutions, (k, 2), of many samples that differ from each other."""
-    rows = rows_of(pairs.home_vectors, pairs.now_vectors)
+    rows = coefficients(pairs.home_vectors, pairs.now_vectors)
     first, second = _samples(quality, seed)
-    motions = np.concatenate([solve(rows[first], rows[second]), _turns(pairs, first)])
-    total = costs(motions, pairs, tilt_sigma, INLIER**2)
+    motions = np.concatenate([two_point_motions(rows[first], rows[second]), _turns(pairs, first)])
+    total = msac_costs(motions, pairs, tilt_sigma, INLIER**2)
     return _distinct(motions[np.argsort(total, kind="stable")])
 
 

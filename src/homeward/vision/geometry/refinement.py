@@ -74,7 +74,7 @@ def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = S
         The one of least loss.
     """
     prior = prior_information(tilt_sigma)
-    x = descend(starts, pairs, tilt_sigma, scale)
+    x = irls(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
     order = np.argsort(_loss(found, scale) + np.sum((x @ prior) * x, axis=1), kind="stable")
     best = Residuals(*(part[order[0]] for part in found))
@@ -88,7 +88,7 @@ def _distinct(motions: np.ndarray) -> np.ndarray:
     return np.asarray(motions[~np.tril(apart < SAME, -1).any(axis=1)])
 
 
-def descend(
+def irls(
     starts: np.ndarray,
     pairs: Pairs,
     tilt_sigma: float,
@@ -111,13 +111,13 @@ def descend(
         What each match counts for in each of the fits.
     """
     x = np.array(starts, float, order="C")
-    if not _descended(x, pairs, tilt_sigma, scale, counts):
-        x = _steps(np.array(starts), pairs, tilt_sigma, scale, counts)
+    if not _irls_compiled(x, pairs, tilt_sigma, scale, counts):
+        x = _irls(np.array(starts), pairs, tilt_sigma, scale, counts)
     x[:, :2] = wrap(x[:, :2])
     return x
 
 
-def _steps(
+def _irls(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> np.ndarray:
     """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
@@ -133,10 +133,10 @@ def _steps(
     return x
 
 
-def _descended(
+def _irls_compiled(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> bool:
-    """Do in place, in compiled code, what `_steps` does; False where that cannot be."""
+    """Do in place, in compiled code, what `_irls` does; False where that cannot be."""
     native = compiled()
     if native is None:
         return False
@@ -146,7 +146,7 @@ def _descended(
     looseness = np.array(LOOSENESS) * tilt_sigma
     prior = np.diag(prior_information(tilt_sigma)).copy()
     given = (pairs.columns, counted, looseness, prior, scale, LONGEST_STEP, LIMITS)
-    return not native.descend(len(x), wide, count, len(looseness), x, *given)
+    return not native.irls(len(x), wide, count, len(looseness), x, *given)
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:
@@ -188,7 +188,7 @@ def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -
 
 
 def _loss(found: Residuals, scale: float) -> np.ndarray:
-    """Return Geman and McClure's loss of each motion, (m,): what `descend` makes small."""
+    """Return Geman and McClure's loss of each motion, (m,): what `irls` makes small."""
     return np.asarray(scale**2 * (1.0 - np.sqrt(_weight(found, scale))).sum(axis=-1))
 
 

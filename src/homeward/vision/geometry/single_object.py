@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from homeward.vision.geometry.a_contrario import Verdict, judge
+from homeward.vision.geometry.a_contrario import Acceptance, assess
 from homeward.vision.geometry.epipolar import Pairs
 from homeward.vision.geometry.refinement import Fit
 
@@ -21,7 +21,7 @@ MOST = 0.5
 """A thing carries the answer that has more than such a share of the matches that agree ..."""
 
 
-def carrying(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
+def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
     """Return which of the matches that agree, (n,) bool, are on one thing that carries the answer.
 
     None, where no thing has most of them, or the others are enough by themselves.
@@ -40,23 +40,23 @@ def carrying(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray
     if thing.sum() <= MOST * rows.size:
         return np.zeros(len(pairs), bool)
     others = Fit(fit.motion, fit.inlier & ~thing, fit.information, fit.parallax, fit.scale)
-    return np.zeros(len(pairs), bool) if judge(others, pairs, heading).accepted else thing
+    return np.zeros(len(pairs), bool) if assess(others, pairs, heading).accepted else thing
 
 
-def costs(thing: np.ndarray, fit: Fit) -> float:
+def covariance_factor(thing: np.ndarray, fit: Fit) -> float:
     """Return the factor of the covariance where all matches on one thing, (n,), are one witness."""
     agree, on_it = int(fit.inlier.sum()), int(thing.sum())
     return agree / (agree - on_it + 1) if on_it else 1.0
 
 
-def words(verdict: Verdict, thing: np.ndarray, pairs: Pairs) -> str:
+def explain(acceptance: Acceptance, thing: np.ndarray, pairs: Pairs) -> str:
     """Return a verdict's reason; it tells of one thing that carries the answer, and where."""
     if not thing.any():
-        return verdict.reason
+        return acceptance.reason
     x, y, z = pairs.home_vectors[thing].mean(axis=0)
     up = math.degrees(math.atan2(z, math.hypot(x, y)))
     where = "overhead" if up > 45.0 else f"{math.degrees(math.atan2(y, x)):.0f} deg from its axis"
     return (
-        f"{verdict.reason}; {int(thing.sum())} of them are on one thing ({where} at home), and the "
-        "others are not enough: if it was moved, or moves along, this is wrong"
+        f"{acceptance.reason}; {int(thing.sum())} of them are on one thing ({where} at home), and "
+        "the others are not enough: if it was moved, or moves along, this is wrong"
     )

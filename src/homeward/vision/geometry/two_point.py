@@ -19,7 +19,7 @@ from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import Pairs
 
 
-def rows_of(home: np.ndarray, now: np.ndarray) -> np.ndarray:
+def coefficients(home: np.ndarray, now: np.ndarray) -> np.ndarray:
     """Return the row of the linear equation in k of each pair of vectors, shape (..., 4)."""
     return np.stack(
         [
@@ -32,13 +32,13 @@ def rows_of(home: np.ndarray, now: np.ndarray) -> np.ndarray:
     )
 
 
-def solve(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the motions that two matches allow.
 
     Parameters
     ----------
     first, second : ndarray, shape (s, 4)
-        Rows of the two matches of each sample, from `rows_of`.
+        Rows of the two matches of each sample, from `coefficients`.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def solve(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.column_stack([wrap(flipped), alpha])
 
 
-def costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> np.ndarray:
+def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> np.ndarray:
     """Return the MSAC cost of motions, whichever way round they are travelled.
 
     Parameters
@@ -97,9 +97,9 @@ def costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> n
     mixed = both / along
     rest = np.sqrt(np.maximum(second - mixed**2, 0.0) + tolerance**2)
     rows = [
-        rows_of(x1, x2),
-        rows_of(x1, by_azimuth * along + by_elevation * mixed),
-        rows_of(x1, by_elevation * rest),
+        coefficients(x1, x2),
+        coefficients(x1, by_azimuth * along + by_elevation * mixed),
+        coefficients(x1, by_elevation * rest),
     ]
     native = compiled()
     if native is not None:

@@ -20,7 +20,7 @@ from homeward.angles import wrap
 from homeward.drives.clock import LATE_S
 from homeward.estimator import HOLD_S
 from homeward.vision.comparison import Comparison
-from homeward.vision.geometry.a_contrario import lacking
+from homeward.vision.geometry.a_contrario import too_narrow
 from homeward.vision.homing.resection import Direction
 
 FEWEST_MATCHES = 3
@@ -31,14 +31,14 @@ ALIKE = (0.2, 0.1)
 """... which they are when direction and heading differ by less than this [rad]."""
 ANOTHER_PLACE_M = 0.04
 """From nearer to the last one than this [m] a picture would guess the same again."""
-HOLD_HINT_S = 15.0
+HOLD_VOTES_S = 15.0
 """A hint is no more where no picture has guessed the same for so long [s]."""
 LEAST_SIGMA = 0.05
 """Guesses that are alike may be alike wrong by this [rad]."""
 
 
 @dataclass(frozen=True)
-class Guess:
+class Vote:
     """What one picture guessed."""
 
     angles: np.ndarray
@@ -48,7 +48,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Hint:
+class Consensus:
     """What several pictures guess alike."""
 
     t: float
@@ -72,16 +72,16 @@ class Twist(NamedTuple):
     """(2,): way and turn [m, rad]."""
 
 
-class Hints:
+class DirectionVoting:
     """Remembers what was guessed, and how far the robot has turned since."""
 
     def __init__(self) -> None:
         self._twists: deque[Twist] = deque()
         """The last one, and those since a picture may yet come late."""
-        self._guessed_at = -math.inf
+        self._voted_at = -math.inf
         """Way at the last guess [m]."""
-        self._guesses: deque[Guess] = deque(maxlen=MOST)
-        self._hint: Hint | None = None
+        self._votes: deque[Vote] = deque(maxlen=MOST)
+        self._consensus: Consensus | None = None
         """Its heading is less what odometry has turned by."""
 
     def odometry(self, t: float, v: float, omega: float) -> None:
@@ -90,35 +90,35 @@ class Hints:
         while len(self._twists) > 1 and self._twists[1].t <= t - LATE_S:
             self._twists.popleft()
 
-    def guessed(self, t: float, seen: Comparison) -> None:
+    def add(self, t: float, seen: Comparison) -> None:
         """Take what was guessed of a picture of stamp `t` [s] that was not recognised.
 
         It may be late by `LATE_S`: of longer ago it is not known how far the robot had turned.
         """
         motion, agrees = seen.motion, seen.agrees
         way, turned = self._gone_at(t).tolist()
-        too_near = way < self._guessed_at + ANOTHER_PLACE_M
+        too_near = way < self._voted_at + ANOTHER_PLACE_M
         if motion is None or too_near or agrees.sum() < FEWEST_MATCHES:
             return
-        self._guessed_at = way
+        self._voted_at = way
         angles = np.array([motion.theta, motion.alpha - turned])
-        self._guesses.append(Guess(angles, seen.pairs.home[agrees]))
-        self._hint = self._agreed(t) or self._hint
+        self._votes.append(Vote(angles, seen.pairs.home[agrees]))
+        self._consensus = self._agreed(t) or self._consensus
 
     def forget(self) -> None:
         """Forget it all: now it is known."""
-        self._guesses.clear()
-        self._hint = None
+        self._votes.clear()
+        self._consensus = None
 
-    def at(self, t: float) -> Hint | None:
+    def at(self, t: float) -> Consensus | None:
         """Return the hint there is at `t` [s], its heading turned on by odometry."""
-        if self._hint is None:
+        if self._consensus is None:
             return None
-        t, there = max(self._hint.t, t), self._hint.direction
-        if t - self._hint.t > HOLD_HINT_S:
+        t, there = max(self._consensus.t, t), self._consensus.direction
+        if t - self._consensus.t > HOLD_VOTES_S:
             return None
         alpha = float(wrap(there.alpha + self._gone_at(t)[1]))
-        return replace(self._hint, direction=replace(there, alpha=alpha))
+        return replace(self._consensus, direction=replace(there, alpha=alpha))
 
     def _gone_at(self, t: float) -> np.ndarray:
         """Return way and turn by odometry up to `t` [s], (2,) [m, rad]."""
@@ -128,16 +128,16 @@ class Hints:
         rates = np.array([abs(held.v), held.omega])
         return held.gone + rates * min(max(t - held.t, 0.0), HOLD_S)
 
-    def _agreed(self, t: float) -> Hint | None:
+    def _agreed(self, t: float) -> Consensus | None:
         """Return what guesses like the newest say; None if these are too few, or of one thing."""
-        guessed = np.array([guess.angles for guess in self._guesses])
+        guessed = np.array([guess.angles for guess in self._votes])
         off = wrap(guessed - guessed[-1])
         alike = np.flatnonzero((np.abs(off) < ALIKE).all(axis=1))
         if alike.size < FEWEST_ALIKE:
             return None
-        azimuth, elevation = np.vstack([self._guesses[i].matched for i in alike]).T
-        if lacking(azimuth, elevation=elevation):
+        azimuth, elevation = np.vstack([self._votes[i].matched for i in alike]).T
+        if too_narrow(azimuth, elevation=elevation):
             return None
         theta, alpha = wrap(guessed[-1] + off[alike].mean(axis=0)).tolist()
         covariance = np.cov(off[alike].T) + LEAST_SIGMA**2 * np.eye(2)
-        return Hint(t, Direction(theta, alpha, covariance), alike.size)
+        return Consensus(t, Direction(theta, alpha, covariance), alike.size)

@@ -30,17 +30,17 @@ class Fix:
     pose: Pose
     covariance: np.ndarray
     """(3, 3), of x [m], y [m], heading [rad]."""
-    whole: bool
+    tells_distance: bool
     """Whether it tells the distance from home, too."""
     sure: bool
     """Whether enough landmarks agree with it."""
-    against: bool
+    contradicted: bool
     """Whether the map contradicts home's picture."""
     reason: str
     """In words."""
 
 
-def joined(before: Fix | None, fix: Fix) -> Fix:
+def fused(before: Fix | None, fix: Fix) -> Fix:
     """Return a fix joined with the one before, carried to the same time; sure ones alone are."""
     if before is None or not (before.sure and fix.sure):
         return fix

@@ -30,7 +30,7 @@ BESIDE, ALIKE = 0.2, 0.2
 is wrong by, are the same but for this share."""
 
 
-class Witness:
+class MovedLandmarkFilter:
     """Remembers how landmarks were seen, and withholds a verdict that a wrong match explains."""
 
     def __init__(self) -> None:
@@ -40,18 +40,18 @@ class Witness:
         self._together: Counter[str] = Counter()
         """In how many frames each one was on a thing that seemed to have been moved."""
 
-    def frame(self, names: Iterable[str]) -> None:
+    def add_frame(self, names: Iterable[str]) -> None:
         """Take the landmarks that one frame showed."""
         for name in names:
             times, first = self._seen.get(name, (0, self._frames))
             self._seen[name] = times + 1, first
         self._frames += 1
 
-    def home(self, seen: Comparison) -> None:
+    def add_comparison(self, seen: Comparison) -> None:
         """Take how a frame compares with home's picture."""
         self._together.update(home_name(row) for row in seen.home_row[seen.moved].tolist())
 
-    def reconsidered(self, landmarks: list[LandmarkEstimate]) -> list[LandmarkEstimate]:
+    def filtered(self, landmarks: list[LandmarkEstimate]) -> list[LandmarkEstimate]:
         """Return landmarks of which none is called moved that may be a wrong match."""
         called = [m for m in landmarks if m.moved]
         sure = [m for m in called if self._lasts(m) or self._is_of_a_thing(m)]

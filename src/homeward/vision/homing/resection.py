@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.vision.geometry.jackknife import WINDOW, kept
+from homeward.vision.geometry.jackknife import WINDOW, leave_windows_out
 
 DISTANCES = 60
 """Places tried along the direction from home."""
@@ -40,7 +40,7 @@ LEAST_NEAR = 0.05
 
 
 @dataclass(frozen=True)
-class Anchors:
+class HomeLandmarks:
     """Landmarks on home's sight lines, and where they are seen now. All arrays have n rows."""
 
     home: np.ndarray
@@ -61,8 +61,8 @@ class Anchors:
     def __len__(self) -> int:
         return self.home.size
 
-    def __getitem__(self, rows: np.ndarray) -> Anchors:
-        return Anchors(*(getattr(self, part.name)[rows] for part in fields(self)))
+    def __getitem__(self, rows: np.ndarray) -> HomeLandmarks:
+        return HomeLandmarks(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Resection:
     """(n,) bool, which landmarks agree with that."""
 
 
-def resect(anchors: Anchors, seen: Direction, tilt: np.ndarray) -> Resection | None:
+def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resection | None:
     """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
 
     The latter holds direction and heading where the map is poor; near home it fades away by its
@@ -96,7 +96,7 @@ def resect(anchors: Anchors, seen: Direction, tilt: np.ndarray) -> Resection | N
 
     Parameters
     ----------
-    anchors : Anchors
+    anchors : HomeLandmarks
         The landmarks.
     seen : Direction
         What the two pictures alone tell.
@@ -145,7 +145,9 @@ class _Fit:
     tell: of a distance that is guessed nobody knows how likely it is."""
 
 
-def _fit(anchors: Anchors, seen: Direction, upright: np.ndarray, x: np.ndarray) -> _Fit | None:
+def _fit(
+    anchors: HomeLandmarks, seen: Direction, upright: np.ndarray, x: np.ndarray
+) -> _Fit | None:
     """Fit a pose that begins at `x`, (5,); None where the landmarks do not fix one.
 
     `upright`, (2, 2), is the information that no roll or pitch is left.
@@ -186,14 +188,14 @@ def _weight(squares: np.ndarray) -> np.ndarray:
     return np.asarray((1.0 + squares / HEAVY**2) ** -2)
 
 
-def _covariance(anchors: Anchors, fit: _Fit) -> np.ndarray:
+def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:
     """Return the covariance (3, 3) of a pose.
 
     What leaving out any one direction would change, one step of the fit, says how far landmarks of
     one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
     factor of the distance from home.
     """
-    left_out = ~kept(anchors.home, np.ones(len(anchors), bool))
+    left_out = ~leave_windows_out(anchors.home, np.ones(len(anchors), bool))
     weight, jacobian = fit.weight, fit.jacobian
     rest = fit.information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
     slope = -np.einsum("wn,n,ni->wi", left_out, weight * fit.residual, jacobian)
@@ -217,7 +219,7 @@ def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray
     return across, np.linalg.inv(lever @ seen.covariance @ lever)
 
 
-def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
+def _begin(anchors: HomeLandmarks, seen: Direction) -> np.ndarray:
     """Return the best of some places in a direction from home, as of `_Fit.x`."""
     furthest = REACH * float(np.median(anchors.distance))
     R = np.linspace(0.0, furthest, DISTANCES)
@@ -229,7 +231,7 @@ def _begin(anchors: Anchors, seen: Direction) -> np.ndarray:
     return np.asarray(places[np.argmin(costs)])
 
 
-def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _predict(anchors: HomeLandmarks, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals [rad], derivatives and variances of bearings from `x`.
 
     Of shapes (n,), (n, 5) and (n,); derivatives are those of the predicted bearings.
@@ -239,7 +241,9 @@ def _predict(anchors: Anchors, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return residual, jacobian, variance
 
 
-def _sighted(anchors: Anchors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sighted(
+    anchors: HomeLandmarks, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals (m, n) [rad] of bearings from places (m, 5), and their variances.
 
     And the derivatives of the predicted bearings by the place, (m, n, 2) [rad/m].

@@ -47,10 +47,10 @@ from homeward.frames import (
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
-from homeward.vision.homing.direction_voting import Hints
-from homeward.vision.homing.fix import Fix, joined
-from homeward.vision.homing.moved_landmark_filter import Witness
-from homeward.vision.homing.resection import Anchors, Direction, resect
+from homeward.vision.homing.direction_voting import DirectionVoting
+from homeward.vision.homing.fix import Fix, fused
+from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
+from homeward.vision.homing.resection import Direction, HomeLandmarks, resect
 
 FEWEST_ANCHORS = 6
 """Landmarks of home, seen again, that a pose needs ..."""
@@ -73,7 +73,7 @@ NEAR_HOME, REFUSALS = 0.3, 3
 """So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
 
 
-class HomeSight:
+class VisualHoming:
     """Another estimator with an eye on home's picture, itself an `Estimator`.
 
     Parameters
@@ -97,7 +97,11 @@ class HomeSight:
         """The newest stamp of a picture [s]."""
         self._refused = 0
         """How often in a row home's picture was not recognised."""
-        self._witness, self._hints, self._clock = Witness(), Hints(), Clock()
+        self._moved_filter, self._votes, self._clock = (
+            MovedLandmarkFilter(),
+            DirectionVoting(),
+            Clock(),
+        )
 
     @property
     def counts(self) -> Counts:
@@ -118,7 +122,7 @@ class HomeSight:
             return
         if self._twists and t < self._twists[-1][0]:
             return
-        self._hints.odometry(t, v, omega)
+        self._votes.odometry(t, v, omega)
         self._twists.append((t, v, omega))
         self._forget_twists()
 
@@ -127,7 +131,7 @@ class HomeSight:
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
         """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
-        self._witness.frame(sightings)
+        self._moved_filter.add_frame(sightings)
         innovations = self._inner.bearings(t, sightings, sigmas).innovations
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
@@ -148,13 +152,13 @@ class HomeSight:
         self._pictured = t
         self._refused = 0 if seen.accepted else self._refused + 1
         if not seen.accepted:
-            self._hints.guessed(t, seen)
+            self._votes.add(t, seen)
             return
-        self._hints.forget()
-        self._witness.home(seen)
+        self._votes.forget()
+        self._moved_filter.add_comparison(seen)
         fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
         if fix is not None:
-            self._fix = joined(self._carried(t), fix)
+            self._fix = fused(self._carried(t), fix)
             self._forget_twists()
 
     @guarded
@@ -162,18 +166,18 @@ class HomeSight:
         """Predict to `t` [s], not before the last sample, and change nothing."""
         mapped, at = self._inner.estimate(t), self._clock.peek(t)
         fix = self._carried(at)
-        if fix is None or not (fix.whole or fix.against or not agree(mapped, fix)):
+        if fix is None or not (fix.tells_distance or fix.contradicted or not agree(mapped, fix)):
             return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
         return self._answer(mapped, fix)
 
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
-        return self._witness.reconsidered(self._inner.landmarks())
+        return self._moved_filter.filtered(self._inner.landmarks())
 
     def _hinted(self, mapped: Estimate, t: float) -> Estimate:
         """Return what refused pictures say together; what the map says where they say nothing."""
-        hint = self._hints.at(t)
+        hint = self._votes.at(t)
         if hint is None:
             return mapped
         words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
@@ -219,7 +223,7 @@ class HomeSight:
         words = "home's picture tells the direction home, not how far it is"
         return Fix(t, *self._of_robot(*there), False, False, False, words)
 
-    def _anchors(self, seen: Comparison) -> Anchors:
+    def _anchors(self, seen: Comparison) -> HomeLandmarks:
         """Return home's landmarks that are seen now."""
         pairs, rows = seen.pairs[seen.agrees], seen.home_row[seen.agrees]
         known = {m.landmark: m for m in self._inner.landmarks() if m.moved is False}
@@ -235,7 +239,7 @@ class HomeSight:
             distance[~mapped] = np.median(distance[mapped])
             sigma[~mapped] = GUESSED * distance[~mapped]
         now, lean = seen.tilt.level(pairs.now)
-        return Anchors(pairs.home[:, 0], now, pairs.sigma, distance, sigma, mapped, lean)
+        return HomeLandmarks(pairs.home[:, 0], now, pairs.sigma, distance, sigma, mapped, lean)
 
     def _mounts(self) -> tuple[Pose, Pose]:
         """Return the camera on the robot, at home and now: as told, or as was found out."""
@@ -260,7 +264,7 @@ class HomeSight:
         if fix is None:
             return None
         t = max(fix.t, t)
-        if t - fix.t > (POSE_HOLD_S if fix.whole else DIRECTION_HOLD_S):
+        if t - fix.t > (POSE_HOLD_S if fix.tells_distance else DIRECTION_HOLD_S):
             return None
         if not self._twists:
             return fix

@@ -27,7 +27,7 @@ from homeward.engine.native.cache import Cache, default_folder, key_of
 from homeward.engine.native.compiler import find_compiler, processor
 from homeward.vision.comparison import Comparison
 from homeward.vision.compiled import compiled
-from homeward.vision.geometry.a_contrario import Verdict
+from homeward.vision.geometry.a_contrario import Acceptance
 from homeward.vision.geometry.epipolar import Motion, Pairs
 from homeward.vision.opencv import opencv
 from homeward.vision.recorded.settings import ImageSettings
@@ -52,7 +52,7 @@ class Found:
     remarks: dict[str, int]
 
 
-def found_once(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
+def cached(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
     """Return what was kept under a stamp, else what is found now, to the last bit the same.
 
     Parameters
@@ -79,7 +79,7 @@ def found_once(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
     return _unpacked(packed)
 
 
-def stamp_of(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.ndarray) -> str:
+def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.ndarray) -> str:
     """Return the stamp of all that decides what is found in pictures.
 
     Parameters
@@ -154,8 +154,8 @@ def _packed(found: Found) -> dict[str, np.ndarray]:
         "remark_words": np.array(list(found.remarks), str),
         "tried": np.array([picture is not None for picture in found.pictures], bool),
         "accepted": np.array([picture.accepted for picture in seen], bool),
-        "reasons": np.array([picture.verdict.reason for picture in seen], str),
-        "alarms": np.array([picture.verdict.log_false_alarms for picture in seen], float),
+        "reasons": np.array([picture.acceptance.reason for picture in seen], str),
+        "alarms": np.array([picture.acceptance.log_false_alarms for picture in seen], float),
         "moving": np.array([picture.motion is not None for picture in seen], bool),
         "motions": np.array(motions, float).reshape(-1, len(Motion._fields)),
         **{name: np.array([getattr(p, name) for p in seen], float) for name in OF_PICTURES},
@@ -189,7 +189,7 @@ def _comparisons(kept: dict[str, np.ndarray]) -> list[Comparison]:
     each = zip(*plain, *(kept[name] for name in OF_PICTURES), parts, strict=True)
     return [
         Comparison(
-            verdict=Verdict(accepted, reason, alarms),
+            acceptance=Acceptance(accepted, reason, alarms),
             pairs=Pairs(own.pop("table")),
             motion=Motion(*motion) if moving else None,
             covariance=spread.copy(),

@@ -14,9 +14,9 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Estimator, guarded
 from homeward.frames import Pose, bearing
 from homeward.vision.comparison import LARGEST_DIRECTION_SIGMA, Comparison
-from homeward.vision.homing.contradiction import Doubt, doubted, outlasting, remembered
+from homeward.vision.homing.contradiction import Contradiction, contradiction, unanswered, unexpired
 from homeward.vision.homing.fix import Fix
-from homeward.vision.homing.visual_homing import HomeSight
+from homeward.vision.homing.visual_homing import VisualHoming
 
 WAYS = (
     "ahead",
@@ -32,7 +32,7 @@ WAYS = (
 
 
 @dataclass(frozen=True)
-class SeenDrive(Drive):
+class ImageDrive(Drive):
     """A drive whose bearings were found in pictures."""
 
     pictures: tuple[tuple[float, Comparison | None], ...] = ()
@@ -40,8 +40,8 @@ class SeenDrive(Drive):
     tried. A comparison holds some 200 bytes a match, and nothing of the pictures themselves."""
 
 
-class RecordedSight(HomeSight):
-    """`HomeSight` on a recorded drive: each picture counts when its time has come.
+class RecordedVisualHoming(VisualHoming):
+    """`VisualHoming` on a recorded drive: each picture counts when its time has come.
 
     Nobody drives by its answers, which are kept. So a direction home without a distance is told in
     words, not as a pose. Where map and picture contradict each other the surer one is told; where
@@ -51,15 +51,15 @@ class RecordedSight(HomeSight):
     ----------
     estimator : Estimator
         Maps the landmarks.
-    drive : SeenDrive
+    drive : ImageDrive
         What it will run on; of it, only pictures whose stamps have passed are looked at.
     """
 
-    def __init__(self, estimator: Estimator, drive: SeenDrive) -> None:
+    def __init__(self, estimator: Estimator, drive: ImageDrive) -> None:
         super().__init__(estimator, **drive.settings.robot)
         self._note = _note(drive)
         self._coming = deque(drive.pictures)
-        self._doubt: Doubt | None = None
+        self._doubt: Contradiction | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -86,8 +86,8 @@ class RecordedSight(HomeSight):
         super().home(t, seen)
         fix = self._fix
         if fix is not None and fix is not before:
-            now = doubted(self._inner.estimate(t), fix, _words(fix))
-            self._doubt = now or outlasting(self._doubt, fix)
+            now = contradiction(self._inner.estimate(t), fix, _words(fix))
+            self._doubt = now or unanswered(self._doubt, fix)
 
     def _look_before(self, t: float) -> None:
         """Take the pictures before `t` [s] that were not yet taken."""
@@ -96,7 +96,7 @@ class RecordedSight(HomeSight):
 
     def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
         """Return a fix that tells the distance, too, unless a surer map contradicts it."""
-        doubt = doubted(mapped, fix, _words(fix))
+        doubt = contradiction(mapped, fix, _words(fix))
         if fix.sure and (doubt is None or _off(fix.covariance) < _off(mapped.covariance)):
             return super()._answer(mapped, fix)
         if doubt is not None:
@@ -106,7 +106,7 @@ class RecordedSight(HomeSight):
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture said otherwise, or is not seen."""
         said = super()._unless_refused(mapped)
-        doubt = remembered(self._doubt, self._clock.peek(mapped.t))
+        doubt = unexpired(self._doubt, self._clock.peek(mapped.t))
         return said if doubt is None else doubt.cast_on(said)
 
 
@@ -146,7 +146,7 @@ def _off(covariance: np.ndarray | None) -> float:
     return math.inf if covariance is None else float(covariance[0, 0] + covariance[1, 1])
 
 
-def _note(drive: SeenDrive) -> str:
+def _note(drive: ImageDrive) -> str:
     """Say that home's picture was used."""
     known = sum(seen is not None and seen.accepted for _, seen in drive.pictures)
     return f"Home's picture was used, too: {known:,} of {len(drive.pictures):,} pictures show it."

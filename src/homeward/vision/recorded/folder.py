@@ -26,14 +26,14 @@ from homeward.errors import InputError
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.checks.camera_settings import doubts
+from homeward.vision.checks.camera_settings import better_settings
 from homeward.vision.checks.seam import require_panoramas
-from homeward.vision.checks.self_occlusion import TurningAlong, TurnsAlong
+from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDetector
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import read_view
-from homeward.vision.front_end import FrontEnd, Glance
-from homeward.vision.recorded.cache import Found, found_once, stamp_of
-from homeward.vision.recorded.estimator import SeenDrive
+from homeward.vision.front_end import FrameBearings, FrontEnd
+from homeward.vision.recorded.cache import Found, cache_key, cached
+from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 
 IMAGE_SETTINGS = "images.yaml"
@@ -54,7 +54,7 @@ def see_folder(
     progress: Callable[[float], None] | None = None,
     ready: Callable[[], None] | None = None,
     force: bool = False,
-) -> SeenDrive:
+) -> ImageDrive:
     """Turn an image folder into a drive.
 
     Parameters
@@ -71,7 +71,7 @@ def see_folder(
 
     Returns
     -------
-    SeenDrive
+    ImageDrive
         Landmarks seen at home are called h and a number, others k and a number. Its remarks count
         images that were like nothing seen before, what was left out, and matches that turn with the
         camera, as what belongs to the robot does.
@@ -106,13 +106,13 @@ def see_folder(
         ready()
     front_end = FrontEnd(home, settings.camera, settings.landmarks)
     headings = dead_reckoning(odometry, images.t).heading
-    found = found_once(
-        lambda: stamp_of([place, *images.files], settings, images.t, headings),
+    found = cached(
+        lambda: cache_key([place, *images.files], settings, images.t, headings),
         lambda: _found(picture, front_end, images, headings, progress),
     )
     if progress is not None:
         progress(1.0)
-    return SeenDrive(
+    return ImageDrive(
         name=folder.resolve().name,
         odometry=odometry,
         sightings=found.sightings,
@@ -199,7 +199,7 @@ def _settings_doubts(
     for file, seen in like or [tried[k] for k in some]:
         picture, view = read_view(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
-        if words := doubts(seen, (home, picture), views, front_end.camera):
+        if words := better_settings(seen, (home, picture), views, front_end.camera):
             return {f"pair of pictures was looked at closely, home and {file.name}: {words}": 1}
     return {}
 
@@ -209,9 +209,9 @@ def _look_at_all(
     files: list[Path],
     headings: np.ndarray,
     progress: Callable[[float], None] | None,
-) -> tuple[list[Glance], TurnsAlong | None]:
+) -> tuple[list[FrameBearings], SelfOcclusion | None]:
     """Return what each image shows, and what turned with the camera; headings are by odometry."""
-    glances, along = [], TurningAlong()
+    glances, along = [], SelfOcclusionDetector()
     for k, (file, heading) in enumerate(zip(files, headings.tolist(), strict=True)):
         _, view = read_view(file, front_end.camera, like=front_end.home)
         glances.append(front_end.take(view))
@@ -221,7 +221,7 @@ def _look_at_all(
     return glances, along.found
 
 
-def _sightings(t: np.ndarray, glances: list[Glance], remarks: dict[str, int]) -> Sightings:
+def _sightings(t: np.ndarray, glances: list[FrameBearings], remarks: dict[str, int]) -> Sightings:
     """Put the sightings of all frames together, without landmarks that were seen too rarely."""
     times = Counter(name for glance in glances for name in glance.bearings)
     rows = [

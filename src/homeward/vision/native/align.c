@@ -10,7 +10,7 @@ typedef struct {
   const int64_t (*levels)[3];
   double times, width, margin;
   long count;
-} Picture;
+} Pyramid;
 
 /* One level of it: `scale` times as large as the panorama. */
 typedef struct {
@@ -26,12 +26,12 @@ typedef struct {
   const Block *root;
 } Grid;
 
-static Picture picture_of(long count, const int64_t *levels, const double *layout) {
-  return (Picture){(const int64_t(*)[3])levels, layout[0], layout[1], layout[2], count};
+static Pyramid pyramid_of(long count, const int64_t *levels, const double *layout) {
+  return (Pyramid){(const int64_t(*)[3])levels, layout[0], layout[1], layout[2], count};
 }
 
 /* The level on which points that are `spacing` apart are looked up. */
-static Level level_of(const Picture *p, double spacing) {
+static Level level_of(const Pyramid *p, double spacing) {
   const long k = (long)clipped(rint(log2(spacing * p->times)), 0.0, (double)(p->count - 1));
   const double part = 1.0 / (double)(1L << k), scale = p->times * part;
   const double left = 0.5 * scale - (0.5 - p->margin) * part, top = 0.5 * scale - 0.5 * part;
@@ -40,7 +40,7 @@ static Level level_of(const Picture *p, double spacing) {
 }
 
 /* Whether a row has fewer than the two values that are fetched together. */
-static int is_narrow(const Picture *p) { return p->levels[p->count - 1][2] < 2; }
+static int is_narrow(const Pyramid *p) { return p->levels[p->count - 1][2] < 2; }
 
 static float sum(Block block) {
   float lanes[LANES];
@@ -135,7 +135,7 @@ static float normalise(const Grid *grid, Block *grey) {
 }
 
 /* The patch about a place at home, and how it changes with the map, (SHAPES, blocks). */
-static void template_of(const Picture *home, const Grid *grid, const double *at, double radius,
+static void template_of(const Pyramid *home, const Grid *grid, const double *at, double radius,
                         double half, Block *patch, Block *slopes) {
   const long n = grid->blocks;
   const double spacing = radius / half;
@@ -213,7 +213,7 @@ static void undo(const double *step, double least, double *map) {
  * `carried` (n, 2, 3) begin as features say, with radius `reach` (n), and end where the patches
  * agree best. Also returned: how alike they then are, and the covariance (n, 2, 2) of the places for
  * noise of one grey value. 1 if some matrix is not positive definite or a picture too narrow. */
-int lay(long n, long points, long steps, const double *limits, const double *prior,
+int align(long n, long points, long steps, const double *limits, const double *prior,
         const float *grids, long home_count, const int64_t *home_levels, const double *home_layout,
         long now_count, const int64_t *now_levels, const double *now_layout, const double *at,
         const double *radius, const double *reach, double *carried, double *likeness,
@@ -223,8 +223,8 @@ int lay(long n, long points, long steps, const double *limits, const double *pri
   Block kept[3 * blocks], patch[blocks], laid[blocks], slopes[SHAPES * blocks];
   memcpy(kept, grids, sizeof kept); /* for they may stand anywhere */
   const Grid grid = {blocks, (float *)kept, (float *)(kept + blocks), kept + 2 * blocks};
-  const Picture home = picture_of(home_count, home_levels, home_layout);
-  const Picture now = picture_of(now_count, now_levels, now_layout);
+  const Pyramid home = pyramid_of(home_count, home_levels, home_layout);
+  const Pyramid now = pyramid_of(now_count, now_levels, now_layout);
   double root[SHAPES][SHAPES];
   if (points % LANES || is_narrow(&home) || is_narrow(&now)) return 1;
   for (long m = 0; m < n; m++) {

@@ -199,7 +199,7 @@ static void equations(const Pose *p, long n, const double *table, const double *
 /* Fit m motions (m, UNKNOWNS), each to n matches that count for `counts` (m, n), by as many steps
  * as there are `looseness`. 1 if the table has other columns, n is no multiple of WIDE or a system
  * has no solution: motions are of no use then. */
-int descend(long m, long n, long columns, long steps, double *motions, const double *table,
+int irls(long m, long n, long columns, long steps, double *motions, const double *table,
             const double *counts, const double *looseness, const double *prior, double scale,
             double longest, const double *limits) {
   if (columns != COLUMNS || n % WIDE) return 1;
