@@ -204,7 +204,7 @@ def test_a_pose_from_home_s_picture_gives_way_to_the_map_when_home_is_out_of_sig
 
 def test_counts_are_those_that_the_map_has_now():
     inner = Map(scene())
-    sight = HomeSight(inner)
+    sight = VisualHoming(inner)
     inner.counts = Counts(used=3)  # as where another map proved right
     assert sight.counts == Counts(used=3)
 

@@ -1,4 +1,4 @@
-"""Two panoramas in, heading change and direction home out."""
+"""Comparison of two panoramas: relative heading and direction, with covariance."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ from homeward.vision.geometry.single_object import covariance_factor, dominant_o
 from homeward.vision.geometry.tilt import Tilt
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)
-"""With a larger one [rad] the direction counts as not known ..."""
+"""The direction is known where its standard deviation is smaller than this [rad]."""
 LEAST_PARALLAX = 5.0
-"""... and with less parallax [1]: two images from one place have up to three, by noise."""
+"""Two places differ where the squared parallax is larger than this, in multiples of what noise
+gives: two images from one place have up to 3."""
 ALONE = 0.1
-"""What the covariance of matches alone counts, beside that of all that was found, as was found on
-rendered rooms: the first is too large for what all say, the second at times far too small."""
+"""Weight of the covariance of matches alone, beside that of all measurements. Measured on rendered
+rooms: the first is too large, the second at times far too small."""
 SHARP = 1.0
-"""Scale of the robust loss in the end, once much has been found: then the best speak [standard
-deviations]."""
+"""Scale of the robust loss in the last fit, to many measurements [standard deviations]."""
 LARGEST_TURN = 0.6
-"""A feature may be turned in the image by this much [rad]."""
+"""Largest turn of a feature in the image [rad]: cameras are nearly upright."""
 FORGIVING_RATIO = 0.9
-"""Of distances to the nearest and the second, once only a part of the panorama is searched."""
+"""Lowe's ratio where only a part of the panorama is searched."""
 MOST_ASKED = 100
-"""Of matches that agree, so many at most are asked whether they show what repeats itself."""
+"""So many inliers at most are tested for self-similarity."""
 CONFIRMED = 0.1
-"""What is found there is believed where its heading is the guessed one to within this [rad]: a
-tiled floor has some motion for any guess."""
+"""Largest change of the heading by the second pass [rad]: a tiled floor fits some motion for any
+guess."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two panoramas say of where the second camera stands, seen from the first (home).
+    """Relative pose of two panoramas but for the distance, the first being home's.
 
     Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
     """
 
     acceptance: Acceptance
     pairs: Pairs
-    """All matches: where home saw a landmark, and where its patch lies now."""
+    """All matches: directions at home, and of their patches now."""
     home_row: np.ndarray
     """(n,): the feature of the home view of each match."""
     now_row: np.ndarray
@@ -62,11 +62,11 @@ class Comparison:
     place: np.ndarray
     """(n, 2): column and row of home's patches now [px]."""
     agrees: np.ndarray
-    """(n,) bool: matches that fit the motion."""
+    """(n,) bool: inliers."""
     moved: np.ndarray
-    """(n,) bool: matches that do not, but agree with each other: on things that were moved."""
+    """(n,) bool: outliers that agree with each other, on objects that were moved."""
     motion: Motion | None
-    """None when not even a guess could be made; not to be used unless `accepted`."""
+    """None where none was found; a guess unless `accepted`."""
     covariance: np.ndarray
     """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
     tilt_covariance: np.ndarray
@@ -76,12 +76,12 @@ class Comparison:
 
     @property
     def accepted(self) -> bool:
-        """Whether the motion stands on more than chance."""
+        """Whether the motion was accepted."""
         return self.acceptance.accepted
 
     @property
     def tilt(self) -> Tilt:
-        """How the camera was tilted against home's; where no motion was found, not at all."""
+        """Tilt of the camera against home's; none where no motion was found."""
         return Tilt.of(self.motion or Motion(0.0, 0.0), self.tilt_covariance)
 
     @property
@@ -106,12 +106,12 @@ class Comparison:
 
     @property
     def knows_direction(self) -> bool:
-        """Whether the direction is known, not only the heading: too near to home, it is not."""
+        """Whether the direction is known, and not only the heading, as near home."""
         return self.shows_parallax and self.homewards_sigma < LARGEST_DIRECTION_SIGMA
 
     @property
     def shows_parallax(self) -> bool:
-        """Whether they were taken from two places; if so, which way may be unknown all the same."""
+        """Whether the two places differ; in which direction may be unknown all the same."""
         return self.accepted and self.parallax > LEAST_PARALLAX
 
     @property
@@ -127,15 +127,15 @@ class Comparison:
 
 
 def compare(home: View, now: View, camera: Panorama) -> Comparison:
-    """Compare two views.
+    """Compare two views; in a second pass, where the first leaves the answer open.
 
-    A second time, where the first leaves the answer open: with the heading that it guessed, each
-    feature is looked for only where it can lie, so that fewer others look like it.
+    The second pass matches each feature only where it can lie by the heading of the first, so that
+    fewer others look like it.
 
     Parameters
     ----------
     home, now : View
-        From `homeward.vision.features.detection.look`.
+        From `look`.
     camera : Panorama
         That took both.
 
@@ -157,7 +157,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
 def compare_once(
     home: View, now: View, camera: Panorama, heading: float | None = None
 ) -> Comparison:
-    """Compare two views, of which the heading now may be known to within `WITHIN` [rad]."""
+    """Compare two views in one pass; `heading` [rad] is that of now, where one is given."""
     rows, pairs, laid, quality = _paired(home, now, camera, heading)
     i, j = rows.T
     fit = estimate_motion(pairs, quality, camera.tilt_sigma)
@@ -171,7 +171,7 @@ def compare_once(
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
-            # What lies beside may have led to another motion, on which matches agree less.
+            # Propagated matches may have led to another motion, with fewer inliers.
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
             acceptance = acceptance.reassessed(fit.inlier, pairs)
             acceptance = _asked(acceptance, fit, pairs, home, i, camera, heading)
@@ -207,7 +207,7 @@ def _asked(
     camera: Panorama,
     heading: float | None,
 ) -> Acceptance:
-    """Return the verdict on a fit whose matches were asked whether they show what repeats itself.
+    """Return the acceptance of a fit after some of its inliers were tested for self-similarity.
 
     `rows`, (n,), are the features of home that were matched.
     """
@@ -221,11 +221,10 @@ def _asked(
 def _paired(
     home: View, now: View, camera: Panorama, heading: float | None
 ) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
-    """Return the features that look alike, (n, 2) rows, their directions, places and qualities.
+    """Match features: return rows, (n, 2), directions, aligned patches and qualities.
 
-    Features that turned in the image are left out, since cameras are nearly upright; so are
-    further ones at the same two places, and those whose surroundings do not look alike when laid
-    one upon the other.
+    Left out are features that turned in the image, further ones at the same two places, and those
+    whose patches do not align.
     """
     if heading is None:
         rows, quality = match(home.descriptor, now.descriptor)
@@ -265,11 +264,11 @@ def _pairs(
 
 
 def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
-    """Fit the motion to what lies beside the matches, too; return also its covariance, (4, 4).
+    """Fit the motion to matches and propagated ones; return it with its covariance, (4, 4).
 
-    What lies beside errs with the match by which it was found: the covariance of matches alone has
-    a say, too, and theirs is the parallax. Where they tell no direction, another motion may be the
-    right one, of which what was found after them knows nothing: then they have the only say.
+    Propagated matches err with those they came from: so the covariance of matches alone is blended
+    in, and the parallax is theirs. Where matches alone do not know the direction, another motion
+    may be right, of which the propagated ones know nothing: then the covariance is that of matches.
     """
     alone, everything = jackknife_covariance(fit, pairs, camera.tilt_sigma), pairs + beside
     forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)

@@ -1,7 +1,7 @@
-"""The front-end's innermost loops in C, where there is a compiler; NumPy does the same without.
+"""The innermost loops in C, where there is a compiler; NumPy does the same without.
 
-As in `homeward.localizer.compiled`: what has a counterpart in ``native/*.c`` asks `compiled` for
-it, and else goes on by itself; tests hold the two together.
+What has a counterpart in ``native/*.c`` asks `compiled` for it, and else goes on by itself; tests
+hold the two together.
 """
 
 from __future__ import annotations

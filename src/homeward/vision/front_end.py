@@ -1,9 +1,8 @@
-"""The camera front-end, frame by frame: a panorama in, bearings of landmarks out.
+"""Front-end: data association along keyframes, from panoramas to bearings of named landmarks.
 
-Each frame is compared with home and with the last keyframe; features that agree keep the landmark
-of the one they match. When too little of a keyframe is left in sight, the frame becomes the next
-one: identities are handed on along the chain, so that what was seen from home keeps its name where
-home itself is out of sight.
+Each frame is compared with home and with the last keyframe; inliers take over the landmark of the
+feature they match. Where too little of a keyframe is left in sight, the frame becomes the next one.
+So landmarks that home saw keep their names where home itself is out of sight.
 """
 
 from __future__ import annotations
@@ -20,45 +19,45 @@ from homeward.vision.features.detection import View, look
 from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
-"""A keyframe serves while this share of what its first successor shared with it agrees."""
+"""A keyframe is replaced when fewer than this share of the most inliers it had are left."""
 FEWEST_SHARED = 25
-"""And at least so many features."""
+"""A keyframe is replaced when it has fewer inliers than this."""
 LOST_FRAMES = 3
-"""After so many frames that fit nothing, the chain begins anew."""
+"""After so many frames that match nothing, a new chain of keyframes begins."""
 HOME_EVERY = 2
-"""Where home is out of sight, it is looked for in every so-manieth frame."""
+"""Where home is out of sight, every n-th frame is compared with it."""
 MOST_KEYFRAMES = 200
-"""Older ones, but for home, are forgotten."""
+"""So many keyframes are kept at most; the oldest but home is dropped."""
 PROVEN = 5
-"""A landmark is passed on from its so-manieth frame: those that come and go only confuse."""
-NOBODY = -1
+"""A landmark is passed on from its n-th frame."""
+NO_LANDMARK = -1
 
 
 @dataclass
 class Keyframe:
-    """A view whose features have landmarks."""
+    """A view whose features are landmarks."""
 
     view: View
     landmark: np.ndarray
-    """(n,) int: number of each feature's landmark; `NOBODY` where it has none yet."""
+    """(n,) int: number of each feature's landmark, or `NO_LANDMARK`."""
     tilt: Tilt = AS_HOME
     """Against home's picture."""
     shared: int = 0
-    """The most features that a later frame shared with it."""
+    """The most inliers that a later frame had with it."""
 
 
 @dataclass(frozen=True)
 class FrameBearings:
-    """What one frame showed."""
+    """Bearings of landmarks in one frame."""
 
     bearings: dict[str, float]
-    """Landmark to bearing from the camera's axis [rad], were the camera as level as at home."""
+    """Landmark to bearing from the axis of a camera as level as home's [rad]."""
     sigmas: dict[str, float]
     """[rad]"""
     home: Comparison | None
     """With home; None when it was not tried."""
     reason: str
-    """What the frame was found to be like, in words."""
+    """Which picture it matches, in words."""
 
 
 def home_name(row: int) -> str:
@@ -68,7 +67,7 @@ def home_name(row: int) -> str:
 
 @dataclass
 class FrontEnd:
-    """Panoramas of one drive to bearings of landmarks.
+    """Turns the panoramas of one drive into bearings of landmarks.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ class FrontEnd:
     def take(self, view: View) -> FrameBearings:
         """Take the next frame of the drive; errors as of `see`."""
         require_like_home(view.shape, self.home.shape)
-        landmark = np.full(len(view), NOBODY)
+        landmark = np.full(len(view), NO_LANDMARK)
         compared = {}
         for k in self._references():
             compared[k], view = self._compare(k, view, landmark)
@@ -172,10 +171,10 @@ class FrontEnd:
         # What moved since home was stored is still a landmark, and its home bearing is wrong.
         ours = seen.agrees | seen.moved if k == 0 else seen.agrees
         theirs, mine = seen.home_row[ours], seen.now_row[ours]
-        known = landmark[mine] != NOBODY
+        known = landmark[mine] != NO_LANDMARK
         # A landmark that home names keeps that name in the chain from now on.
         keyframe.landmark[theirs[known]] = landmark[mine[known]]
-        fresh = theirs[~known][keyframe.landmark[theirs[~known]] == NOBODY]
+        fresh = theirs[~known][keyframe.landmark[theirs[~known]] == NO_LANDMARK]
         keyframe.landmark[fresh] = np.arange(self._next, self._next + fresh.size)
         self._next += fresh.size
         taken = np.isin(keyframe.landmark[theirs], landmark[mine[known]])
@@ -211,8 +210,8 @@ class FrontEnd:
             del self._keyframes[1]
 
     def _choose(self, view: View, landmark: np.ndarray) -> np.ndarray:
-        """Choose the features to pass on: long known ones first, spread over all directions."""
-        rows = np.flatnonzero(landmark != NOBODY)
+        """Choose the features to pass on: those known longest first, spread over all directions."""
+        rows = np.flatnonzero(landmark != NO_LANDMARK)
         _, first = np.unique(landmark[rows], return_index=True)
         rows = rows[first]
         for i in landmark[rows].tolist():

@@ -1,6 +1,6 @@
-"""What two pictures say against their settings: one is mirrored, or the horizon is elsewhere.
+"""Check of camera settings by two panoramas: whether one is mirrored, or the horizon elsewhere.
 
-Each other setting is tried, and believed where the matches then agree far less likely by chance.
+Each other setting is tried, and told where its number of false alarms is far smaller.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from homeward.vision.geometry.a_contrario import LARGEST_LOG_FALSE_ALARMS
 HORIZONS = np.linspace(0.1, 0.9, 9)
 """Shares of the height at which the horizon is tried."""
 LEAST_OFF = 0.15
-"""A horizon nearer to the one told than this share of the height is no other."""
+"""Horizons that differ from the given one by less than this share of the height are not tried."""
 
 
 def better_settings(
@@ -27,7 +27,7 @@ def better_settings(
     views: tuple[View, View],
     camera: Panorama,
 ) -> str | None:
-    """Say what other setting suits two pictures far better than the one told.
+    """Return in words which other setting suits two panoramas far better.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def better_settings(
     Returns
     -------
     str or None
-        In words; None where nothing speaks against the settings.
+        None where none does.
     """
     if not seen.accepted:
         flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)

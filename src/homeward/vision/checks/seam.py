@@ -1,9 +1,9 @@
-"""Whether pictures are panoramas at all: what is at their left and right edges says so.
+"""Seam test: whether left and right edge of an image continue each other, as a panorama's do.
 
-The edges of a panorama continue each other as any two neighbouring columns do; those of another
-picture are as unlike as any two columns far apart. Both are learnt from the picture itself. Their
-ratio of likelihoods is an e-value: of a panorama it is one at most in the mean, so that it exceeds
-t once in t times at most, and so does the mean of several pictures', however much alike these are
+The edges of a panorama are as alike as any two neighbouring columns, those of another image as
+unlike as any two columns far apart. Both are learnt from the image itself. Their likelihood ratio
+is an e-value: its mean over panoramas is one at most, so that it exceeds t once in t times at most,
+and so does the mean over several images, however much alike these are
 (Vovk and Wang, "E-values: calibration, combination and applications", Annals of Statistics 2021).
 """
 
@@ -20,18 +20,18 @@ from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.opencv import opencv
 
 LEAST_EVIDENCE = 100.0
-"""A picture is refused by this e-value: of panoramas, one in a hundred at most."""
+"""E-value from which an image is refused: one panorama in a hundred at most."""
 SCALES = 360, 180
-"""Columns to which pictures are reduced: joints of stitched ones are off by parts of a degree, and
-an edge may stand at the seam by chance, which coarser columns smooth."""
+"""Images are reduced to so many columns, twice: stitched joints are off by parts of a degree, and
+an edge may lie at the seam by chance."""
 NOISE = 2.0
-"""Contrast of a column below which it tells nothing [grey levels]."""
+"""Standard deviation of noise [grey levels]: columns of less contrast tell nothing."""
 NARROWEST_KERNEL = 0.02
-"""Of the densities of correlations (Fisher's z) [1]."""
+"""Least bandwidth of the kernel density of correlations (Fisher's z) [1]."""
 FLAT = 16.0
-"""Round a fisheye's disc, grey values differ by no more."""
+"""Grey values outside a fisheye's disc differ by no more than this."""
 DISC_CONTRAST = 0.8
-"""Beside such a share of a disc's edge there is nothing without, and something within."""
+"""Least share of a disc's edge that has a picture within and nothing without."""
 INSIST = "insist with --force, or with force: true in images.yaml"
 
 

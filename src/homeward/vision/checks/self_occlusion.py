@@ -1,7 +1,7 @@
-"""What turns with the camera, and should be left out by a mask: a deck, a mast, a burnt-in stamp.
+"""Self-occlusion: image regions that turn with the camera, such as a deck, a mast or a time stamp.
 
-One picture does not show it. But where the robot has turned, what stands in the room lies elsewhere
-in the picture; what lies where it lay before belongs to the robot, or to the picture itself.
+Where the robot has turned, what stands in the room lies elsewhere in the image. What lies where it
+lay before belongs to the robot, or to the image itself, and should be masked.
 """
 
 from __future__ import annotations
@@ -21,38 +21,36 @@ from homeward.vision.geometry.a_contrario import assess
 from homeward.vision.geometry.ransac import estimate_motion
 
 TURN = math.radians(30.0)
-"""After so much of a turn [rad] it can be told."""
+"""Least turn between two frames that are compared [rad]."""
 SAME = math.radians(0.5)
-"""A match lies where it lay when it is within this of it [rad], or within a pixel."""
+"""A match that moved by less than this [rad], or a pixel, has turned with the camera."""
 OF_THE_ROOM = (0.35, 0.2)
-"""What stands in the room lies within this of where the turn alone takes it, azimuth and elevation
-[rad]; the first is less than `TURN`, so that what lies where it lay never does."""
+"""What stands in the room lies within this of where the turn takes it, azimuth and elevation
+[rad]."""
 FRAMES = 6
-"""A frame is compared with so many before it, a turn apart: over more, odometry's own error of the
-turn adds up."""
+"""A frame is compared with so many before it: over more turns, the error of odometry adds up."""
 FEWEST, LEAST_SHARE = 5, 0.01
-"""So many matches must turn along, and be such a share of those of the room. In rendered rooms
-without anything that does there was none among 30,000, and among those of a robot's thin legs, 2 %
-and more."""
+"""Least number of matches that turn with the camera, and least share of those of the room. Rendered
+rooms without a robot had none among 30,000, with thin legs 2 % and more."""
 LEAST_OF_ROOM = 0.1
-"""As many matches must be of the room, and be such a share of those that turn along: else it is the
-odometry that is wrong, of a robot that is stuck."""
+"""Matches of the room must be such a share of those that turn along: else the robot is stuck, and
+odometry is wrong."""
 
 
 @dataclass(frozen=True)
 class SelfOcclusion:
-    """That something turns with the camera."""
+    """Matches that turn with the camera."""
 
     matches: int
-    """How many lay where they had lain."""
+    """How many."""
     lowest: float
-    """Elevation of the lowest of them, but for a few [rad]."""
+    """Their fifth percentile of elevation [rad]."""
     highest: float
-    """And of the highest [rad]."""
+    """Their 95th percentile [rad]."""
 
     @property
     def words(self) -> str:
-        """What to do about it; `matches` is to stand in front."""
+        """What to do about it, in words that follow the number of matches."""
         low, high = math.floor(math.degrees(self.lowest)), math.ceil(math.degrees(self.highest))
         return (
             f"matches at elevations of {low} to {high} deg turn with the camera, as the robot's "
@@ -61,7 +59,7 @@ class SelfOcclusion:
 
 
 class SelfOcclusionDetector:
-    """Looks for what turns with the camera along a drive."""
+    """Detects self-occlusion along a drive, the turn being known from odometry."""
 
     def __init__(self) -> None:
         self._before: deque[tuple[View, float]] = deque(maxlen=FRAMES)
@@ -91,7 +89,7 @@ class SelfOcclusionDetector:
 
     @property
     def found(self) -> SelfOcclusion | None:
-        """What was found so far; None where nothing turns along."""
+        """What was found so far; None where nothing turns with the camera."""
         elevation = np.concatenate([np.empty(0), *self._elevations])
         return _told(elevation, self._of_room)
 
@@ -113,11 +111,10 @@ class SelfOcclusionDetector:
 
 
 def find_self_occlusion(seen: Comparison, camera: Panorama) -> SelfOcclusion | None:
-    """Return what turned with the camera between two panoramas; None where nothing is known of it.
+    """Detect self-occlusion by two panoramas alone; None where nothing is known of it.
 
-    There is no odometry to tell the turn. But where the matches that do not lie where they lay are
-    enough to be accepted by themselves, and say that the camera has turned by `TURN`, the others
-    should not lie there, whatever was accepted of all.
+    Without odometry, the turn is that of the other matches, where these suffice to be accepted by
+    themselves and tell one of `TURN` at least.
 
     Parameters
     ----------

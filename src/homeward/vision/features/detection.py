@@ -66,7 +66,7 @@ class View:
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray]:
-        """Patches that can be aligned with another panorama: features and corners, one at each place.
+        """Patches that can be aligned: features and corners, one at each place.
 
         Returns
         -------

@@ -28,11 +28,12 @@ STEPS = 4
 LEAST_LIKENESS = 0.9
 """More than of a match, which its descriptor supports, too."""
 SIGMA_TIMES = 1.6
-"""Standard deviation of a place, beside that of a match of the same correlation. Measured on rendered
-rooms: corners of which the near side moves and the far side does not, stand on no point."""
+"""Standard deviation of a place, beside that of a match of the same correlation. Measured on
+rendered rooms: corners of which the near side moves and the far side does not, stand on no
+point."""
 MOST_PATCHES, MOST_GUIDES = 1500, 300
-"""Of more, every n-th is used, so that the time is bounded. Rooms have half as many with 1024 columns,
-as many with 2048."""
+"""Of more, every n-th is used, so that the time is bounded. Rooms have half as many with 1024
+columns, as many with 2048."""
 MOST_GROWTH = 10.0
 """Maps that change an area by a larger factor, either way, are not used."""
 

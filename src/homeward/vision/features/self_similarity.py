@@ -1,4 +1,4 @@
-"""Self-similarity on level planes: does a feature's patch recur on the floor or the ceiling?
+"""Self-similarity on level planes: patches that recur on the floor or the ceiling.
 
 Tiles do. In perspective no two of them look the same, but those of another room do, seen from a
 place as far from its joints: features on them are matched, and agree on a motion. Repetition shows
@@ -18,8 +18,8 @@ from homeward.vision.features.match_propagation import MOST_GROWTH, thinned
 from homeward.vision.features.patch_alignment import align_patches, areas, radius_of
 
 LEAST_ELEVATION, MOST_ELEVATION = np.radians([10.0, 80.0])
-"""Features between these elevations, up or down, are looked at [rad]: near the horizon a plane is too
-foreshortened, near the vertical a panorama is."""
+"""Features between these elevations, up or down, are looked at [rad]: near the horizon a plane is
+too foreshortened, near the vertical a panorama is."""
 MOST_OTHERS = 500
 """A patch is compared with so many other features at most, evenly chosen."""
 SIZE_RATIO = 1.6

@@ -1,9 +1,9 @@
-"""Whether matches that agree on a motion could agree by chance.
+"""A-contrario acceptance: whether matches that agree on a motion may agree by chance.
 
 The number of false alarms (Moisan and Stival, "A probabilistic criterion to detect rigid point
-matches between two images", IJCV 2004): how often one would expect matches drawn at random to
-agree as well. What a random match does is learnt from the pair of images itself, by pairing each
-home direction with the now directions of other matches.
+matches between two images", IJCV 2004) is how often random matches are expected to agree as well.
+What a random match does is learnt from the pair of images itself: each direction at home is paired
+with the directions now of other matches.
 """
 
 from __future__ import annotations
@@ -19,30 +19,29 @@ from homeward.vision.geometry.epipolar import Pairs, residuals
 from homeward.vision.geometry.refinement import INLIER, Fit, squares
 
 LARGEST_LOG_FALSE_ALARMS = -4.0
-"""Accept below this (base 10)."""
+"""Largest number of false alarms that is accepted (logarithm to base 10)."""
 MOST_PER_SECTOR = 4
-"""More matches in one sector count as this many: repeated parts of one thing are one witness."""
+"""More matches in one sector count as this many: parts of one thing err together."""
 FEWEST_SECTORS = 4
-"""In so many must there be matches that agree."""
-CEILING = math.radians(25.0)
-"""Matches higher than this may be those of another room's like ceiling, and matches as far below
-the horizon those of other tiles of the floor."""
-FEWEST_LOW_SECTORS = 3
-"""In so many must there be matches that agree below `CEILING` ..."""
-LEAST_LOW_SHARE = 0.25
-"""... and such a share of all that agree: the tiles of a floor look the same a few tiles on, and
-from the other side."""
+"""Least number of sectors with inliers."""
+STEEP = math.radians(25.0)
+"""Inliers steeper than this, up or down, may be on another room's ceiling or on other tiles of the
+floor [rad]."""
+FEWEST_LEVEL_SECTORS = 3
+"""Least number of sectors with inliers that are not steep."""
+LEAST_LEVEL_SHARE = 0.25
+"""Least share of inliers that are not steep: the tiles of a floor look the same a few tiles on."""
 LEAST_ALONE = 0.5
-"""Where a smaller share of matches shows what home saw but once, it must be enough by itself."""
+"""Where fewer of the inliers than this share do not repeat, these must suffice by themselves."""
 WITHIN = 0.6
-"""Where the heading is known, a feature lies within this of where a mere turn takes it [rad]."""
+"""Where the heading is given, a match lies within this of where the turn alone takes it [rad]."""
 SHUFFLES = 8
-"""How many random matches are made of each."""
+"""So many random matches are made of each match."""
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Whether to believe a motion."""
+    """Whether a motion is accepted, and why."""
 
     accepted: bool
     reason: str
@@ -51,7 +50,7 @@ class Acceptance:
     """Logarithm to base 10."""
 
     def reassessed(self, agrees: np.ndarray, pairs: Pairs) -> Acceptance:
-        """Return the verdict on a fit that was accepted, where other matches, (n,) bool, agree."""
+        """Return the acceptance where other matches, (n,) bool, are the inliers."""
         words = _agreement(agrees, pairs)
         home, now = pairs.home[agrees], pairs.now[agrees]
         if lack := too_narrow(home[:, 0], now[:, 0], elevation=home[:, 1]):
@@ -60,7 +59,7 @@ class Acceptance:
 
 
 def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Acceptance:
-    """Say whether a fit stands on more than chance.
+    """Accept a fit, or not, by its number of false alarms and the spread of its inliers.
 
     Parameters
     ----------
@@ -90,10 +89,10 @@ def assess_unrepeated(
     recurs: np.ndarray,
     heading: float | None = None,
 ) -> Acceptance:
-    """Return the verdict on a fit that was accepted, where it is known which of its matches recur.
+    """Accept a fit, or not, where it is known which of its inliers are self-similar.
 
-    The tiles of a floor agree with those of another room: where they are most of what agrees, the
-    others must be enough by themselves.
+    The tiles of a floor agree with those of another room: where most inliers are on such, the
+    others must suffice by themselves.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def assess_unrepeated(
     fit, pairs, heading
         Of what.
     asked : ndarray of int, shape (k,)
-        Some or all of the matches that agree.
+        Some or all of the inliers.
     recurs : ndarray of bool, shape (k,)
         Whether what they show is seen elsewhere in home's picture, too.
     """
@@ -117,7 +116,7 @@ def assess_unrepeated(
 
 
 def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
-    """Say what speaks against matches in such directions, (n,) each; nothing where nothing does.
+    """Say why directions of inliers, (n,), are spread too narrowly; empty where they are not.
 
     Parameters
     ----------
@@ -127,10 +126,13 @@ def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
         Of the same matches [rad].
     """
     sectors = [sector_of(azimuth) for azimuth in azimuths]
-    low = np.abs(elevation) < CEILING
+    level = np.abs(elevation) < STEEP
     if _occupied(sectors) < FEWEST_SECTORS:
         return " only"
-    if _occupied([s[low] for s in sectors]) < FEWEST_LOW_SECTORS or low.mean() < LEAST_LOW_SHARE:
+    if (
+        _occupied([s[level] for s in sectors]) < FEWEST_LEVEL_SECTORS
+        or level.mean() < LEAST_LEVEL_SHARE
+    ):
         return ", most of them overhead or on the floor"
     return ""
 
@@ -162,7 +164,7 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
 
 
 def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
-    """Return how probably a wrong match fits the motion."""
+    """Return the probability that a random match fits the motion."""
     n, searched = len(pairs), math.pi if heading is None else WITHIN
     shifts = np.unique(np.linspace(1, n - 1, round(SHUFFLES * math.pi / searched)).astype(int))
     order = np.argsort(pairs.now[:, 0], kind="stable")

@@ -1,9 +1,8 @@
-"""Two panoramas of one place: what their geometry says of a pair of directions.
+"""Epipolar geometry of two panoramas: relative motion, Sampson residuals, cheirality.
 
-The robot stands at home, and again somewhere else. Seen from the home camera, the other one lies in
-direction `theta` and `rise` above the horizon, is turned by `alpha`, and tilted by `roll` and
-`pitch` against it. How far away it is, two panoramas cannot tell. A point in direction x1 at home
-and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
+Seen from the home camera, the other one lies in direction `theta` and `rise` above the horizon, is
+turned by `alpha`, and tilted by `roll` and `pitch`. Two panoramas do not tell its distance. A point
+in direction x1 at home and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from homeward.vision.compiled import compiled
 
 
 class Motion(NamedTuple):
-    """Where the other camera is, but for the distance."""
+    """Relative motion: where the other camera is, but for the distance."""
 
     theta: float
     """Its direction seen from home [rad]."""
@@ -34,12 +33,12 @@ class Motion(NamedTuple):
 
 
 WIDE = 8
-"""Matches that compiled code takes side by side."""
+"""Compiled code takes so many matches side by side."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Matched directions, n of them, with all that is worked out of each by itself."""
+    """n matches as pairs of directions, with what follows from each by itself."""
 
     table: np.ndarray
     """(n, 21): what its columns are, the properties say."""
@@ -145,28 +144,30 @@ _Vectors = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Residuals(NamedTuple):
-    """How far pairs are from each of several motions, in standard deviations."""
+    """Epipolar residuals of pairs for several motions, in standard deviations."""
 
     value: np.ndarray
     """(m, n)"""
     jacobian: np.ndarray
     """(m, n, 5), with respect to `Motion`."""
     possible: np.ndarray
-    """(m, n) bool: the rays meet ahead of both cameras, at distances in the ratio of the features'
-    sizes, under no wide angle; as far as errors allow to tell."""
+    """(m, n) bool: whether, within errors, the rays meet ahead of both cameras (cheirality), at
+    distances in the ratio of the features' sizes, and under no wide angle."""
 
 
 IN_FRONT_SIGMAS = 3.0
+"""A ray may miss the other one by so many standard deviations."""
 MOST_PARALLAX = np.radians(60.0)
-"""From directions that differ by more than this [rad], nothing looks the same."""
+"""Largest angle under which a thing is seen from both places [rad]: beyond, nothing looks the
+same."""
 GROWTH = 0.5
-"""How far the logarithm of a feature's growth may be off: three times what was found (0.16)."""
+"""Largest error of the logarithm of a feature's growth: three times the one measured (0.16)."""
 LIMITS = np.array([IN_FRONT_SIGMAS, np.cos(MOST_PARALLAX), GROWTH])
 """For compiled code."""
 
 
 def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Residuals:
-    """Return the epipolar residual of each pair over its standard deviation (Sampson's).
+    """Return Sampson's epipolar residual of each pair over its standard deviation.
 
     Parameters
     ----------
@@ -282,10 +283,10 @@ def _possible(
     growth: np.ndarray,
     sigma: np.ndarray,
 ) -> np.ndarray:
-    """Whether the rays can show the same thing: (m, n) bool.
+    """Return whether both rays can show the same thing, (m, n) bool.
 
-    Both distances along them are positive and in the ratio of the sizes, and the rays do not differ
-    by too much. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
+    Both distances along them are positive and in the ratio of the sizes, and the angle between them
+    is not too wide. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
     n = x1 x y. This is what tells a wrong match along the epipolar line from a right one.
     """
     good, far, doubt = _dot(x1, y) > np.cos(MOST_PARALLAX), [], 0.0

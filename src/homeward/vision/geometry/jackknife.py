@@ -1,15 +1,12 @@
-"""How far off a fitted motion may be: what leaving out any one direction would change.
+"""Cluster jackknife: the covariance of a motion, from leaving out one window of azimuth at a time.
 
-The plain inverse of the information takes the errors of all matches for independent, and was half
-of the true error. They are not: features of one thing err together, most of all when the thing has
-moved along the epipolar line, and in a bare room few things carry the answer. A sandwich estimate
-does not see it, since the fit bends towards the few. The jackknife does: a window of azimuth, as
-wide as a thing may be, is left out, all its matches together (MacKinnon, Nielsen and Webb, "Fast
-and reliable jackknife and bootstrap methods for cluster-robust inference", J. Appl. Econometrics
-2023; with windows that overlap, Kuensch, "The jackknife and the bootstrap for general stationary
-observations", Ann. Statist. 1989), and the motion fitted anew, from forgiving to strict, beginning
-at that motion, of all that were found, of which the others speak: where they would then believe
-another one, the answer was not safe, which no derivative tells. What tilt may do is added in full.
+The inverse of the information takes errors of matches for independent; it was half of the true
+error. Features of one thing err together, most of all when it has moved along the epipolar line. A
+sandwich estimate does not see that, since the fit bends towards the few. So windows of azimuth, as
+wide as a thing may be, are left out in turn (MacKinnon, Nielsen and Webb, J. Appl. Econometrics
+2023; overlapping windows: Kuensch, Ann. Statist. 1989), and the motion is fitted anew, beginning at
+the best, for the rest, of all minima that were found: where these would prefer another minimum, the
+answer was not safe, which no derivative tells. What the tilt may do is added in full.
 """
 
 from __future__ import annotations
@@ -22,15 +19,13 @@ from homeward.vision.geometry.epipolar import Pairs, residuals
 from homeward.vision.geometry.refinement import INLIER, Fit, irls, prior_information, squares
 
 WINDOW = 3
-"""So many sectors of azimuth at home are left out at once: what stands within 45 degrees may be one
-thing."""
+"""Sectors in a window: what stands within 45 degrees may be one thing."""
 SHARE = 0.25
-"""What of the plain covariance and of the changes counts. Windows so wide hold a good part of all
-that there is: without them the fit changes by more than it errs. Divided by the share of matches
-that are more than the motion has parameters: it bends towards them all."""
+"""Share of the inverse information, and of the jackknife's changes, that counts: without a window
+so wide, the fit changes by more than it errs."""
 
 LARGEST_SIGMA = 100.0
-"""[rad]"""
+"""Of an angle of which nothing is known [rad]; keeps the information regular."""
 
 
 def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
@@ -50,7 +45,6 @@ def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarra
     ndarray, shape (5, 5)
         Of `Motion`.
     """
-    # Of an angle that nothing is known of, no more than this: it keeps the matrix regular.
     plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
     by_prior = plain @ prior_information(tilt_sigma) @ plain
     each = leave_windows_out(pairs.home[:, 0], fit.inlier)
@@ -64,18 +58,18 @@ def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarra
 
 
 def leave_windows_out(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return which matches, at azimuths (n,), are kept as each window in turn is left out.
+    """Return which matches, at azimuths (n,), are left as each window in turn is left out.
 
-    Windows in which none `counts`, (n,) bool, are passed over: shape (m, n), bool.
+    Shape (m, n), bool; windows in which none `counts`, (n,) bool, are skipped.
     """
     first = np.arange(SECTORS)[:, None]
     left_out = (sector_of(azimuth) - first) % SECTORS < WINDOW
     return np.asarray(~left_out[(left_out & counts).any(axis=1)])
 
 
-def _starts(fit: Fit, pairs: Pairs, tilt_sigma: float, kept: np.ndarray) -> np.ndarray:
-    """Return, (m, 5), the motion that each choice of matches speaks for."""
+def _starts(fit: Fit, pairs: Pairs, tilt_sigma: float, left: np.ndarray) -> np.ndarray:
+    """Return, (m, 5), the minimum that fits each choice of matches best."""
     motions = np.vstack([fit.motion, fit.others])
     each = np.minimum(squares(residuals(motions, pairs)), INLIER**2)
-    total = kept @ each.T + np.sum((motions @ prior_information(tilt_sigma)) * motions, axis=1)
+    total = left @ each.T + np.sum((motions @ prior_information(tilt_sigma)) * motions, axis=1)
     return np.asarray(motions[np.argmin(total, axis=1)])

@@ -1,4 +1,4 @@
-"""From matches, most of which may be wrong, to the motion that most of them agree on."""
+"""RANSAC with MSAC scores (Torr and Zisserman, CVIU 2000), then robust refinement."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from homeward.vision.geometry.refinement import INLIER, Fit, refine
 from homeward.vision.geometry.two_point import coefficients, msac_costs, two_point_motions
 
 SAMPLES = 800
-"""Pairs of matches that are tried."""
+"""So many pairs of matches are drawn."""
 CANDIDATES = 12
-"""The best of them that are refined, each travelled both ways: what else the matches may say is
-what tells how sure an answer is."""
+"""So many of the best are refined, each in both directions of travel. What else the matches may say
+is needed for the covariance."""
 TURNS = 50
-"""Matches from which a mere turn is tried."""
+"""A turn without translation is tried from so many matches."""
 APART = 0.1
-"""Candidates must differ by this much in theta or alpha [rad]."""
+"""Candidates differ by at least this in theta or alpha [rad]."""
 
 
 def estimate_motion(
@@ -75,7 +75,7 @@ def _distinct(motions: np.ndarray) -> np.ndarray:
 
 
 def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
-    """Return a mere turn, (k, 2), for each of some matches: at home any direction fits."""
+    """Return a turn without translation, (k, 2), from each of some matches: the motion at home."""
     some = np.unique(rows)[:TURNS]
     alpha = wrap(pairs.home[some, 0] - pairs.now[some, 0])
     return np.column_stack([np.zeros(some.size), alpha])

@@ -1,4 +1,4 @@
-"""The motion between two panoramas, refined robustly, with an honest covariance."""
+"""Motion by iteratively reweighted least squares, with Geman and McClure's loss."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from homeward.vision.geometry.epipolar import (
 )
 
 LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
-"""Of the matches, step by step, as a share of the tilt that is allowed for: a first guess fits far
-worse than places are known, and matches that strict would hold it where it is."""
+"""Error added to directions in each iteration, as a share of the tilt's sigma: graduated from loose
+to strict, since a first guess fits far worse than places are known."""
 LONGEST_STEP = 0.3
-"""Where home is near, theta is hardly determined: no wild turns on the way [rad]."""
+"""Largest change of an angle in one iteration [rad]: near home, theta is hardly determined."""
 SCALE = 3.0
-"""Of the robust loss [standard deviations]: matches farther off count for less and less."""
+"""Scale of the robust loss [standard deviations]."""
 INLIER = 3.0
-"""A match fits within this many standard deviations."""
+"""Residual within which a match is an inlier [standard deviations]."""
 SAME = 0.002
-"""Motions whose theta and alpha differ by less are one [rad]."""
+"""Motions whose theta and alpha differ by less are the same [rad]."""
 MOST_OTHERS = 5
-"""Of the other motions that starts led to, those of least loss are kept."""
+"""So many other minima are kept, those of least loss."""
 
 MOST_RATIO = 100.0
-"""A single match with much parallax does not speak for all."""
+"""Largest share of parallax that one match contributes, in multiples of its noise."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A motion, and what supports it."""
+    """A motion and its inliers."""
 
     motion: Motion
     inlier: np.ndarray
@@ -46,12 +46,12 @@ class Fit:
     information: np.ndarray
     """(5, 5): of the motion, were all errors independent and as large as assumed."""
     parallax: float
-    """How much more the matches have shifted along their ways than noise alone makes them seem to
-    [1, of squares]: one for two images from the same place, and up to three as theta fits noise."""
+    """Squared parallax of the inliers over what noise alone gives: 1 for two images from the same
+    place, and up to 3, since theta fits noise, too."""
     scale: float
     """Of the robust loss [standard deviations]."""
     others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
-    """(m, 5): the other motions that starts led to, that of least loss first."""
+    """(m, 5): other minima, that of least loss first."""
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = SCALE) -> Fit:
@@ -95,7 +95,7 @@ def irls(
     scale: float,
     counts: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Return motions, (m, 5), that fit matches robustly, each from its own start.
+    """Fit motions, (m, 5), by iteratively reweighted least squares, each from its own start.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def irls(
 def _irls(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> np.ndarray:
-    """Return the motions that begin at x, (m, 5), step by step from forgiving to strict."""
+    """Do what `irls` does, in NumPy."""
     prior = prior_information(tilt_sigma)
     for looseness in LOOSENESS:
         found = residuals(x, pairs, looseness * tilt_sigma)
@@ -136,7 +136,7 @@ def _irls(
 def _irls_compiled(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> bool:
-    """Do in place, in compiled code, what `_irls` does; False where that cannot be."""
+    """Do what `irls` does, in place, in compiled code; return False where there is none."""
     native = compiled()
     if native is None:
         return False

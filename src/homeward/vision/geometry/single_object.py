@@ -1,7 +1,7 @@
-"""Whether one thing carries the whole answer: a chandelier, or the robot's own tripod.
+"""Single-object support: whether a motion rests on one object, such as a tripod.
 
-All that is seen on one thing errs together: where it has been moved, or moves along, its matches
-agree on a motion as well as any.
+All matches on one object err together: where it was moved, or moves along, they agree on a motion
+as well as any.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from homeward.vision.geometry.epipolar import Pairs
 from homeward.vision.geometry.refinement import Fit
 
 REACH = math.radians(22.5)
-"""What lies within this of one direction may be one thing [rad]: as wide as the windows of
-azimuth in `geometry.jackknife`, overhead, too."""
+"""What lies within this of one direction may be one object [rad]: half a window of the
+jackknife."""
 MOST = 0.5
-"""A thing carries the answer that has more than such a share of the matches that agree ..."""
+"""An object is dominant with more than this share of the inliers, unless the others suffice."""
 
 
 def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
-    """Return which of the matches that agree, (n,) bool, are on one thing that carries the answer.
+    """Return which inliers, (n,) bool, are on one object that the motion rests on.
 
-    None, where no thing has most of them, or the others are enough by themselves.
+    None of them, where no object has most of them, or the others suffice by themselves.
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.
 
 
 def covariance_factor(thing: np.ndarray, fit: Fit) -> float:
-    """Return the factor of the covariance where all matches on one thing, (n,), are one witness."""
+    """Return the factor of the covariance where all inliers on one object, (n,), count once."""
     agree, on_it = int(fit.inlier.sum()), int(thing.sum())
     return agree / (agree - on_it + 1) if on_it else 1.0
 
 
 def explain(acceptance: Acceptance, thing: np.ndarray, pairs: Pairs) -> str:
-    """Return a verdict's reason; it tells of one thing that carries the answer, and where."""
+    """Return the reason of an acceptance, with where the object is that the motion rests on."""
     if not thing.any():
         return acceptance.reason
     x, y, z = pairs.home_vectors[thing].mean(axis=0)

@@ -1,9 +1,8 @@
-"""How a picture was tilted against home's, as its matches tell, and what that does to bearings.
+"""Tilt of a camera against home's, and its effect on bearings.
 
-A tilt that nobody knows shifts every bearing of one picture by the tangent of its elevation, to one
-side ahead and to the other behind: as errors, these have all in common. But home's picture defines
-what level is. Bearings in a camera that stands as home's stood are those of a planar scene, however
-home's itself was tilted: points and places are then all projected along home's own vertical.
+An unknown tilt shifts all bearings of one panorama by the tangent of their elevation, to one side
+ahead and to the other behind. But home's panorama defines what level is: turned to a camera that
+stands as home's stood, bearings are those of a planar scene, projected along home's own vertical.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
 from homeward.vision.geometry.epipolar import Motion
 
 STEEPEST = 0.05
-"""A direction nearer to the vertical than this [rad] counts as so near: it has no azimuth."""
+"""Least distance from the vertical that is reckoned with [rad]: there, azimuth is undefined."""
 
 
 @dataclass(frozen=True)

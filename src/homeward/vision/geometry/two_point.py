@@ -1,4 +1,4 @@
-"""Planar motion between two panoramas from two matches, in closed form, for many pairs at once.
+"""Minimal solver: planar motion from two matches, in closed form; and MSAC scores of motions.
 
 With level cameras at one height, t . (x1 x R x2) is linear in
 k = (cos theta, sin theta, cos(alpha - theta), sin(alpha - theta)):
@@ -20,7 +20,7 @@ from homeward.vision.geometry.epipolar import Pairs
 
 
 def coefficients(home: np.ndarray, now: np.ndarray) -> np.ndarray:
-    """Return the row of the linear equation in k of each pair of vectors, shape (..., 4)."""
+    """Return the coefficients of the linear equation in k of each pair of vectors, (..., 4)."""
     return np.stack(
         [
             home[..., 1] * now[..., 2],
@@ -69,7 +69,7 @@ def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> np.ndarray:
-    """Return the MSAC cost of motions, whichever way round they are travelled.
+    """Return the MSAC cost (Torr and Zisserman, CVIU 2000) of motions, theta or theta + pi.
 
     Parameters
     ----------

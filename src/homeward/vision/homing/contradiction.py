@@ -1,4 +1,4 @@
-"""What a map's pose is worth that home's picture contradicts."""
+"""Contradiction between the map's pose and home's picture."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, agree
 
 @dataclass(frozen=True)
 class Contradiction:
-    """That the robot is where the map says, since home's picture says otherwise."""
+    """Home's picture says that the robot is not where the map says."""
 
     t: float
     """When the picture was taken [s]."""
     tells_distance: bool
-    """Whether it is about the distance from home, too, and not the direction alone."""
+    """Whether it concerns the distance from home, too, and not the direction alone."""
     spread: np.ndarray
     """(3, 3): added to the covariance of the map's pose, it covers the picture's, too; of x [m],
     y [m], heading [rad]."""
     reason: str
     """In words."""
 
-    def cast_on(self, mapped: Estimate) -> Estimate:
-        """Return the map's estimate, unsure."""
+    def applied_to(self, mapped: Estimate) -> Estimate:
+        """Return the map's estimate as unverified."""
         if mapped.covariance is None:
             return mapped
         covariance = mapped.covariance + self.spread
@@ -38,7 +38,7 @@ class Contradiction:
 
 
 def contradiction(mapped: Estimate, fix: Fix, words: str) -> Contradiction | None:
-    """Return the doubt that a fix casts on a map's pose: either may be the right one.
+    """Compare a fix with a map's pose: where they contradict each other, either may be right.
 
     Parameters
     ----------
@@ -64,14 +64,15 @@ def contradiction(mapped: Estimate, fix: Fix, words: str) -> Contradiction | Non
     )
 
 
-def unanswered(doubt: Contradiction | None, fix: Fix) -> Contradiction | None:
-    """Return what is left of a doubt after a fix that agrees with the map.
+def unanswered(before: Contradiction | None, fix: Fix) -> Contradiction | None:
+    """Return what is left of a contradiction after a fix that agrees with the map.
 
-    Where the distance was in doubt, a direction does not answer for it.
+    One about the distance is not resolved by a direction.
     """
-    return doubt if doubt is not None and doubt.tells_distance and not fix.tells_distance else None
+    lasts = before is not None and before.tells_distance and not fix.tells_distance
+    return before if lasts else None
 
 
-def unexpired(doubt: Contradiction | None, t: float) -> Contradiction | None:
-    """Return a doubt as it is at `t` [s]: as a direction, it is not remembered for ever."""
-    return doubt if doubt is not None and t - doubt.t <= DIRECTION_HOLD_S else None
+def unexpired(before: Contradiction | None, t: float) -> Contradiction | None:
+    """Return a contradiction while it lasts, at `t` [s]: as long as a direction."""
+    return before if before is not None and t - before.t <= DIRECTION_HOLD_S else None

@@ -1,10 +1,10 @@
-"""What pictures that were not recognised say together of the way home.
+"""Direction voting: refused comparisons agree on the direction home.
 
-Of each of them something was guessed, mostly from three or four matches, which may be chance. But
-chance guesses something else each time: where several pictures, taken from different places, guess
-the same heading and the same direction, and what they matched stands all round, it is a hint that
-the robot may drive by, until home is recognised. It is no more than that: a thing that was moved,
-or one that is there twice, gives the same hint again and again.
+A refused comparison has a motion, mostly from three or four matches, which may be chance. But
+chance finds another one each time: where several, from different places, agree in heading and
+direction, and their matches are spread all round, the robot may drive by that until home is
+recognised. No more than that: an object that was moved, or stands there twice, gives the same vote
+each time.
 """
 
 from __future__ import annotations
@@ -24,43 +24,43 @@ from homeward.vision.geometry.a_contrario import too_narrow
 from homeward.vision.homing.resection import Direction
 
 FEWEST_MATCHES = 3
-"""A guess must stand on so many."""
+"""Least number of inliers of a vote."""
 FEWEST_ALIKE, MOST = 5, 60
-"""So many guesses must be alike, among so many at most: of more, some are by chance, ..."""
+"""Least number of votes that agree, and number of the latest votes that are counted."""
 ALIKE = (0.2, 0.1)
-"""... which they are when direction and heading differ by less than this [rad]."""
+"""Votes agree whose direction and heading differ by less than this [rad]."""
 ANOTHER_PLACE_M = 0.04
-"""From nearer to the last one than this [m] a picture would guess the same again."""
+"""Least way between two votes [m]: from one place, a picture would vote the same again."""
 HOLD_VOTES_S = 15.0
-"""A hint is no more where no picture has guessed the same for so long [s]."""
+"""A consensus ends when no vote has confirmed it for so long [s]."""
 LEAST_SIGMA = 0.05
-"""Guesses that are alike may be alike wrong by this [rad]."""
+"""Standard deviation of what votes that agree may have wrong in common [rad]."""
 
 
 @dataclass(frozen=True)
 class Vote:
-    """What one picture guessed."""
+    """The motion of one refused comparison."""
 
     angles: np.ndarray
     """(2,): direction from home, and heading less what odometry has turned by [rad]."""
     matched: np.ndarray
-    """(k, 2): azimuth and elevation at home of what it stands on [rad]."""
+    """(k, 2): azimuth and elevation at home of its inliers [rad]."""
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """What several pictures guess alike."""
+    """A motion on which several votes agree."""
 
     t: float
-    """When one last did [s]."""
+    """Time of the latest of them [s]."""
     direction: Direction
-    """What they guess on the whole."""
-    guesses: int
-    """That are alike."""
+    """Their mean, and its covariance."""
+    votes: int
+    """How many."""
 
 
 class Twist(NamedTuple):
-    """What odometry said, and how far the robot had gone by then."""
+    """A twist, and how far the robot had gone by then."""
 
     t: float
     """[s]"""
@@ -73,13 +73,13 @@ class Twist(NamedTuple):
 
 
 class DirectionVoting:
-    """Remembers what was guessed, and how far the robot has turned since."""
+    """Collects votes, turned on by odometry."""
 
     def __init__(self) -> None:
         self._twists: deque[Twist] = deque()
         """The last one, and those since a picture may yet come late."""
         self._voted_at = -math.inf
-        """Way at the last guess [m]."""
+        """Way at the last vote [m]."""
         self._votes: deque[Vote] = deque(maxlen=MOST)
         self._consensus: Consensus | None = None
         """Its heading is less what odometry has turned by."""
@@ -91,10 +91,7 @@ class DirectionVoting:
             self._twists.popleft()
 
     def add(self, t: float, seen: Comparison) -> None:
-        """Take what was guessed of a picture of stamp `t` [s] that was not recognised.
-
-        It may be late by `LATE_S`: of longer ago it is not known how far the robot had turned.
-        """
+        """Add the vote of a refused comparison of stamp `t` [s], which may be late by `LATE_S`."""
         motion, agrees = seen.motion, seen.agrees
         way, turned = self._gone_at(t).tolist()
         too_near = way < self._voted_at + ANOTHER_PLACE_M
@@ -105,13 +102,13 @@ class DirectionVoting:
         self._votes.append(Vote(angles, seen.pairs.home[agrees]))
         self._consensus = self._agreed(t) or self._consensus
 
-    def forget(self) -> None:
-        """Forget it all: now it is known."""
+    def clear(self) -> None:
+        """Drop all votes: home was recognised."""
         self._votes.clear()
         self._consensus = None
 
     def at(self, t: float) -> Consensus | None:
-        """Return the hint there is at `t` [s], its heading turned on by odometry."""
+        """Return the consensus at `t` [s], its heading turned on by odometry."""
         if self._consensus is None:
             return None
         t, there = max(self._consensus.t, t), self._consensus.direction
@@ -129,15 +126,15 @@ class DirectionVoting:
         return held.gone + rates * min(max(t - held.t, 0.0), HOLD_S)
 
     def _agreed(self, t: float) -> Consensus | None:
-        """Return what guesses like the newest say; None if these are too few, or of one thing."""
-        guessed = np.array([guess.angles for guess in self._votes])
-        off = wrap(guessed - guessed[-1])
+        """Return the mean of votes like the newest; None where they are too few or too narrow."""
+        angles = np.array([vote.angles for vote in self._votes])
+        off = wrap(angles - angles[-1])
         alike = np.flatnonzero((np.abs(off) < ALIKE).all(axis=1))
         if alike.size < FEWEST_ALIKE:
             return None
         azimuth, elevation = np.vstack([self._votes[i].matched for i in alike]).T
         if too_narrow(azimuth, elevation=elevation):
             return None
-        theta, alpha = wrap(guessed[-1] + off[alike].mean(axis=0)).tolist()
+        theta, alpha = wrap(angles[-1] + off[alike].mean(axis=0)).tolist()
         covariance = np.cov(off[alike].T) + LEAST_SIGMA**2 * np.eye(2)
         return Consensus(t, Direction(theta, alpha, covariance), alike.size)

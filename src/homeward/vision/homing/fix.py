@@ -1,9 +1,8 @@
-"""What home's picture told of the robot's pose, joined from one picture to the next.
+"""Position fixes from home's picture, fused by covariance intersection.
 
-What errs in pictures errs alike, to a degree that nobody knows, and falls with the distance from
-home. So they are joined by covariance intersection, which is honest whatever errors have in common
-(Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations",
-American Control Conference 1997): on the whole the surer of the two counts.
+Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations",
+American Control Conference 1997. Errors of successive fixes are correlated to an unknown degree;
+covariance intersection is consistent whatever they have in common.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from homeward.angles import wrap
 from homeward.frames import Pose
 
 SHARES = np.linspace(0.0, 1.0, 11)
-"""What of its information the fix before may count; the rest is the share of the new one's."""
+"""Weights of the fix before that are tried; the new one has the rest."""
 SAME = 3.0
-"""Fixes farther apart than so many sigmas are not joined: the new one counts."""
+"""Fixes farther apart than so many standard deviations are not fused: the new one counts."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """What home's picture told, of the robot's centre in the home frame."""
+    """Pose of the robot's centre in the home frame, by home's picture."""
 
     t: float
     """When [s]."""
@@ -31,9 +30,9 @@ class Fix:
     covariance: np.ndarray
     """(3, 3), of x [m], y [m], heading [rad]."""
     tells_distance: bool
-    """Whether it tells the distance from home, too."""
+    """Whether the distance from home is known, too."""
     sure: bool
-    """Whether enough landmarks agree with it."""
+    """Whether enough landmarks agree."""
     contradicted: bool
     """Whether the map contradicts home's picture."""
     reason: str
@@ -41,7 +40,7 @@ class Fix:
 
 
 def fused(before: Fix | None, fix: Fix) -> Fix:
-    """Return a fix joined with the one before, carried to the same time; sure ones alone are."""
+    """Fuse a fix with the one before, propagated to the same time; only sure ones are."""
     if before is None or not (before.sure and fix.sure):
         return fix
     off = np.array(before.pose) - np.array(fix.pose)

@@ -1,9 +1,8 @@
-"""What pictures say to a landmark being called moved.
+"""Moved-landmark filter: tells landmarks that moved from wrong matches.
 
-Most features whose home bearing is wrong were mistaken for another of home's. Such matches come
-and go, or slide along an edge. What is on a thing that was moved is seen again and again, well away
-from where it stood; or keeps its place among the features of that thing; or has gone where a
-neighbour has that does.
+Most features whose home bearing is wrong were mistaken for another of home's: such matches come and
+go, or slide along an edge. A feature of an object that moved is seen again and again, well away
+from where it stood; or is matched with others of that object; or went where such a neighbour went.
 """
 
 from __future__ import annotations
@@ -19,26 +18,26 @@ from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
 
 LASTING, LASTING_SHARE = 8, 0.3
-"""A landmark may be called moved if seen so often, in such a share of the frames since then,"""
+"""A landmark lasts that was seen so often, and in such a share of the frames since the first."""
 FEWEST_MOVED_M = 0.2
-"""and so far across the line from home [m]: by less, features slide along edges;"""
+"""Least move of a lasting landmark across the line from home [m]: by less, features slide on
+edges."""
 FEWEST_TOGETHER, TOGETHER_SHARE = 3, 0.1
-"""or if in so many frames, and for so many of its sightings, it went along with others that
-contradict the robot's motion, too;"""
+"""Least number of frames, and share of its sightings, in which a landmark was in a moved group."""
 BESIDE, ALIKE = 0.2, 0.2
-"""or if home saw it so near to such a landmark [rad], and its distance, and what its home bearing
-is wrong by, are the same but for this share."""
+"""A neighbour of a moved landmark: largest angle between both at home [rad], and largest difference
+of distance and of bearing error, as a share."""
 
 
 class MovedLandmarkFilter:
-    """Remembers how landmarks were seen, and withholds a verdict that a wrong match explains."""
+    """Counts how landmarks were seen, and withdraws a verdict that a wrong match explains."""
 
     def __init__(self) -> None:
         self._frames = 0
         self._seen: dict[str, tuple[int, int]] = {}
         """How often each landmark was seen, and after how many frames first."""
         self._together: Counter[str] = Counter()
-        """In how many frames each one was on a thing that seemed to have been moved."""
+        """In how many frames each was in a moved group."""
 
     def add_frame(self, names: Iterable[str]) -> None:
         """Take the landmarks that one frame showed."""
@@ -52,9 +51,9 @@ class MovedLandmarkFilter:
         self._together.update(home_name(row) for row in seen.home_row[seen.moved].tolist())
 
     def filtered(self, landmarks: list[LandmarkEstimate]) -> list[LandmarkEstimate]:
-        """Return landmarks of which none is called moved that may be a wrong match."""
+        """Return landmarks; none is called moved that may be a wrong match."""
         called = [m for m in landmarks if m.moved]
-        sure = [m for m in called if self._lasts(m) or self._is_of_a_thing(m)]
+        sure = [m for m in called if self._lasts(m) or self._in_moved_group(m)]
         believed = {m.landmark for m in called if any(m is s or _beside(m, s) for s in sure)}
         return [
             m
@@ -64,14 +63,14 @@ class MovedLandmarkFilter:
         ]
 
     def _lasts(self, found: LandmarkEstimate) -> bool:
-        """Say whether a landmark moved while it was watched, or is seen again and again far off."""
+        """Say whether a landmark moved while it was watched, or is seen lastingly far off."""
         times, first = self._seen.get(found.landmark, (0, self._frames))
         lasting = times >= LASTING and times >= LASTING_SHARE * (self._frames - first)
         away = found.distance * abs(_turned(found))
         return math.isfinite(found.moved_at) or (lasting and away >= FEWEST_MOVED_M)
 
-    def _is_of_a_thing(self, found: LandmarkEstimate) -> bool:
-        """Say whether a landmark went along with others often enough."""
+    def _in_moved_group(self, found: LandmarkEstimate) -> bool:
+        """Say whether a landmark was in a moved group often enough."""
         times, _ = self._seen.get(found.landmark, (0, 0))
         return self._together[found.landmark] >= max(FEWEST_TOGETHER, TOGETHER_SHARE * times)
 

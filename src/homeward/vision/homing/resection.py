@@ -1,9 +1,7 @@
-"""The pose from home's own picture: its features, on home's sight lines, seen again from here.
+"""Resection from home's landmarks: each lies on the ray along which home saw it.
 
-A feature of the home image lies on the ray along which home saw it; how far away is what a map
-tells, or a guess. The pose follows by resection. Seen from home itself, features lie where home saw
-them, however far away they are: near home the map's errors cancel, which they do not in a pose
-within the map. What is not known of the picture's tilt is common to all its bearings: two unknowns
+Its distance is the map's, or a guess. Near home these distances cancel, and so do the map's errors,
+which they do not in a pose within the map. The unknown tilt is common to all bearings: two unknowns
 beside the pose.
 """
 
@@ -18,30 +16,30 @@ from homeward.frames import Pose
 from homeward.vision.geometry.jackknife import WINDOW, leave_windows_out
 
 DISTANCES = 60
-"""Places tried along the direction from home."""
+"""Number of places that are tried along the direction from home."""
 REACH = 2.0
-"""They go as far as so many median distances of the landmarks."""
+"""Distance of the farthest of them, in medians of the landmarks' distances."""
 BLUR = 0.01
-"""So much is added to the bearings' sigma while places are tried [rad]."""
+"""Standard deviation added to bearings while places are tried [rad]."""
 STEPS = 10
 SETTLED = 1e-5
-"""A step smaller than this ends the iteration [m or rad]."""
+"""Iterations end with a step smaller than this [m or rad]."""
 HEAVY = 3.0
-"""Residuals of more sigmas lose their weight (Geman and McClure)."""
+"""Scale of Geman and McClure's loss [standard deviations]."""
 AGREES = 3.0
-"""A landmark agrees whose residual is within so many sigmas."""
+"""Residual within which a landmark is an inlier [standard deviations]."""
 DIRECTION_FROM = 0.3
-"""Nearer to home than this [m] a direction told by two pictures is off by more than they know, and
-counts as if it were told from there."""
+"""A direction counts as told from this far [m] where home is nearer: there, its error is larger
+than its covariance says."""
 LARGEST_CONDITION = 1e10
-"""Where the rest of the landmarks do not fix a pose at all, it says nothing."""
+"""Jackknife windows without which the pose is worse conditioned than this are skipped."""
 LEAST_NEAR = 0.05
-"""No landmark is taken to be nearer to the camera than this [m]."""
+"""Least distance of a landmark from the camera [m]."""
 
 
 @dataclass(frozen=True)
 class HomeLandmarks:
-    """Landmarks on home's sight lines, and where they are seen now. All arrays have n rows."""
+    """Landmarks of home that are seen now. All arrays have n rows."""
 
     home: np.ndarray
     """Bearing from home [rad]."""
@@ -54,7 +52,7 @@ class HomeLandmarks:
     distance_sigma: np.ndarray
     """[m]"""
     mapped: np.ndarray
-    """bool, whether a map told the distance, as it did of one at least; else it is a guess."""
+    """bool, whether the distance is the map's, as that of one is at least; else it is a guess."""
     lean: np.ndarray
     """(n, 2): how the bearings from here change with roll and pitch of the camera [1]."""
 
@@ -67,7 +65,7 @@ class HomeLandmarks:
 
 @dataclass(frozen=True)
 class Direction:
-    """What two pictures alone tell of where the second was taken."""
+    """Direction and heading of the second of two panoramas, by these alone."""
 
     theta: float
     """Direction from home [rad]."""
@@ -85,21 +83,20 @@ class Resection:
     covariance: np.ndarray
     """(3, 3), of x [m], y [m], heading [rad]."""
     agrees: np.ndarray
-    """(n,) bool, which landmarks agree with that."""
+    """(n,) bool, which landmarks are inliers."""
 
 
 def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resection | None:
-    """Fit a pose to landmarks on home's sight lines, and to what the two pictures alone tell.
+    """Fit a pose to home's landmarks, and to the direction that the two panoramas tell.
 
-    The latter holds direction and heading where the map is poor; near home it fades away by its
-    own covariance.
+    The direction counts where the map is poor; near home it fades by its own covariance.
 
     Parameters
     ----------
     anchors : HomeLandmarks
         The landmarks.
     seen : Direction
-        What the two pictures alone tell.
+        By the two panoramas alone.
     tilt : ndarray, shape (2, 2)
         Covariance of what is left of the camera's roll and pitch [rad^2].
 

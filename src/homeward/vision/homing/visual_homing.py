@@ -1,9 +1,8 @@
-"""An estimator that looks at home's picture, too: the direction home at first, the pose near home.
+"""Visual homing: an estimator that compares each panorama with home's, around one that maps.
 
-Two panoramas tell heading and direction from home at once, where a map takes a while to be made;
-and near home they tell the pose better than the map does (see `homing.resection`). Odometry
-leads from one picture to the next. What home's picture contradicts is not called sure, whatever the
-map says.
+Two panoramas tell heading and direction from home at once, where a map takes a while; and near home
+they tell the pose better than the map (`homing.resection`). Odometry leads from one comparison to
+the next. A pose that home's picture contradicts is never called localised.
 """
 
 from __future__ import annotations
@@ -52,29 +51,26 @@ from homeward.vision.homing.fix import Fix, fused
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
 from homeward.vision.homing.resection import Direction, HomeLandmarks, resect
 
-FEWEST_ANCHORS = 6
-"""Landmarks of home, seen again, that a pose needs ..."""
-FEWEST_MAPPED = 4
-"""... and so many of them must be in the map."""
+FEWEST_ANCHORS, FEWEST_MAPPED = 6, 4
+"""Least number of home's landmarks that a resection uses, and of those among them in the map."""
 AGREEING = 0.7
-"""Such a share of those in the map must agree with a pose from home's picture."""
+"""Least share of the landmarks in the map that agree with a resection."""
 GUESSED = 4.0
-"""A landmark that is not in the map is as far as the others, give or take so many times that."""
+"""Standard deviation of the distance of a landmark outside the map, as a multiple of the median."""
 POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
-"""A pose that home's picture told is forgotten after this time [s], for the map knows more then; so
-is a direction later, for where the map knows nothing it is all there is."""
+"""A fix counts for so long [s]: a pose, after which the map knows more, and a direction."""
 UNKNOWN_DISTANCE = 3.0
-"""Where only the direction is known, the distance is said to be this, give or take as much [m]."""
+"""Distance from home where only the direction is known, and its standard deviation [m]."""
 SLIP, TURN_SLIP = 0.05, 0.05
-"""Odometry between pictures is off by such shares of the way and of the turn, beside its noise."""
+"""Error of odometry between pictures, as shares of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
-"""So many sigmas apart, the map and home's picture contradict each other."""
+"""Map and home's picture contradict each other from so many standard deviations on."""
 NEAR_HOME, REFUSALS = 0.3, 3
-"""So near home [m] its picture must be recognised; it is not when so many attempts have failed."""
+"""A map that says home is nearer than this [m] is doubted after so many refused comparisons."""
 
 
 class VisualHoming:
-    """Another estimator with an eye on home's picture, itself an `Estimator`.
+    """Adds visual homing to an estimator; itself an `Estimator`.
 
     Parameters
     ----------
@@ -154,9 +150,9 @@ class VisualHoming:
         if not seen.accepted:
             self._votes.add(t, seen)
             return
-        self._votes.forget()
+        self._votes.clear()
         self._moved_filter.add_comparison(seen)
-        fix = self._whole(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
+        fix = self._pose(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
         if fix is not None:
             self._fix = fused(self._carried(t), fix)
             self._forget_twists()
@@ -167,7 +163,7 @@ class VisualHoming:
         mapped, at = self._inner.estimate(t), self._clock.peek(t)
         fix = self._carried(at)
         if fix is None or not (fix.tells_distance or fix.contradicted or not agree(mapped, fix)):
-            return self._unless_refused(mapped if mapped.pose else self._hinted(mapped, at))
+            return self._unless_refused(mapped if mapped.pose else self._voted(mapped, at))
         return self._answer(mapped, fix)
 
     @guarded
@@ -175,13 +171,14 @@ class VisualHoming:
         """Everything known of each landmark; none is called moved that may be a wrong match."""
         return self._moved_filter.filtered(self._inner.landmarks())
 
-    def _hinted(self, mapped: Estimate, t: float) -> Estimate:
-        """Return what refused pictures say together; what the map says where they say nothing."""
-        hint = self._votes.at(t)
-        if hint is None:
+    def _voted(self, mapped: Estimate, t: float) -> Estimate:
+        """Return the consensus of refused pictures; what the map says where there is none."""
+        consensus = self._votes.at(t)
+        if consensus is None:
             return mapped
-        words = f"{hint.guesses} pictures, none of them recognised, guess the same direction home"
-        there = self._of_robot(*_far(hint.direction, UNKNOWN_DISTANCE))
+        votes = f"{consensus.votes} pictures, none of them recognised,"
+        words = f"{votes} guess the same direction home"
+        there = self._of_robot(*_far(consensus.direction, UNKNOWN_DISTANCE))
         return self._answer(mapped, Fix(t, *there, False, False, False, words))
 
     def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
@@ -190,15 +187,15 @@ class VisualHoming:
         return Estimate(mapped.t, status, fix.reason, fix.pose, fix.covariance)
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
-        """Return what the map says; unsure where home's picture should be seen, but is not."""
+        """Return what the map says; unverified where home's picture should be seen, but is not."""
         polar = mapped.polar
         if polar is None or polar.R > NEAR_HOME or self._refused < REFUSALS:
             return mapped
         words = "the map says home, but home's picture is not recognised"
         return dataclasses.replace(mapped, status=Status.UNVERIFIED, reason=words)
 
-    def _whole(self, t: float, seen: Comparison) -> Fix | None:
-        """Return the pose from landmarks of home; None where too few are seen, or in the map."""
+    def _pose(self, t: float, seen: Comparison) -> Fix | None:
+        """Return the pose by resection; None where too few landmarks are seen or mapped."""
         anchors = self._anchors(seen)
         mapped = anchors.mapped
         if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
@@ -259,7 +256,7 @@ class VisualHoming:
         return robot, jacobian @ covariance @ jacobian.T
 
     def _carried(self, t: float) -> Fix | None:
-        """Return the last fix, moved on to `t` by odometry; None where it is too old."""
+        """Return the last fix, propagated to `t` by odometry; None where it is too old."""
         fix = self._fix
         if fix is None:
             return None
@@ -284,7 +281,7 @@ class VisualHoming:
         return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
 
     def _forget_twists(self) -> None:
-        """Forget the twists that lie before all that is yet to be carried on."""
+        """Drop the twists that no fix will need any more."""
         if not self._twists:
             return
         newest = self._twists[-1][0]

@@ -1,8 +1,7 @@
-"""What was found in a drive's pictures is kept, and used where the same ones are looked at again.
+"""Cache of what was found in a drive's pictures, in the user's cache folder.
 
-It is kept in the user's cache folder, as compiled code is: whatever looks at a folder of images
-finds it there, and nothing is written beside the pictures. What it is kept under is a stamp of all
-that decides it, so that what is outdated is never found.
+The key is a hash of all that decides the result, so that nothing outdated is ever found. Nothing is
+written beside the pictures.
 """
 
 from __future__ import annotations
@@ -34,9 +33,9 @@ from homeward.vision.recorded.settings import ImageSettings
 
 SUFFIX = ".npz"
 MOST_BYTES = 500_000_000
-"""All that is kept: some 200 bytes a match, 20 MB for a thousand pictures of a room [bytes]."""
+"""Size of the cache [bytes]: some 200 a match, 20 MB for a thousand pictures of a room."""
 BLOCK = 1 << 20
-"""Files are read by so many bytes."""
+"""Size of the blocks in which files are read [bytes]."""
 OF_MATCHES = "home_row", "now_row", "place", "agrees", "moved"
 OF_PICTURES = "covariance", "tilt_covariance", "parallax"
 
@@ -52,13 +51,13 @@ class Found:
     remarks: dict[str, int]
 
 
-def cached(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
-    """Return what was kept under a stamp, else what is found now, to the last bit the same.
+def cached(key: Callable[[], str], find: Callable[[], Found]) -> Found:
+    """Return what is cached under a key, else what is found now, to the last bit the same.
 
     Parameters
     ----------
-    stamp : callable
-        Returns the stamp of what is there; asked again in the end, since nothing is kept of
+    key : callable
+        Returns the key of what is there; asked again in the end, since nothing is cached of
         pictures that were changed meanwhile.
     find : callable
         Looks at the pictures.
@@ -66,11 +65,11 @@ def cached(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
     store = Cache(default_folder(), SUFFIX)
     if store.problem() is not None:
         return _unpacked(_packed(find()))
-    before = stamp()
+    before = key()
     if (file := store.find(before)) is not None and (found := _read(file)) is not None:
         return found
     packed = _packed(find())
-    if stamp() == before:
+    if key() == before:
         # Without room for it, all goes on as if it had been kept.
         with suppress(OSError), store.workshop() as workshop:
             np.savez(made := Path(workshop) / f"seen{SUFFIX}", allow_pickle=False, **packed)
@@ -80,7 +79,7 @@ def cached(stamp: Callable[[], str], find: Callable[[], Found]) -> Found:
 
 
 def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.ndarray) -> str:
-    """Return the stamp of all that decides what is found in pictures.
+    """Return a hash of all that decides what is found in pictures.
 
     Parameters
     ----------

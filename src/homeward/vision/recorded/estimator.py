@@ -1,4 +1,4 @@
-"""A drive whose pictures were looked at beforehand, and the estimator that runs on one."""
+"""Visual homing on a recorded drive, whose pictures were compared beforehand."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ WAYS = (
     "to the right",
     "ahead to the right",
 )
-"""Where home lies, seen from the robot, anti-clockwise."""
+"""Directions of home, seen from the robot, anti-clockwise."""
 
 
 @dataclass(frozen=True)
 class ImageDrive(Drive):
-    """A drive whose bearings were found in pictures."""
+    """A drive whose bearings were found in panoramas."""
 
     pictures: tuple[tuple[float, Comparison | None], ...] = ()
     """Stamp [s] of each picture, in order, and how it compares with home's; None where that was not
@@ -43,9 +43,9 @@ class ImageDrive(Drive):
 class RecordedVisualHoming(VisualHoming):
     """`VisualHoming` on a recorded drive: each picture counts when its time has come.
 
-    Nobody drives by its answers, which are kept. So a direction home without a distance is told in
-    words, not as a pose. Where map and picture contradict each other the surer one is told; where
-    that is the map, it is in doubt until a picture agrees with it.
+    No robot drives by its answers. So a direction home without a distance is told in words, not as
+    a pose. Where map and picture contradict each other the surer one is told; where that is the
+    map, it is unverified until a picture agrees with it.
 
     Parameters
     ----------
@@ -100,14 +100,14 @@ class RecordedVisualHoming(VisualHoming):
         if fix.sure and (doubt is None or _off(fix.covariance) < _off(mapped.covariance)):
             return super()._answer(mapped, fix)
         if doubt is not None:
-            return doubt.cast_on(mapped)
+            return doubt.applied_to(mapped)
         return dataclasses.replace(mapped, reason=f"{mapped.reason}; {_words(fix)}")
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture said otherwise, or is not seen."""
         said = super()._unless_refused(mapped)
         doubt = unexpired(self._doubt, self._clock.peek(mapped.t))
-        return said if doubt is None else doubt.cast_on(said)
+        return said if doubt is None else doubt.applied_to(said)
 
 
 def way_home(pose: Pose, covariance: np.ndarray) -> str | None:

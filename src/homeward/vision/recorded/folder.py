@@ -1,4 +1,4 @@
-"""Image folders: panoramas along a drive, home's, and odometry; made into an ordinary drive."""
+"""Image folders: home's panorama, those along a drive, and odometry, made into a drive."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 
 IMAGE_SETTINGS = "images.yaml"
 FEWEST_SIGHTINGS = 8
-"""A landmark seen less often tells nothing."""
+"""Landmarks seen less often are left out."""
 HOME_STEM = "home"
-ASKED = 8
-"""So many pictures along the drive, and home's, are asked whether they are panoramas."""
-DOUBTED = 3
-"""Where none is like home, so many are asked whether other settings suit them."""
+TESTED_SEAMS = 8
+"""So many pictures along the drive, and home's, are tested for being panoramas."""
+TESTED_SETTINGS = 3
+"""Where no picture is like home, other camera settings are tried on so many."""
 UNLIKE = "images in which nothing seen before was found"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
@@ -147,7 +147,7 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
 
 def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, folder: Path) -> None:
     """Raise InputError when home's panorama and some of the others are none."""
-    some = np.unique(np.linspace(0, len(files) - 1, ASKED).astype(int)).tolist()
+    some = np.unique(np.linspace(0, len(files) - 1, TESTED_SEAMS).astype(int)).tolist()
     pictures = [home, *(camera.panorama(read_grey(files[k])) for k in some)]
     try:
         require_panoramas(pictures, camera)
@@ -179,11 +179,11 @@ def _found(
         remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
     sightings = _sightings(images.t, glances, remarks)
     compared = tuple(glance.home for glance in glances)
-    remarks |= _settings_doubts(home, front_end, images.files, compared)
+    remarks |= _check_camera_settings(home, front_end, images.files, compared)
     return Found(sightings, front_end.home_bearings, compared, remarks)
 
 
-def _settings_doubts(
+def _check_camera_settings(
     home: np.ndarray,
     front_end: FrontEnd,
     files: list[Path],
@@ -195,7 +195,7 @@ def _settings_doubts(
     """
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
     like = [pair for pair in tried if pair[1].accepted][:1]
-    some = np.unique(np.linspace(0, len(tried) - 1, DOUBTED).astype(int)).tolist()
+    some = np.unique(np.linspace(0, len(tried) - 1, TESTED_SETTINGS).astype(int)).tolist()
     for file, seen in like or [tried[k] for k in some]:
         picture, view = read_view(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
