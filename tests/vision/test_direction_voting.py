@@ -69,7 +69,7 @@ def test_guesses_that_are_alike_tell_the_way(n):
         assert told.pose is None
         return
     assert told.status is Status.UNVERIFIED
-    assert "pictures, none of them recognised" in told.reason
+    assert "pictures that do not match home's agree" in told.reason
     assert is_right(told.pose, pose)
     assert 0.04 < math.sqrt(told.covariance[2, 2]) < 0.1
     assert sight.estimate(t + 0.4).pose.heading == pytest.approx(told.pose.heading + 0.4 * TURN)

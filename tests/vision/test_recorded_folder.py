@@ -166,7 +166,7 @@ def test_pictures_of_another_place_are_no_reason_to_be_sure(drive):
     other = replace(drive, pictures=unlike)
     track = run(other, make_estimator("robust", other))
     assert track.status[-1] is Status.UNVERIFIED
-    assert track.reason[-1] == "the map says home, but home's picture is not recognised"
+    assert track.reason[-1] == "the map says that this is home, but the pictures do not match"
 
 
 def test_pictures_out_of_order_are_counted_and_do_no_harm(drive, track):

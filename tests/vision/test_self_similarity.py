@@ -106,5 +106,5 @@ def test_where_most_repeats_itself_the_others_must_be_enough(repeated, believed)
     rows = np.random.default_rng(1).permutation(40)
     found = assess_unrepeated(verdict, fit, pairs, rows, np.arange(40) < repeated)
     assert found.accepted == believed
-    assert ("repeats itself" in found.reason) != believed
+    assert ("repeating patterns" in found.reason) != believed
     assert "40 of 40 matches agree" in found.reason

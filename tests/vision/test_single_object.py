@@ -51,7 +51,7 @@ def test_one_thing_with_most_of_the_matches_is_told_and_costs(elevation):
     assert not on_it[30:].any()
     assert covariance_factor(on_it, fit) > 3.0
     said = explain(verdict, on_it, pairs)
-    assert "on one thing" in said
+    assert "on one object" in said
     assert ("overhead" in said) == (elevation > math.radians(45.0))
 
 

@@ -172,7 +172,7 @@ def test_home_must_be_recognised_where_the_map_says_home():
         for sight in (near, far):
             sight.home(float(t), compared(points, Pose(0.1, 0.0, 0.0), accepted=False))
     assert near.estimate(4.0).status is Status.UNVERIFIED
-    assert "not recognised" in near.estimate(4.0).reason
+    assert "do not match" in near.estimate(4.0).reason
     assert far.estimate(4.0).status is Status.LOCALISED
 
 

@@ -34,10 +34,10 @@ def describe(seen: Comparison) -> str:
     if seen.knows_direction:
         home = f"Home lies {_towards(seen.homewards)} +- {_deg(seen.homewards_sigma)}."
     else:
-        home = "Direction home: not to be told (too near to home, or too little to go by)."
+        home = "The direction home is not known: home is too near, or too few features agree."
     text = f"{heading} {home} {seen.acceptance.reason[0].upper()}{seen.acceptance.reason[1:]}."
     if moved := int(seen.moved.sum()):
-        text += f" {moved} more are on things that seem to have been moved."
+        text += f" {moved} more lie on objects that were probably moved."
     return text
 
 

@@ -7,16 +7,23 @@
 
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
+from homeward.vision.cameras.ring import Ring, find_ring
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import View, look
+from homeward.vision.front_end import FrontEnd
+from homeward.vision.homing.visual_homing import VisualHoming
 
 __all__ = [
     "Comparison",
     "Cylindrical",
     "Equirectangular",
+    "FrontEnd",
     "Mask",
     "Panorama",
+    "Ring",
     "View",
+    "VisualHoming",
     "compare",
+    "find_ring",
     "look",
 ]

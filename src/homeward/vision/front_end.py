@@ -234,10 +234,10 @@ class FrontEnd:
 
     def _words(self, compared: dict[int, Comparison], fits: list[int]) -> str:
         if 0 in fits:
-            return f"like home: {compared[0].acceptance.reason}"
+            return f"matches home: {compared[0].acceptance.reason}"
         if fits:
-            return f"like keyframe {fits[-1]}: {compared[fits[-1]].acceptance.reason}"
-        return f"like nothing seen before: {next(iter(compared.values())).acceptance.reason}"
+            return f"matches keyframe {fits[-1]}: {compared[fits[-1]].acceptance.reason}"
+        return f"matches nothing seen before: {next(iter(compared.values())).acceptance.reason}"
 
 
 def _moved_to(view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray) -> View:

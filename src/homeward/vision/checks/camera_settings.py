@@ -48,7 +48,7 @@ def better_settings(
     if not seen.accepted:
         flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
         if compare(views[0], flipped, camera).accepted:
-            return "the pictures have something in common only when one is mirrored: mirror it back"
+            return "the pictures agree only if one of them is mirrored: mirror it back"
     if isinstance(camera, Ring):
         return None
     told = seen.acceptance.log_false_alarms if seen.motion else 0.0
@@ -62,6 +62,6 @@ def better_settings(
     if best is None:
         return None
     return (
-        f"with the horizon at {best:.1f} of the height more agrees by far than at "
-        f"{camera.horizon:g}: tell where it is (images.yaml, camera: horizon)"
+        f"the pictures agree far better with the horizon at {best:.1f} of the height than at "
+        f"{camera.horizon:g}: set it in images.yaml (camera: horizon)"
     )

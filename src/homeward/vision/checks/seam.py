@@ -32,7 +32,7 @@ FLAT = 16.0
 """Grey values outside a fisheye's disc differ by no more than this."""
 DISC_CONTRAST = 0.8
 """Least share of a disc's edge that has a picture within and nothing without."""
-INSIST = "insist with --force, or with force: true in images.yaml"
+INSIST = "to use it anyway: --force, or force: true in images.yaml"
 
 
 def require_panoramas(pictures: Sequence[np.ndarray], camera: Panorama) -> None:
@@ -48,13 +48,13 @@ def require_panoramas(pictures: Sequence[np.ndarray], camera: Panorama) -> None:
     greys = [as_grey(picture) for picture in pictures]
     if greys and all(map(_two_discs, greys)):
         raise InputError(
-            "two discs side by side: the picture of a double fisheye, no panorama; convert it to "
+            "two discs side by side: a double fisheye image, no panorama; convert it to "
             f"an equirectangular one with the camera's software ({INSIST})"
         )
     if greys and np.mean([seam_evidence(grey, camera) for grey in greys]) >= LEAST_EVIDENCE:
         raise InputError(
-            "left and right edge do not continue each other, as those of a panorama of 360 deg do "
-            f"(false alarms: one in {LEAST_EVIDENCE:.0f} at most); an ordinary picture? ({INSIST})"
+            "left and right edge do not continue each other, as those of a 360 deg panorama do; "
+            f"is it an ordinary picture? ({INSIST})"
         )
 
 

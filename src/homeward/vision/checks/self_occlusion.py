@@ -53,8 +53,8 @@ class SelfOcclusion:
         """What to do about it, in words that follow the number of matches."""
         low, high = math.floor(math.degrees(self.lowest)), math.ceil(math.degrees(self.highest))
         return (
-            f"matches at elevations of {low} to {high} deg turn with the camera, as the robot's "
-            "own parts do, or a time stamp in the picture: leave them out by a mask"
+            f"matches at elevations of {low} to {high} deg turn with the camera: they show "
+            "the robot itself, or a time stamp; mask them out"
         )
 
 

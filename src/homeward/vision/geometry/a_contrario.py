@@ -111,7 +111,7 @@ def assess_unrepeated(
         return acceptance
     if assess(replace(fit, inlier=alone), pairs, heading).accepted:
         return acceptance
-    words = f"{_agreement(fit.inlier, pairs)}, most of them on what repeats itself"
+    words = f"{_agreement(fit.inlier, pairs)}, most of them on repeating patterns"
     return replace(acceptance, accepted=False, reason=f"not enough in common: {words}")
 
 

@@ -57,6 +57,6 @@ def explain(acceptance: Acceptance, thing: np.ndarray, pairs: Pairs) -> str:
     up = math.degrees(math.atan2(z, math.hypot(x, y)))
     where = "overhead" if up > 45.0 else f"{math.degrees(math.atan2(y, x)):.0f} deg from its axis"
     return (
-        f"{acceptance.reason}; {int(thing.sum())} of them are on one thing ({where} at home), and "
-        "the others are not enough: if it was moved, or moves along, this is wrong"
+        f"{acceptance.reason}; {int(thing.sum())} of them lie on one object ({where} at home): "
+        "if it was moved, or moves with the robot, this answer is wrong"
     )

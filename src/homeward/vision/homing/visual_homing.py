@@ -176,8 +176,7 @@ class VisualHoming:
         consensus = self._votes.at(t)
         if consensus is None:
             return mapped
-        votes = f"{consensus.votes} pictures, none of them recognised,"
-        words = f"{votes} guess the same direction home"
+        words = f"{consensus.votes} pictures that do not match home's agree on the direction home"
         there = self._of_robot(*_far(consensus.direction, UNKNOWN_DISTANCE))
         return self._answer(mapped, Fix(t, *there, False, False, False, words))
 
@@ -191,7 +190,7 @@ class VisualHoming:
         polar = mapped.polar
         if polar is None or polar.R > NEAR_HOME or self._refused < REFUSALS:
             return mapped
-        words = "the map says home, but home's picture is not recognised"
+        words = "the map says that this is home, but the pictures do not match"
         return dataclasses.replace(mapped, status=Status.UNVERIFIED, reason=words)
 
     def _pose(self, t: float, seen: Comparison) -> Fix | None:
@@ -217,7 +216,7 @@ class VisualHoming:
         if not seen.knows_direction:
             return None
         there = _far(_told(seen), UNKNOWN_DISTANCE if mapped is None else float(mapped.R))
-        words = "home's picture tells the direction home, not how far it is"
+        words = "home's picture tells the direction home, but not how far it is"
         return Fix(t, *self._of_robot(*there), False, False, False, words)
 
     def _anchors(self, seen: Comparison) -> HomeLandmarks:

@@ -149,4 +149,4 @@ def _off(covariance: np.ndarray | None) -> float:
 def _note(drive: ImageDrive) -> str:
     """Say that home's picture was used."""
     known = sum(seen is not None and seen.accepted for _, seen in drive.pictures)
-    return f"Home's picture was used, too: {known:,} of {len(drive.pictures):,} pictures show it."
+    return f"Home's picture was used, too: {known:,} of {len(drive.pictures):,} pictures match it."

@@ -44,7 +44,7 @@ TESTED_SEAMS = 8
 """So many pictures along the drive, and home's, are tested for being panoramas."""
 TESTED_SETTINGS = 3
 """Where no picture is like home, other camera settings are tried on so many."""
-UNLIKE = "images in which nothing seen before was found"
+UNLIKE = "images that match none before them"
 RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
 
 
@@ -200,7 +200,7 @@ def _check_camera_settings(
         picture, view = read_view(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
         if words := better_settings(seen, (home, picture), views, front_end.camera):
-            return {f"pair of pictures was looked at closely, home and {file.name}: {words}": 1}
+            return {f"pair of pictures, home and {file.name}, suggests other settings: {words}": 1}
     return {}
 
 
