@@ -45,7 +45,7 @@ def test_python_of_the_camera_front_end_runs_in_order():
     names["mask_image"] = np.full_like(home, 255)
     for text in blocks(doc("vision.md"), "python"):
         exec(compile(text, "vision.md", "exec"), names)
-    assert names["glance"].home.accepted
+    assert names["seen"].home.accepted
     assert names["estimate"].reason
 
 

@@ -87,7 +87,7 @@ def test_a_mark_on_the_ring_comes_out_where_it_is(mirrored, model):
     row, column = np.argwhere(panorama > 200).mean(axis=0)
     azimuth, elevation = looks(ring, column, row, panorama.shape)
     assert azimuth == pytest.approx(-40 if mirrored else 40, abs=0.5)
-    radii, table = ring._table()
+    radii, table = ring.elevation_table()
     assert np.radians(elevation) == pytest.approx(np.interp(150, radii, table), abs=0.02)
 
 

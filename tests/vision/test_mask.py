@@ -128,7 +128,7 @@ def test_the_strongest_corner_is_not_one_that_is_left_out():
     """Else a deck of high contrast leaves no corner in a dim room."""
     image = np.random.default_rng(0).integers(100, 110, (HEIGHT, WIDTH)).astype(np.uint8)
     image[HORIZON:] = np.kron(np.indices((5, 64)).sum(0) % 2 * 255, np.ones((9, 8)))[:43]
-    corners = [len(look(image, CAMERA, m)._corners()) for m in (None, Mask.of(PAINTED))]
+    corners = [len(look(image, CAMERA, m).corners()) for m in (None, Mask.of(PAINTED))]
     assert corners[1] > 2 * corners[0]
 
 

@@ -3,13 +3,17 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from test_visual_homing import SIGMA, Map, compared, scene
+from test_visual_homing import Map, compared, scene
+from vision_scene import look as draw
+from vision_scene import make_room
 
 from homeward.estimator import LandmarkEstimate
 from homeward.frames import Pose
-from homeward.vision.homing.moved_landmark_filter import FEWEST_TOGETHER, MovedLandmarkFilter
-from homeward.vision.homing.visual_homing import VisualHoming
+from homeward.vision import Equirectangular, VisualHoming, compare, look
+from homeward.vision.front_end import home_name
+from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
 
 STILL = LandmarkEstimate("h9", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
 
@@ -47,17 +51,28 @@ def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, v
     assert second == STILL
 
 
-@pytest.mark.parametrize("frames", [FEWEST_TOGETHER - 1, FEWEST_TOGETHER])
-def test_what_went_along_with_others_is_on_a_thing_that_was_moved(frames):
-    points = scene()
-    seen = compared(points, Pose(0.5, 0.2, 0.3), direction_sigma=SIGMA)
-    seen.moved[:4] = True
-    inner = Map(points)
-    inner.found = [gone("h0", 0.05), gone("h5", 0.05, at=2.0)]
-    sight = VisualHoming(inner)
-    for k in range(frames):
-        sight.home(0.2 * k, seen)
-    assert [m.moved for m in sight.landmarks()] == [frames == FEWEST_TOGETHER or None, None]
+def test_features_of_a_box_that_was_moved_are_called_moved_after_some_pictures():
+    """Not after the first of them, and no other feature that contradicts the motion."""
+    room, camera, moved_filter = make_room(6), Equirectangular(), MovedLandmarkFilter()
+    home = look(draw(room, 3.0, 3.0, 0.4), camera)
+    low, high, texture = room.boxes[3]
+    away = np.array([0.5 if low[0] < 4 else -0.5, 0.3 if low[1] < 3 else -0.3, 0.0])
+    room.boxes[3] = low + away, high + away, texture
+    moved, stray = [], set()
+    for k in range(4):
+        now = look(draw(room, 3.1 + 0.05 * k, 3.1, 0.9, seed=k), camera)
+        seen = compare(home, now, camera)
+        moved_filter.add_comparison(seen)
+        moved.append(set(seen.home_row[seen.moved].tolist()))
+        stray |= set(seen.home_row[~seen.agrees & ~seen.moved].tolist())
+        called = [home_name(row) for row in set.intersection(*moved)]
+        found = verdicts(moved_filter, *(gone(landmark, 0.05) for landmark in called))
+        assert called
+        assert set(found.values()) == {None if k < 2 else True}
+    others = [home_name(row) for row in stray - set.union(*moved)]
+    assert others
+    found = verdicts(moved_filter, *(gone(landmark, 0.05) for landmark in others))
+    assert set(found.values()) == {None}
 
 
 def test_what_has_gone_where_its_neighbour_has_is_moved_like_that_one():
@@ -90,7 +105,7 @@ def test_what_goes_along_with_others_now_and_then_is_not_on_a_thing():
     inner.found = [gone("h0", 0.05)]
     sight, seen = VisualHoming(inner), compared(points, Pose(0.5, 0.2, 0.3))
     seen.moved[0] = True
-    for k in range(FEWEST_TOGETHER):
+    for k in range(3):
         sight.home(float(k), seen)
     for k in range(100):
         sight.bearings(float(k), {"h0": 0.1})

@@ -1,6 +1,7 @@
 """What was found in pictures is used again, is the same, and is never used of other pictures."""
 
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
+import os
 import shutil
 from dataclasses import fields, is_dataclass
 
@@ -14,8 +15,8 @@ from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import room
+from homeward.vision.front_end import FrontEnd
 from homeward.vision.recorded import cache as kept
-from homeward.vision.recorded import folder as image_folder
 from homeward.vision.recorded.folder import see_folder
 
 
@@ -38,14 +39,15 @@ def folder(rendered, tmp_path, monkeypatch):
 @pytest.fixture
 def looks(monkeypatch):
     """Return a list that grows whenever the images are looked at."""
-    times, look = [], image_folder._look_at_all
+    drives, take = [], FrontEnd.take
 
-    def counted(*arguments):
-        times.append(1)
-        return look(*arguments)
+    def counted(front_end, view):
+        if not any(front_end is other for other in drives):
+            drives.append(front_end)
+        return take(front_end, view)
 
-    monkeypatch.setattr(image_folder, "_look_at_all", counted)
-    return times
+    monkeypatch.setattr(FrontEnd, "take", counted)
+    return drives
 
 
 def files(folder):
@@ -148,7 +150,7 @@ def test_another_content_of_the_mask_makes_it_look_again(folder, looks):
 
 def test_another_version_looks_again(folder, looks, monkeypatch):
     see_folder(folder)
-    monkeypatch.setattr(kept, "_algorithm", lambda: "another")
+    monkeypatch.setattr(kept, "algorithm", lambda: "another")
     see_folder(folder)
     assert len(looks) == 2
 
@@ -197,13 +199,14 @@ def test_a_full_disk_leaves_nothing_half_written(folder, looks, monkeypatch):
 
 
 def test_pictures_that_change_meanwhile_are_not_kept(folder, monkeypatch):
-    look = image_folder._look_at_all
+    take = FrontEnd.take
 
-    def changing(*arguments):
+    def changing(front_end, view):
+        monkeypatch.setattr(FrontEnd, "take", take)  # once is enough
         one_pixel(folder)
-        return look(*arguments)
+        return take(front_end, view)
 
-    monkeypatch.setattr(image_folder, "_look_at_all", changing)
+    monkeypatch.setattr(FrontEnd, "take", changing)
     see_folder(folder)
     assert not files(folder)
 
@@ -215,7 +218,7 @@ def test_no_more_is_kept_than_the_bound_and_what_was_used_last_stays(folder, mon
     stale = [first.with_name(f"{k}-x.npz") for k in range(4)]
     for age, file in enumerate(stale):
         shutil.copy(first, file)
-        image_folder.os.utime(file, (1e9 - age, 1e9 - age))
+        os.utime(file, (1e9 - age, 1e9 - age))
     told(folder, "landmarks: 20")
     see_folder(folder)
     assert first in files(folder)

@@ -154,16 +154,15 @@ def test_a_map_whose_distances_the_picture_contradicts_is_unsure_and_covers_both
 
 
 def doubting():
-    """Return an estimator whose map lies beside what a picture at 0 s told, and a later stamp."""
-    mapped = Pose(0.8, 0.1, 0.5)
-    pictures = [(0.0, compared(POINTS, CAMERA))]
-    seen = sight(pictures, Map(POINTS, pose=mapped, sigma=0.001))
+    """Return an estimator whose map lies beside what a picture at 0 s told, that map, and when."""
+    told = Map(POINTS, pose=Pose(0.8, 0.1, 0.5), sigma=0.001)
+    seen = sight([(0.0, compared(POINTS, CAMERA))], told)
     seen.bearings(0.0, {})
-    return seen, POSE_HOLD_S + 1.0
+    return seen, told, POSE_HOLD_S + 1.0
 
 
 def test_a_doubt_outlasts_the_picture_but_not_for_ever():
-    seen, later = doubting()
+    seen, _, later = doubting()
     said = seen.estimate(later)
     assert said.status is Status.UNVERIFIED
     assert apart(said, CAMERA) < 9.0
@@ -172,15 +171,15 @@ def test_a_doubt_outlasts_the_picture_but_not_for_ever():
 
 
 def test_a_doubt_ends_with_a_picture_that_tells_as_much_and_agrees():
-    seen, later = doubting()
+    seen, _, later = doubting()
     seen.home(later, compared(POINTS, Pose(0.8, 0.1, 0.5)))
     assert seen.estimate(later).status is Status.LOCALISED
     assert seen.estimate(2 * later).status is Status.LOCALISED
 
 
 def test_a_direction_does_not_answer_for_a_distance_that_is_in_doubt():
-    seen, later = doubting()
-    seen._inner.found = []
+    seen, told, later = doubting()
+    told.found = []
     seen.home(later, compared(POINTS, Pose(0.8, 0.1, 0.5)))
     assert seen.estimate(later).status is Status.UNVERIFIED
 

@@ -11,7 +11,7 @@ from homeward.drives.drive import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
-from homeward.vision.homing.resection import Direction, HomeLandmarks, _predict, resect
+from homeward.vision.homing.resection import Direction, HomeLandmarks, predict_bearings, resect
 from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S, VisualHoming
 
 WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
@@ -45,9 +45,9 @@ def test_the_jacobian_is_the_derivative():
     seen, step = anchors(scene(), Pose(0.5, -0.3, 0.7)), 1e-6
     seen = replace(seen, lean=np.random.default_rng(0).normal(0.0, 0.3, (24, 2)))
     x = np.array([0.4, -0.2, 0.6, 0.02, -0.03])
-    jacobian = _predict(seen, x)[1]
+    jacobian = predict_bearings(seen, x)[1]
     for k in range(5):
-        ahead, behind = (_predict(seen, x + s * step * np.eye(5)[k])[0] for s in (1, -1))
+        ahead, behind = (predict_bearings(seen, x + s * step * np.eye(5)[k])[0] for s in (1, -1))
         # The residual is measured minus predicted.
         np.testing.assert_allclose(-(ahead - behind) / (2 * step), jacobian[:, k], atol=1e-6)
 

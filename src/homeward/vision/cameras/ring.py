@@ -66,7 +66,7 @@ class Ring(Panorama):
             raise ValueError("give one of elevations, polynomial and mirror")
         if self.mirror is not None and self.mirror[0] <= 1.0:
             raise ValueError("mirror: the eccentricity of a hyperbola is above 1")
-        span = self._table()[1]
+        span = self.elevation_table()[1]
         steps = np.diff(span)
         if not (np.all(steps > 0) or np.all(steps < 0)):
             raise ValueError("the elevation must rise or fall all the way from inner to outer")
@@ -91,7 +91,7 @@ class Ring(Panorama):
 
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
         """Return where each pixel of the panorama lies in the ring image."""
-        radii, elevation = self._table()
+        radii, elevation = self.elevation_table()
         width = self._width()
         step = self.column_angle(width)
         top, bottom = self._edges()
@@ -118,10 +118,10 @@ class Ring(Panorama):
 
     def _edges(self) -> tuple[float, float]:
         """Return the greatest and the least elevation [rad]."""
-        elevation = self._table()[1]
+        elevation = self.elevation_table()[1]
         return float(elevation.max()), float(elevation.min())
 
-    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+    def elevation_table(self) -> tuple[np.ndarray, np.ndarray]:
         """Return radii [px] and the elevation at each [rad]."""
         radii = np.linspace(self.inner, self.outer, TABLE)
         if self.elevations is not None:

@@ -75,12 +75,12 @@ class View:
         of : ndarray of int, shape (n,)
             Which of them lies where each feature does.
         """
-        every = np.vstack([np.column_stack([self.column, self.row, self.size]), self._corners()])
+        every = np.vstack([np.column_stack([self.column, self.row, self.size]), self.corners()])
         place = every[:, :2].round() @ [1, 1j]
         _, first, of = np.unique(place, return_index=True, return_inverse=True)
         return every[first], of[: len(self)]
 
-    def _corners(self) -> np.ndarray:
+    def corners(self) -> np.ndarray:
         """Return corners: column, row and diameter, (m, 3) [px].
 
         They are patches whose place in another panorama is told well (Shi and Tomasi, "Good

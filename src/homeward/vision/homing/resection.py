@@ -151,7 +151,7 @@ def _fit(
     """
     across, known = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
     for _ in range(STEPS):
-        residual, jacobian, variance = _predict(anchors, x)
+        residual, jacobian, variance = predict_bearings(anchors, x)
         off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
         weight = _weight(residual**2 / variance) / variance
         told = _weight(off @ known @ off / off.size) * across.T @ known
@@ -168,7 +168,7 @@ def _fit(
             break
     if not np.isfinite(x).all():
         return None
-    residual, jacobian, variance = _predict(anchors, x)
+    residual, jacobian, variance = predict_bearings(anchors, x)
     unlike = _loss(residual**2 / variance) + np.log(variance / anchors.sigma**2)
     of_direction = off.size * _loss(off @ known @ off / off.size)
     loss = float(unlike[anchors.mapped].sum() + of_direction + x[3:] @ upright @ x[3:])
@@ -228,10 +228,12 @@ def _begin(anchors: HomeLandmarks, seen: Direction) -> np.ndarray:
     return np.asarray(places[np.argmin(costs)])
 
 
-def _predict(anchors: HomeLandmarks, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals [rad], derivatives and variances of bearings from `x`.
+def predict_bearings(
+    anchors: HomeLandmarks, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residuals (n,) [rad], derivatives (n, 5) and variances (n,) of bearings from `x`.
 
-    Of shapes (n,), (n, 5) and (n,); derivatives are those of the predicted bearings.
+    Residuals are measured minus predicted; derivatives are those of the predicted bearings.
     """
     residual, variance, per_metre = (a[0] for a in _sighted(anchors, x[None]))
     jacobian = np.column_stack([per_metre, -np.ones(len(anchors)), -anchors.lean])

@@ -99,12 +99,12 @@ def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.nd
     told = [settings.camera.model_dump_json(), str(settings.landmarks), str(len(masks))]
     contents = [_content(path) for path in (*masks, *pictures)]
     rest = [hashlib.sha256(a.tobytes()).hexdigest() for a in numbers]
-    return key_of(_algorithm(), *told, *contents, *rest)
+    return key_of(algorithm(), *told, *contents, *rest)
 
 
 @cache
-def _algorithm() -> str:
-    """Return a key for everything beside the input that decides what is found.
+def algorithm() -> str:
+    """Return a key of everything beside the input that decides what is found.
 
     That is all of homeward's sources: to count up a version would be forgotten, and so would a part
     of what vision uses. Other libraries, processors and compilers round otherwise.
