@@ -11,7 +11,8 @@ from homeward.angles import wrap
 from homeward.estimator import Status
 from homeward.frames import Pose, compose, to_polar
 from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.homing.direction_voting import FEWEST_ALIKE, HOLD_VOTES_S
+from homeward.vision.homing.direction_voting import FEWEST_ALIKE
+from homeward.vision.homing.fix import DIRECTION_HOLD_S
 from homeward.vision.homing.visual_homing import VisualHoming
 
 SPEED, TURN = 0.25, 0.5
@@ -138,14 +139,14 @@ def test_one_thing_is_not_believed():
 def test_a_hint_lapses_and_gives_way_to_a_picture_that_is_recognised():
     sight = lost()
     t, pose = circle(sight, right, 12)
-    assert sight.estimate(t + HOLD_VOTES_S).pose is not None
-    assert sight.estimate(t + HOLD_VOTES_S + 0.1).pose is None
+    assert sight.estimate(t + DIRECTION_HOLD_S).pose is not None
+    assert sight.estimate(t + DIRECTION_HOLD_S + 0.1).pose is None
     sight.home(t, compared(POINTS, pose))
     assert "home's picture tells the direction" in sight.estimate(t).reason
     one_more = Pose(pose.x, pose.y, pose.heading + TURN * EVERY)
     sight.odometry(t + EVERY, SPEED, TURN)
     sight.home(t + EVERY, refused(right(0, one_more)))
-    assert sight.estimate(t + HOLD_VOTES_S + 0.2).pose is None  # of old guesses and this one
+    assert sight.estimate(t + DIRECTION_HOLD_S + 0.2).pose is None  # of old guesses and this one
 
 
 def test_at_home_nothing_is_guessed():

@@ -11,7 +11,7 @@ from homeward.drives.drive import Odometry, Sightings
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.reasons import Rejection
-from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S
 from homeward.vision.recorded.estimator import WAYS, ImageDrive, RecordedVisualHoming, way_home
 
 POINTS = scene()

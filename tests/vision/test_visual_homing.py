@@ -11,8 +11,9 @@ from homeward.drives.drive import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
 from homeward.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S
 from homeward.vision.homing.resection import Direction, HomeLandmarks, predict_bearings, resect
-from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, POSE_HOLD_S, VisualHoming
+from homeward.vision.homing.visual_homing import VisualHoming
 
 WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
 

@@ -17,10 +17,10 @@ from homeward.vision.features.moved_groups import moved_groups
 from homeward.vision.features.patch_alignment import Alignment, align_features
 from homeward.vision.features.self_similarity import self_similar
 from homeward.vision.geometry.a_contrario import WITHIN, Acceptance, assess, assess_unrepeated
-from homeward.vision.geometry.epipolar import Motion, Pairs
+from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
 from homeward.vision.geometry.jackknife import jackknife_covariance
-from homeward.vision.geometry.ransac import estimate_motion
-from homeward.vision.geometry.refinement import SCALE, Fit, irls, refine
+from homeward.vision.geometry.ransac import APART, estimate_motion
+from homeward.vision.geometry.refinement import Fit, irls, refine
 from homeward.vision.geometry.single_object import covariance_factor, dominant_object, explain
 from homeward.vision.geometry.tilt import Tilt
 
@@ -34,15 +34,10 @@ ALONE = 0.1
 rooms: the first is too large, the second at times far too small."""
 SHARP = 1.0
 """Scale of the robust loss in the last fit, to many measurements [standard deviations]."""
-LARGEST_TURN = 0.6
-"""Largest turn of a feature in the image [rad]: cameras are nearly upright."""
 FORGIVING_RATIO = 0.9
 """Lowe's ratio where only a part of the panorama is searched."""
 MOST_ASKED = 100
 """So many inliers at most are tested for self-similarity."""
-CONFIRMED = 0.1
-"""Largest change of the heading by the second pass [rad]: a tiled floor fits some motion for any
-guess."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +145,7 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
     if answered or seen.motion is None:
         return seen
     again = compare_once(home, now, camera, seen.motion.alpha)
-    confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < CONFIRMED
+    confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < APART
     return again if confirmed and again.homewards_sigma < seen.homewards_sigma else seen
 
 
@@ -229,11 +224,11 @@ def _paired(
     if heading is None:
         rows, quality = match(home.descriptor, now.descriptor)
     else:
-        possible = _near(home.angle, now.angle, LARGEST_TURN)
+        possible = _near(home.angle, now.angle, WITHIN)
         possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
         rows, quality = match(home.descriptor, now.descriptor, FORGIVING_RATIO, possible)
     i, j = rows.T
-    upright = np.abs(wrap(now.angle[j] - home.angle[i])) < LARGEST_TURN
+    upright = np.abs(wrap(now.angle[j] - home.angle[i])) < WITHIN
     places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
     order = np.flatnonzero(upright)[np.argsort(quality[upright], kind="stable")]
     _, first = np.unique(places[order].round(), axis=0, return_index=True)
@@ -271,7 +266,7 @@ def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple
     may be right, of which the propagated ones know nothing: then the covariance is that of matches.
     """
     alone, everything = jackknife_covariance(fit, pairs, camera.tilt_sigma), pairs + beside
-    forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, SCALE)
+    forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, INLIER)
     found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
     together = jackknife_covariance(found, everything, camera.tilt_sigma)
     share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0

@@ -16,9 +16,6 @@ from homeward.vision.opencv import opencv
 
 HALF = 128
 """Pixels darker than this are left out."""
-SPARE = 1.0
-"""Least distance of a feature from masked pixels, in diameters of its patch. Half of one holds the
-patch itself; as much again allows for masks that are painted a little too small."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,12 @@ class Mask:
         return cls(room[:, width // 2 : width // 2 + width].copy())
 
     def clear(self, size: float) -> np.ndarray:
-        """Return where patches of a diameter [px] are clear, (height, width) bool."""
-        return self.room > SPARE * size
+        """Return where patches of a diameter [px] are clear, (height, width) bool.
+
+        They stand off masked pixels by a diameter: half of one holds the patch itself; as much
+        again allows for masks that are painted a little too small.
+        """
+        return self.room > size
 
     def clear_at(self, column: np.ndarray, row: np.ndarray, size: np.ndarray) -> np.ndarray:
         """Return which patches are clear of what is left out, (n,) bool.
@@ -68,4 +69,4 @@ class Mask:
         """
         height, width = self.room.shape
         i = np.clip(np.rint(row), 0, height - 1).astype(int)
-        return np.asarray(self.room[i, np.rint(column).astype(int) % width] > SPARE * size)
+        return np.asarray(self.room[i, np.rint(column).astype(int) % width] > size)

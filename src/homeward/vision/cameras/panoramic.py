@@ -142,6 +142,10 @@ SECTORS = 24
 """Azimuth is divided into so many sectors where the spread of matches is counted."""
 
 
+WINDOW = 3
+"""So many neighbouring sectors may be filled by one object: 45 degrees."""
+
+
 def sector_of(azimuth: np.ndarray) -> np.ndarray:
     """Return the number, 0 to `SECTORS` - 1, of the sector that each azimuth [rad] lies in."""
     return np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS

@@ -24,9 +24,8 @@ TURN = math.radians(30.0)
 """Least turn between two frames that are compared [rad]."""
 SAME = math.radians(0.5)
 """A match that moved by less than this [rad], or a pixel, has turned with the camera."""
-OF_THE_ROOM = (0.35, 0.2)
-"""What stands in the room lies within this of where the turn takes it, azimuth and elevation
-[rad]."""
+OF_THE_ROOM = TURN / 2
+"""What stands in the room lies within this of where the turn takes it [rad]."""
 FRAMES = 6
 """A frame is compared with so many before it: over more turns, the error of odometry adds up."""
 FEWEST, LEAST_SHARE = 5, 0.01

@@ -16,15 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.vision.features.detection import View
-from homeward.vision.features.patch_alignment import Alignment, align_patches, radius_of
+from homeward.vision.features.patch_alignment import STEPS, Alignment, align_patches, radius_of
 
 NEAR = 4.0
 """A map is used within so many radii of its patch."""
 GUIDES = 2
 """So many maps, of the nearest patches, are tried; that of the best correlation counts."""
 ROUNDS = 3
-STEPS = 4
-"""Half of what a match needs, since a map begins nearer than a feature's own size and turn."""
 LEAST_LIKENESS = 0.9
 """More than of a match, which its descriptor supports, too."""
 SIGMA_TIMES = 1.6
@@ -92,7 +90,9 @@ def _beside(
     inside = (carried[:, 1] > 0) & (carried[:, 1] < now.shape[0] - 1)
     kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
     which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
-    tried = align_patches(home.pyramid, now.pyramid, at_home[which], size[which, 0], start, STEPS)
+    tried = align_patches(
+        home.pyramid, now.pyramid, at_home[which], size[which, 0], start, STEPS // 2
+    )
     alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
     best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
     rows, first = np.unique(which[best_first], return_index=True)

@@ -26,19 +26,17 @@ LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
 WINDOW = 0.6
 """Standard deviation of the Gaussian weight about the centre, in radii."""
 STEPS = 8
-"""Iterations."""
-NOISE = 0.05
-"""Standard deviation of a unit-length patch's grey values, where the prior `SHAPE` is weighed."""
-SHAPE = 0.3
-"""Prior standard deviation of the map's matrix about the features' own size and turn [1]."""
-LONGEST_STEP = 0.5
-"""Largest change of a parameter in one iteration, in radii."""
+"""Iterations; half as many where a map begins nearer than a feature's own size and turn."""
+STIFFNESS = (0.05 / 0.3) ** 2
+"""Prior information on the map's matrix about the features' own size and turn: variance of the grey
+values of a unit-length patch over that of the matrix."""
 LEAST_AREA = 0.01
 """Smallest factor by which one iteration may shrink a patch."""
 LEAST_LIKENESS = 0.8
 """Correlation below which two patches do not show the same."""
 LONGEST_SHIFT = 0.5
-"""A patch that ends farther from where it began, in radii, has slid onto something else."""
+"""Largest change of a parameter in one iteration, in radii; a patch that ends farther from where it
+began has slid onto something else."""
 SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
 """Standard deviation of a place: at least this [px], and so many times what independent noise would
 give. The factor was measured on rendered rooms: residuals are correlated from pixel to pixel."""
@@ -51,7 +49,7 @@ _ROOT = np.exp(-(_across**2 + _down**2) / (4 * WINDOW**2))
 _ROOT /= np.linalg.norm(_ROOT)
 _GRIDS = np.pad(np.stack([_across, _down, _ROOT]), [(0, 0), (0, -_ROOT.size % 16)])
 """For compiled code, which sums up sixteen numbers at a time."""
-_PRIOR = np.array([1e-6, 1e-6, *4 * [(NOISE / SHAPE) ** 2]])
+_PRIOR = np.array([1e-6, 1e-6, *4 * [STIFFNESS]])
 """Prior information on a step; hardly any on the shift."""
 
 
@@ -210,7 +208,7 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         gradient = (laid[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
         step = (known @ gradient[..., None])[..., 0]
-        carried = carried @ _undone(np.clip(step, -LONGEST_STEP, LONGEST_STEP))
+        carried = carried @ _undone(np.clip(step, -LONGEST_SHIFT, LONGEST_SHIFT))
     laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
     return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
 
@@ -218,7 +216,7 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _align_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `_align` does, in compiled code."""
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
-    limits = np.array([HALF, LONGEST_STEP, LEAST_AREA])
+    limits = np.array([HALF, LONGEST_SHIFT, LEAST_AREA])
     given = (task.at, task.radius, task.reach, task.start)
     told = [np.array(a, float, order="C") for a in given]
     n = len(task.at)

@@ -14,21 +14,17 @@ import numpy as np
 
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
-from homeward.vision.features.match_propagation import MOST_GROWTH, thinned
-from homeward.vision.features.patch_alignment import align_patches, areas, radius_of
+from homeward.vision.features.match_propagation import LEAST_LIKENESS, MOST_GROWTH, thinned
+from homeward.vision.features.moved_groups import SCALE
+from homeward.vision.features.patch_alignment import STEPS, align_patches, areas, radius_of
 
-LEAST_ELEVATION, MOST_ELEVATION = np.radians([10.0, 80.0])
-"""Features between these elevations, up or down, are looked at [rad]: near the horizon a plane is
-too foreshortened, near the vertical a panorama is."""
+FLATTEST = np.radians(10.0)
+"""Features nearer to the horizon, where a plane is too foreshortened, or to the vertical, where a
+panorama is, are not looked at [rad]."""
 MOST_OTHERS = 500
 """A patch is compared with so many other features at most, evenly chosen."""
-SIZE_RATIO = 1.6
-"""Largest factor between the size of another feature and what the shift would make of this one."""
 APART = 1.5
 """Least distance of another feature, in radii of the patch: nothing recurs on itself."""
-STEPS = 4
-LIKE = 0.9
-"""Correlation above which two patches show the same; 0.85 and 0.94 tell the same rooms apart."""
 
 
 def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
@@ -49,7 +45,7 @@ def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
     """
     found = np.zeros(len(rows), bool)
     for up in (-view.elevation, view.elevation):
-        plane = (up > LEAST_ELEVATION) & (up < MOST_ELEVATION)
+        plane = (up > FLATTEST) & (up < np.pi / 2 - FLATTEST)
         mine = np.flatnonzero(plane[rows])
         others = thinned(np.flatnonzero(plane), MOST_OTHERS)
         found[mine] = _recur(view, rows[mine], others, camera)
@@ -66,13 +62,13 @@ def _recur(view: View, rows: np.ndarray, others: np.ndarray, camera: Panorama) -
     apart = np.hypot(*np.moveaxis(step, -1, 0))
     grown = view.size[others] / (view.size[rows, None] * np.sqrt(area))
     tried = (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
-    tried &= np.abs(np.log(grown)) < np.log(SIZE_RATIO)
+    tried &= np.abs(np.log(grown)) < np.log(SCALE)
     tried &= apart > APART * radius_of(view.size[rows], view.pyramid)[:, None]
     one, other = np.nonzero(tried)
     start = np.dstack([maps[one, other], place[others[other]]])
     at_home, size = place[rows[one]], view.size[rows[one]]
-    laid = align_patches(view.pyramid, view.pyramid, at_home, size, start, STEPS)
-    like = laid.found & (laid.likeness > LIKE)
+    laid = align_patches(view.pyramid, view.pyramid, at_home, size, start, STEPS // 2)
+    like = laid.found & (laid.likeness > LEAST_LIKENESS)
     return np.bincount(one[like], minlength=len(rows)) > 0
 
 

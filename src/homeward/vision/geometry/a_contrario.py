@@ -15,8 +15,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, sector_of
-from homeward.vision.geometry.epipolar import Pairs, residuals
-from homeward.vision.geometry.refinement import INLIER, Fit, squares
+from homeward.vision.geometry.epipolar import INLIER, Pairs, residuals
+from homeward.vision.geometry.refinement import Fit, squares
 
 LARGEST_LOG_FALSE_ALARMS = -4.0
 """Largest number of false alarms that is accepted (logarithm to base 10)."""
@@ -31,10 +31,9 @@ FEWEST_LEVEL_SECTORS = 3
 """Least number of sectors with inliers that are not steep."""
 LEAST_LEVEL_SHARE = 0.25
 """Least share of inliers that are not steep: the tiles of a floor look the same a few tiles on."""
-LEAST_ALONE = 0.5
-"""Where fewer of the inliers than this share do not repeat, these must suffice by themselves."""
 WITHIN = 0.6
-"""Where the heading is given, a match lies within this of where the turn alone takes it [rad]."""
+"""Cameras are nearly upright: a feature is turned in the image by less than this [rad], and where
+the heading is given, it lies within this of where the turn alone takes it."""
 SHUFFLES = 8
 """So many random matches are made of each match."""
 
@@ -107,7 +106,7 @@ def assess_unrepeated(
     """
     alone = np.zeros(len(pairs), bool)
     alone[asked[~recurs]] = True
-    if alone.sum() >= LEAST_ALONE * len(asked):
+    if 2 * alone.sum() >= len(asked):
         return acceptance
     if assess(replace(fit, inlier=alone), pairs, heading).accepted:
         return acceptance

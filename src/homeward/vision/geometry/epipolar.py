@@ -155,14 +155,15 @@ class Residuals(NamedTuple):
     distances in the ratio of the features' sizes, and under no wide angle."""
 
 
-IN_FRONT_SIGMAS = 3.0
-"""A ray may miss the other one by so many standard deviations."""
+INLIER = 3.0
+"""Whatever is farther off than so many standard deviations is an outlier: a residual, a ray that
+misses the other one, a landmark in a resection. It is the scale of robust losses, too."""
 MOST_PARALLAX = np.radians(60.0)
 """Largest angle under which a thing is seen from both places [rad]: beyond, nothing looks the
 same."""
 GROWTH = 0.5
 """Largest error of the logarithm of a feature's growth: three times the one measured (0.16)."""
-LIMITS = np.array([IN_FRONT_SIGMAS, np.cos(MOST_PARALLAX), GROWTH])
+LIMITS = np.array([INLIER, np.cos(MOST_PARALLAX), GROWTH])
 """For compiled code."""
 
 
@@ -293,7 +294,7 @@ def _possible(
     for ray in (y, x1):
         arm = _cross(t, ray)
         distance = _dot(arm, normal)
-        error = IN_FRONT_SIGMAS * sigma * np.sqrt(_dot(arm, arm))
+        error = INLIER * sigma * np.sqrt(_dot(arm, arm))
         good &= distance >= -error
         far.append(np.maximum(distance, 1e-12))
         doubt = doubt + error / far[-1]

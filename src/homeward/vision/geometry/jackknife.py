@@ -14,18 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.cameras.panoramic import SECTORS, sector_of
-from homeward.vision.geometry.epipolar import Pairs, residuals
-from homeward.vision.geometry.refinement import INLIER, Fit, irls, prior_information, squares
+from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
+from homeward.vision.geometry.epipolar import INLIER, Pairs, residuals
+from homeward.vision.geometry.refinement import Fit, irls, prior_information, squares
 
-WINDOW = 3
-"""Sectors in a window: what stands within 45 degrees may be one thing."""
 SHARE = 0.25
 """Share of the inverse information, and of the jackknife's changes, that counts: without a window
 so wide, the fit changes by more than it errs."""
-
-LARGEST_SIGMA = 100.0
-"""Of an angle of which nothing is known [rad]; keeps the information regular."""
 
 
 def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
@@ -45,7 +40,7 @@ def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarra
     ndarray, shape (5, 5)
         Of `Motion`.
     """
-    plain = np.linalg.inv(fit.information + np.eye(5) / LARGEST_SIGMA**2)
+    plain = np.linalg.inv(fit.information + 1e-4 * np.eye(5))  # regular, if nothing is known
     by_prior = plain @ prior_information(tilt_sigma) @ plain
     each = leave_windows_out(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.geometry.epipolar import Pairs
-from homeward.vision.geometry.refinement import INLIER, Fit, refine
+from homeward.vision.geometry.epipolar import INLIER, Pairs
+from homeward.vision.geometry.refinement import Fit, refine
 from homeward.vision.geometry.two_point import coefficients, msac_costs, two_point_motions
 
 SAMPLES = 800
@@ -17,7 +17,7 @@ is needed for the covariance."""
 TURNS = 50
 """A turn without translation is tried from so many matches."""
 APART = 0.1
-"""Candidates differ by at least this in theta or alpha [rad]."""
+"""Motions are different that differ by this in theta or alpha [rad]."""
 
 
 def estimate_motion(

@@ -10,6 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import (
+    INLIER,
     LIMITS,
     Motion,
     Pairs,
@@ -23,10 +24,6 @@ LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
 to strict, since a first guess fits far worse than places are known."""
 LONGEST_STEP = 0.3
 """Largest change of an angle in one iteration [rad]: near home, theta is hardly determined."""
-SCALE = 3.0
-"""Scale of the robust loss [standard deviations]."""
-INLIER = 3.0
-"""Residual within which a match is an inlier [standard deviations]."""
 SAME = 0.002
 """Motions whose theta and alpha differ by less are the same [rad]."""
 MOST_OTHERS = 5
@@ -54,7 +51,7 @@ class Fit:
     """(m, 5): other minima, that of least loss first."""
 
 
-def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = SCALE) -> Fit:
+def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = INLIER) -> Fit:
     """Fit a motion to matches by iteratively reweighted least squares, from several starts.
 
     Parameters

@@ -10,15 +10,13 @@ import math
 
 import numpy as np
 
+from homeward.vision.cameras.panoramic import SECTORS, WINDOW
 from homeward.vision.geometry.a_contrario import Acceptance, assess
 from homeward.vision.geometry.epipolar import Pairs
 from homeward.vision.geometry.refinement import Fit
 
-REACH = math.radians(22.5)
-"""What lies within this of one direction may be one object [rad]: half a window of the
-jackknife."""
-MOST = 0.5
-"""An object is dominant with more than this share of the inliers, unless the others suffice."""
+REACH = WINDOW * math.pi / SECTORS
+"""What lies within this of one direction may be one object [rad]."""
 
 
 def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
@@ -37,7 +35,7 @@ def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.
         return thing
     near = pairs.home_vectors[rows] @ pairs.home_vectors[rows].T > math.cos(REACH)
     thing[rows[near[near.sum(axis=1).argmax()]]] = True
-    if thing.sum() <= MOST * rows.size:
+    if 2 * thing.sum() <= rows.size:
         return np.zeros(len(pairs), bool)
     others = Fit(fit.motion, fit.inlier & ~thing, fit.information, fit.parallax, fit.scale)
     return np.zeros(len(pairs), bool) if assess(others, pairs, heading).accepted else thing

@@ -9,8 +9,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.estimator import Estimate, Status
-from homeward.vision.homing.fix import Fix
-from homeward.vision.homing.visual_homing import DIRECTION_HOLD_S, agree
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, Fix
+from homeward.vision.homing.visual_homing import agree
 
 
 @dataclass(frozen=True)

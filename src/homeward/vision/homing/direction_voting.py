@@ -21,18 +21,16 @@ from homeward.drives.clock import LATE_S
 from homeward.estimator import HOLD_S
 from homeward.vision.comparison import Comparison
 from homeward.vision.geometry.a_contrario import too_narrow
+from homeward.vision.homing.fix import DIRECTION_HOLD_S
 from homeward.vision.homing.resection import Direction
 
-FEWEST_MATCHES = 3
-"""Least number of inliers of a vote."""
 FEWEST_ALIKE, MOST = 5, 60
-"""Least number of votes that agree, and number of the latest votes that are counted."""
+"""Least number of votes that agree, and number of the latest votes that are counted: four others of
+59 agree with the newest by chance once in 100,000 times."""
 ALIKE = (0.2, 0.1)
 """Votes agree whose direction and heading differ by less than this [rad]."""
 ANOTHER_PLACE_M = 0.04
 """Least way between two votes [m]: from one place, a picture would vote the same again."""
-HOLD_VOTES_S = 15.0
-"""A consensus ends when no vote has confirmed it for so long [s]."""
 LEAST_SIGMA = 0.05
 """Standard deviation of what votes that agree may have wrong in common [rad]."""
 
@@ -95,7 +93,7 @@ class DirectionVoting:
         motion, agrees = seen.motion, seen.agrees
         way, turned = self._gone_at(t).tolist()
         too_near = way < self._voted_at + ANOTHER_PLACE_M
-        if motion is None or too_near or agrees.sum() < FEWEST_MATCHES:
+        if motion is None or too_near or agrees.sum() < 3:
             return
         self._voted_at = way
         angles = np.array([motion.theta, motion.alpha - turned])
@@ -112,7 +110,7 @@ class DirectionVoting:
         if self._consensus is None:
             return None
         t, there = max(self._consensus.t, t), self._consensus.direction
-        if t - self._consensus.t > HOLD_VOTES_S:
+        if t - self._consensus.t > DIRECTION_HOLD_S:
             return None
         alpha = float(wrap(there.alpha + self._gone_at(t)[1]))
         return replace(self._consensus, direction=replace(there, alpha=alpha))

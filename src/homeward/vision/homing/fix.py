@@ -13,11 +13,12 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
+from homeward.vision.geometry.epipolar import INLIER
 
+POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
+"""A fix counts for so long [s]: a pose, after which the map knows more, and a direction."""
 SHARES = np.linspace(0.0, 1.0, 11)
 """Weights of the fix before that are tried; the new one has the rest."""
-SAME = 3.0
-"""Fixes farther apart than so many standard deviations are not fused: the new one counts."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def fused(before: Fix | None, fix: Fix) -> Fix:
         return fix
     off = np.array(before.pose) - np.array(fix.pose)
     off[2] = wrap(off[2])
-    if off @ np.linalg.solve(before.covariance + fix.covariance, off) > SAME**2:
+    if off @ np.linalg.solve(before.covariance + fix.covariance, off) > INLIER**2:
         return fix
     old, new = (np.linalg.inv(f.covariance) for f in (before, fix))
     each = SHARES[:, None, None] * old + (1.0 - SHARES)[:, None, None] * new

@@ -24,9 +24,9 @@ FEWEST_MOVED_M = 0.2
 edges."""
 FEWEST_TOGETHER, TOGETHER_SHARE = 3, 0.1
 """Least number of frames, and share of its sightings, in which a landmark was in a moved group."""
-BESIDE, ALIKE = 0.2, 0.2
-"""A neighbour of a moved landmark: largest angle between both at home [rad], and largest difference
-of distance and of bearing error, as a share."""
+ALIKE = 0.2
+"""Largest angle at home between a moved landmark and a neighbour of it [rad], and largest
+difference of their distances and of their bearing errors, as a share."""
 
 
 class MovedLandmarkFilter:
@@ -84,7 +84,7 @@ def _beside(found: LandmarkEstimate, sure: LandmarkEstimate) -> bool:
     """Say whether a landmark stood beside another at home, and has gone where that one has."""
     apart = wrap(found.home_bearing_stored - sure.home_bearing_stored)
     return (
-        abs(float(apart)) < BESIDE
+        abs(float(apart)) < ALIKE
         and abs(float(wrap(_turned(found) - _turned(sure)))) < ALIKE * abs(_turned(sure))
         and abs(found.distance - sure.distance) < ALIKE * sure.distance
     )

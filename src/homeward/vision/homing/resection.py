@@ -13,7 +13,9 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.vision.geometry.jackknife import WINDOW, leave_windows_out
+from homeward.vision.cameras.panoramic import WINDOW
+from homeward.vision.geometry.epipolar import INLIER
+from homeward.vision.geometry.jackknife import leave_windows_out
 
 DISTANCES = 60
 """Number of places that are tried along the direction from home."""
@@ -21,18 +23,9 @@ REACH = 2.0
 """Distance of the farthest of them, in medians of the landmarks' distances."""
 BLUR = 0.01
 """Standard deviation added to bearings while places are tried [rad]."""
-STEPS = 10
-SETTLED = 1e-5
-"""Iterations end with a step smaller than this [m or rad]."""
-HEAVY = 3.0
-"""Scale of Geman and McClure's loss [standard deviations]."""
-AGREES = 3.0
-"""Residual within which a landmark is an inlier [standard deviations]."""
-DIRECTION_FROM = 0.3
+NEAR_HOME = 0.3
 """A direction counts as told from this far [m] where home is nearer: there, its error is larger
 than its covariance says."""
-LARGEST_CONDITION = 1e10
-"""Jackknife windows without which the pose is worse conditioned than this are skipped."""
 LEAST_NEAR = 0.05
 """Least distance of a landmark from the camera [m]."""
 
@@ -117,7 +110,7 @@ def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resecti
         return None
     best = min(fits, key=lambda fit: fit.loss)
     x, y, heading = best.x[:3].tolist()
-    agrees = best.residual**2 <= AGREES**2 * best.variance
+    agrees = best.residual**2 <= INLIER**2 * best.variance
     return Resection(Pose(x, y, float(wrap(heading))), _covariance(anchors, best), agrees)
 
 
@@ -149,8 +142,8 @@ def _fit(
 
     `upright`, (2, 2), is the information that no roll or pitch is left.
     """
-    across, known = _direction(seen, max(float(np.hypot(*x[:2])), DIRECTION_FROM))
-    for _ in range(STEPS):
+    across, known = _direction(seen, max(float(np.hypot(*x[:2])), NEAR_HOME))
+    for _ in range(10):
         residual, jacobian, variance = predict_bearings(anchors, x)
         off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
         weight = _weight(residual**2 / variance) / variance
@@ -164,7 +157,7 @@ def _fit(
         except np.linalg.LinAlgError:
             return None
         x = x + step
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < 1e-5:
             break
     if not np.isfinite(x).all():
         return None
@@ -177,12 +170,12 @@ def _fit(
 
 def _loss(squares: np.ndarray) -> np.ndarray:
     """Return Geman and McClure's loss of squared residuals over their variances."""
-    return squares / (1.0 + squares / HEAVY**2)
+    return squares / (1.0 + squares / INLIER**2)
 
 
 def _weight(squares: np.ndarray) -> np.ndarray:
     """Return the weights that it gives."""
-    return np.asarray((1.0 + squares / HEAVY**2) ** -2)
+    return np.asarray((1.0 + squares / INLIER**2) ** -2)
 
 
 def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:
@@ -196,7 +189,7 @@ def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:
     weight, jacobian = fit.weight, fit.jacobian
     rest = fit.information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
     slope = -np.einsum("wn,n,ni->wi", left_out, weight * fit.residual, jacobian)
-    regular = np.linalg.cond(rest) < LARGEST_CONDITION
+    regular = np.linalg.cond(rest) < 1e10  # else the rest fixes no pose
     change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
     share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
     scale = float(np.median(share[anchors.mapped]))
@@ -224,7 +217,7 @@ def _begin(anchors: HomeLandmarks, seen: Direction) -> np.ndarray:
     level = np.zeros((2, DISTANCES))
     places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading, *level])
     residual, variance, _ = _sighted(anchors, places)
-    costs = np.minimum(residual**2 / (variance + BLUR**2), AGREES**2).sum(axis=1)
+    costs = np.minimum(residual**2 / (variance + BLUR**2), INLIER**2).sum(axis=1)
     return np.asarray(places[np.argmin(costs)])
 
 

@@ -47,26 +47,24 @@ from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
 from homeward.vision.homing.direction_voting import DirectionVoting
-from homeward.vision.homing.fix import Fix, fused
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S, Fix, fused
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
-from homeward.vision.homing.resection import Direction, HomeLandmarks, resect
+from homeward.vision.homing.resection import NEAR_HOME, Direction, HomeLandmarks, resect
 
-FEWEST_ANCHORS, FEWEST_MAPPED = 6, 4
-"""Least number of home's landmarks that a resection uses, and of those among them in the map."""
+FEWEST_MAPPED = 4
+"""Least number of mapped landmarks that a resection uses: one more than a pose has unknowns."""
 AGREEING = 0.7
 """Least share of the landmarks in the map that agree with a resection."""
 GUESSED = 4.0
 """Standard deviation of the distance of a landmark outside the map, as a multiple of the median."""
-POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
-"""A fix counts for so long [s]: a pose, after which the map knows more, and a direction."""
 UNKNOWN_DISTANCE = 3.0
 """Distance from home where only the direction is known, and its standard deviation [m]."""
-SLIP, TURN_SLIP = 0.05, 0.05
-"""Error of odometry between pictures, as shares of the way and of the turn, beside its noise."""
+SLIP = 0.05
+"""Error of odometry between pictures, as a share of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
 """Map and home's picture contradict each other from so many standard deviations on."""
-NEAR_HOME, REFUSALS = 0.3, 3
-"""A map that says home is nearer than this [m] is doubted after so many refused comparisons."""
+REFUSALS = 3
+"""A map that says `NEAR_HOME` is doubted after so many refused comparisons."""
 
 
 class VisualHoming:
@@ -197,7 +195,7 @@ class VisualHoming:
         """Return the pose by resection; None where too few landmarks are seen or mapped."""
         anchors = self._anchors(seen)
         mapped = anchors.mapped
-        if len(anchors) < FEWEST_ANCHORS or mapped.sum() < FEWEST_MAPPED or seen.motion is None:
+        if mapped.sum() < FEWEST_MAPPED or seen.motion is None:
             return None
         found = resect(anchors, _told(seen), seen.tilt_covariance)
         if found is None:
@@ -272,7 +270,7 @@ class VisualHoming:
         way = math.hypot(motion.x, motion.y)
         jacobian = np.eye(3)
         jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
-        slip = np.array([SLIP * way, SLIP * way, TURN_SLIP * motion.heading])
+        slip = SLIP * np.array([way, way, motion.heading])
         held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, fix.t)
         held = np.clip(held, 0.0, HOLD_S)
         noise = np.diag(slip**2 + self._white_noise(held, v, omega))

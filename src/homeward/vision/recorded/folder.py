@@ -32,20 +32,19 @@ from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDe
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import read_view
 from homeward.vision.front_end import FrameBearings, FrontEnd
+from homeward.vision.homing.moved_landmark_filter import LASTING
 from homeward.vision.recorded.cache import Found, cache_key, cached
 from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 
 IMAGE_SETTINGS = "images.yaml"
-FEWEST_SIGHTINGS = 8
-"""Landmarks seen less often are left out."""
 HOME_STEM = "home"
 TESTED_SEAMS = 8
 """So many pictures along the drive, and home's, are tested for being panoramas."""
 TESTED_SETTINGS = 3
 """Where no picture is like home, other camera settings are tried on so many."""
 UNLIKE = "images that match none before them"
-RARE = f"sightings of landmarks seen fewer than {FEWEST_SIGHTINGS} times"
+RARE = f"sightings of landmarks seen fewer than {LASTING} times"
 
 
 @one_thread()
@@ -229,7 +228,7 @@ def _sightings(t: np.ndarray, glances: list[FrameBearings], remarks: dict[str, i
         for stamp, glance in zip(t.tolist(), glances, strict=True)
         for name, bearing in glance.bearings.items()
     ]
-    kept = [row for row in rows if times[row[1]] >= FEWEST_SIGHTINGS]
+    kept = [row for row in rows if times[row[1]] >= LASTING]
     if rare := len(rows) - len(kept):
         remarks[RARE] = rare
     names = np.empty(len(kept), object)
