@@ -36,8 +36,6 @@ SHARP = 1.0
 """Scale of the robust loss in the last fit, to many measurements [standard deviations]."""
 FORGIVING_RATIO = 0.9
 """Lowe's ratio where only a part of the panorama is searched."""
-MOST_ASKED = 100
-"""So many inliers at most are tested for self-similarity."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ def _asked(
     """
     if fit is None or not acceptance.accepted:
         return acceptance
-    asked = thinned(np.flatnonzero(fit.inlier), MOST_ASKED)
+    asked = thinned(np.flatnonzero(fit.inlier), 100)  # they are a sample of all
     recurs = self_similar(home, rows[asked], camera)
     return assess_unrepeated(acceptance, fit, pairs, asked, recurs, heading)
 

@@ -22,7 +22,6 @@ NEAR = 4.0
 """A map is used within so many radii of its patch."""
 GUIDES = 2
 """So many maps, of the nearest patches, are tried; that of the best correlation counts."""
-ROUNDS = 3
 LEAST_LIKENESS = 0.9
 """More than of a match, which its descriptor supports, too."""
 SIGMA_TIMES = 1.6
@@ -60,7 +59,7 @@ def propagate_matches(
     (patches, of), found = home.patches, []
     guides = of[known]
     free = np.ones(len(patches), bool)
-    for _ in range(ROUNDS):
+    for _ in range(3):
         free[guides] = False
         some = thinned(np.arange(len(guides)), MOST_GUIDES)
         others = thinned(np.flatnonzero(free), MOST_PATCHES)

@@ -21,8 +21,6 @@ from homeward.vision.features.patch_alignment import STEPS, align_patches, areas
 FLATTEST = np.radians(10.0)
 """Features nearer to the horizon, where a plane is too foreshortened, or to the vertical, where a
 panorama is, are not looked at [rad]."""
-MOST_OTHERS = 500
-"""A patch is compared with so many other features at most, evenly chosen."""
 APART = 1.5
 """Least distance of another feature, in radii of the patch: nothing recurs on itself."""
 
@@ -47,7 +45,7 @@ def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
     for up in (-view.elevation, view.elevation):
         plane = (up > FLATTEST) & (up < np.pi / 2 - FLATTEST)
         mine = np.flatnonzero(plane[rows])
-        others = thinned(np.flatnonzero(plane), MOST_OTHERS)
+        others = thinned(np.flatnonzero(plane), 500)  # of tiles there are more
         found[mine] = _recur(view, rows[mine], others, camera)
     return found
 

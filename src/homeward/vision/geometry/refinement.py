@@ -29,9 +29,6 @@ SAME = 0.002
 MOST_OTHERS = 5
 """So many other minima are kept, those of least loss."""
 
-MOST_RATIO = 100.0
-"""Largest share of parallax that one match contributes, in multiples of its noise."""
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -180,7 +177,7 @@ def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, sc
 
 def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> float:
     """Return the mean of a column of the Jacobian, squared, over what noise alone makes of it."""
-    ratio = np.minimum(jacobian**2 / noise, MOST_RATIO)
+    ratio = np.minimum(jacobian**2 / noise, 100.0)  # one match alone does not show a parallax
     return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
 
 

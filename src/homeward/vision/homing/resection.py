@@ -17,10 +17,6 @@ from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
 from homeward.vision.geometry.jackknife import leave_windows_out
 
-DISTANCES = 60
-"""Number of places that are tried along the direction from home."""
-REACH = 2.0
-"""Distance of the farthest of them, in medians of the landmarks' distances."""
 BLUR = 0.01
 """Standard deviation added to bearings while places are tried [rad]."""
 NEAR_HOME = 0.3
@@ -210,12 +206,14 @@ def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _begin(anchors: HomeLandmarks, seen: Direction) -> np.ndarray:
-    """Return the best of some places in a direction from home, as of `_Fit.x`."""
-    furthest = REACH * float(np.median(anchors.distance))
-    R = np.linspace(0.0, furthest, DISTANCES)
-    heading = np.full(DISTANCES, seen.alpha)
-    level = np.zeros((2, DISTANCES))
-    places = np.column_stack([R * np.cos(seen.theta), R * np.sin(seen.theta), heading, *level])
+    """Return the best of some places in a direction from home, as of `_Fit.x`.
+
+    They go as far as twice the median distance of the landmarks.
+    """
+    R = np.linspace(0.0, 2.0 * float(np.median(anchors.distance)), 60)
+    places = np.zeros((R.size, 5))
+    places[:, 0], places[:, 1] = R * np.cos(seen.theta), R * np.sin(seen.theta)
+    places[:, 2] = seen.alpha
     residual, variance, _ = _sighted(anchors, places)
     costs = np.minimum(residual**2 / (variance + BLUR**2), INLIER**2).sum(axis=1)
     return np.asarray(places[np.argmin(costs)])
