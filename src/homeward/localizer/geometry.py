@@ -70,11 +70,9 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         c, s = math.cos(heading), math.sin(heading)
         return np.array([x + c * ahead - s * aside, y + s * ahead + c * aside, heading + turn])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    x, y, heading = b[..., 0], b[..., 1], b[..., 2]
-    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    x, y, result = b[..., 0], b[..., 1], np.asarray(a + b)
     result[..., 0] = a[..., 0] + c * x - s * y
     result[..., 1] = a[..., 1] + s * x + c * y
-    result[..., 2] = a[..., 2] + heading
     return result
 
 
@@ -85,8 +83,7 @@ def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     ``lever(b - a)``.
     """
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    d = np.asarray(b - a)
-    x, y = d[..., 0], d[..., 1]
-    result = np.empty(d.shape)
-    result[..., 0], result[..., 1], result[..., 2] = c * x + s * y, c * y - s * x, d[..., 2]
+    result = np.asarray(b - a)
+    x, y = result[..., 0], result[..., 1]
+    result[..., 0], result[..., 1] = c * x + s * y, c * y - s * x
     return result

@@ -27,7 +27,6 @@ from homeward.estimator import (
 )
 from homeward.frames import Pose
 from homeward.localizer.chart import Chart
-from homeward.localizer.compiled import why_not
 from homeward.localizer.inputs.bearing_noise import deviation
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
@@ -71,7 +70,7 @@ class Localizer:
         **robot: Unpack[Robot],
     ) -> None:
         self.counts, self._turn = Counts(), threading.RLock()
-        self._notes = tuple(filter(None, (SCALE_NOTE, why_not())))
+        self._notes = (SCALE_NOTE,)
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
         self._twists = Twists()

@@ -29,17 +29,8 @@ class Array:
             return ctypes.c_void_p(address(array, self.dtype))
 
 
-class _Structure:
-    """A structure as an argument."""
-
-    @staticmethod
-    def from_param(structure: ctypes.Structure) -> Any:
-        """Return what is passed to a function."""
-        return ctypes.byref(structure)
-
-
 _TYPES: dict[str, Any] = {
-    **{"i": ctypes.c_long, "d": ctypes.c_double, "s": _Structure},
+    **{"i": ctypes.c_long, "d": ctypes.c_double},
     **{"a": Array(np.float64), "f": Array(np.float32), "l": Array(np.int64), "b": Array(np.bool_)},
     "h": Array(np.int16),
 }
@@ -56,7 +47,7 @@ class Program:
         Files of one program, in this order.
     functions : mapping of str to str
         What each function takes, in order: ``i`` an integer, ``d`` a double, ``a`` an array of
-        doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool, ``s`` a structure.
+        doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool.
     may_fail : collection of str
         Those that return 0, or 1 where they fail; the others return nothing.
     """

@@ -13,11 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.home.evidence import Evidence, evaluate
+from homeward.localizer.geometry import between, lever, rotation
+from homeward.localizer.home.evidence import Evidence
 from homeward.localizer.home.linearisation import Linear, expected
 from homeward.localizer.home.outliers import SCALE, log_odds
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
+from homeward.localizer.home.whitening import HOME, POSE, RESIDUAL, Whitened, inverted
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""
@@ -36,12 +38,9 @@ class HomeFit:
     """(q,), bool: the set."""
     step: np.ndarray
     """(3,): from where home was linearised to where it is."""
-    precision: np.ndarray
-    """(q, q): inverse of the spread of the set; zero outside of it."""
+    of_set: Whitened
     information: np.ndarray
     """(3, 3): on home."""
-    log_volume: float
-    """Log of the determinant of the spread of the set."""
     known_inflation: np.ndarray | None = None
     """(3, 3): `inflation`, of the fit that this one was propagated from."""
 
@@ -70,12 +69,16 @@ class HomeFit:
     @cached_property
     def known(self) -> np.ndarray:
         """(4 + 2 q,): pose, camera yaw and landmarks, corrected by the home bearings."""
-        return np.asarray(self.problem.mean + self._weighted @ self.linear.correlated)
+        weighted = np.zeros(self.inliers.size)
+        by_home, residual = self.of_set.weighted[:, HOME], self.of_set.weighted[:, RESIDUAL]
+        weighted[self.of_set.members] = residual - by_home @ self.step
+        return np.asarray(self.problem.mean + weighted @ self.linear.correlated)
 
-    @property
+    @cached_property
     def pose(self) -> np.ndarray:
         """(3,): newest pose in the odometry frame, corrected."""
-        return np.asarray(self.known[:3])
+        correction = self.of_set.products[POSE, RESIDUAL] - self.by_home @ self.step
+        return np.asarray(self.problem.mean[:3] + correction)
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -85,37 +88,39 @@ class HomeFit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """(3, 3): covariance of home."""
-        return np.asarray(np.linalg.inv(self.information) + self.inflation)
+        return np.asarray(inverted(self.information)[0] + self.inflation)
 
-    @cached_property
+    @property
     def by_home(self) -> np.ndarray:
         """(3, 3): minus the derivative of the newest pose by home."""
-        return np.asarray(self._gain @ self.linear.by_home)
+        return self.of_set.products[POSE, HOME]
 
-    @cached_property
+    @property
     def pose_covariance(self) -> np.ndarray:
         """(3, 3): covariance of the newest pose, were home known."""
-        with_pose = self.linear.correlated[:, :3]
-        return np.asarray(self.problem.covariance[:3, :3] - self._gain @ with_pose)
+        return np.asarray(self.problem.covariance[:3, :3] - self.of_set.products[POSE, POSE])
 
     @cached_property
-    def joint_covariance(self) -> np.ndarray:
-        """(6, 6), of home and newest pose."""
-        together = -self.covariance @ self.by_home.T
-        pose = self.pose_covariance - self.by_home @ together
-        joint = np.block([[self.covariance, together], [together.T, pose]])
-        return np.asarray(0.5 * (joint + joint.T))
+    def derivatives(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3, 3), (3, 3): of the robot in the home frame, by home and by it in the odometry frame.
+
+        Home moves the pose with it.
+        """
+        by_pose = rotation(self.home[2]).T
+        return -by_pose @ (lever(self.pose - self.home) + self.by_home), by_pose
 
     @cached_property
-    def _gain(self) -> np.ndarray:
-        """(3, q): of the residuals, on the newest pose."""
-        return np.asarray(self.linear.correlated[:, :3].T @ self.precision)
+    def robot(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3,), (3, 3): newest pose in the home frame, its heading not wrapped, and covariance."""
+        by_home, by_pose = self.derivatives
+        covariance = by_home @ self.covariance @ by_home.T
+        covariance += by_pose @ self.pose_covariance @ by_pose.T
+        return between(self.home, self.pose), 0.5 * (covariance + covariance.T)
 
     @cached_property
     def evidence(self) -> Evidence:
         """What it says of each home bearing and of the set."""
-        solution = (self.step, self.precision, self.information, self.log_volume)
-        return evaluate(self.linear, self.inliers, *solution)
+        return Evidence(self.linear, self.of_set, self.step, self.information)
 
     @cached_property
     def log_evidence(self) -> float:
@@ -157,14 +162,10 @@ class HomeFit:
         return log_odds(wrap(bearings - bearing), variance, self.problem.moved_prior)
 
     @cached_property
-    def _weighted(self) -> np.ndarray:
-        """Return the residuals of the set after the step, times their precision (q,)."""
-        left = self.linear.residual - self.linear.by_home @ self.step
-        return np.asarray(self.precision @ left)
-
-    @cached_property
     def inflation(self) -> np.ndarray:
         """(3, 3): covariance of home beyond what the information on it says; see `inflation`."""
         if self.known_inflation is not None:
             return self.known_inflation
-        return spurious_covariance(self.linear, self.inliers, self.known, self.information)
+        return spurious_covariance(
+            self.linear, self.of_set.members, self.landmarks, self.information
+        )

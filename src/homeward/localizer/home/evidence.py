@@ -8,95 +8,84 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
-from homeward.localizer.compiled import compiled
 from homeward.localizer.home.linearisation import Linear
-from homeward.localizer.home.outliers import SCALE, UNIFORM_FROM, log_odds, log_outlier
+from homeward.localizer.home.outliers import log_odds, log_outlier
+from homeward.localizer.home.whitening import HOME, RESIDUAL, REST, Whitened, inverted
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Evidence of a set of inliers, and of each home bearing for or against it."""
 
-    innovation: np.ndarray
-    """(q,): stored minus predicted by everything else [rad] ..."""
-    variance: np.ndarray
-    """(q,): ... and its variance."""
-    odds: np.ndarray
-    """(q,): log odds of right against wrong, the rest of the set given."""
-    log_evidence: float
-    """Log of the evidence of the set, could home be anywhere, up to a constant that all sets share.
-    """
+    linear: Linear
+    of_set: Whitened
+    step: np.ndarray
+    """(3,): from where home was linearised to where it is."""
+    information: np.ndarray
+    """(3, 3): on home."""
 
+    @cached_property
+    def innovation(self) -> np.ndarray:
+        """(q,): stored minus predicted by everything else [rad] ..."""
+        return self._all(self._inliers[0], self._outliers[0])
 
-def evaluate(
-    linear: Linear,
-    inliers: np.ndarray,
-    step: np.ndarray,
-    precision: np.ndarray,
-    information: np.ndarray,
-    log_volume: float,
-) -> Evidence:
-    """Evaluate the evidence of a fit; see `HomeFit` for what it takes.
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """(q,): ... and its variance."""
+        return self._all(self._inliers[1], self._outliers[1])
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If home is not fixed.
-    """
-    native, problem, q = compiled(), linear.problem, inliers.size
-    if native is not None:
-        found = innovation, variance, odds, log_evidence = (*np.empty((3, q)), np.empty(1))
-        fit = (
-            linear.at,
-            inliers.astype(float),
-            linear.residual_covariance,
-            linear.by_home,
-            linear.residual,
+    @cached_property
+    def odds(self) -> np.ndarray:
+        """(q,): log odds of right against wrong, the rest of the set given."""
+        return log_odds(self.innovation, self.variance, self.linear.problem.moved_prior)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log of the evidence, could home be anywhere, up to a constant that all sets share."""
+        of_set, p, problem = self.of_set, self.linear.problem.moved_prior, self.linear.problem
+        n, wrong = of_set.members.size, of_set.rest.size
+        square = float(
+            of_set.products[RESIDUAL, RESIDUAL] - self.step @ self.information @ self.step
         )
-        given = (information, precision, step)
-        arguments = (*given, log_volume, np.empty(4 * q), *found)
-        if native.judge_home(problem.in_c, SCALE, UNIFORM_FROM, *fit, *arguments):
-            raise np.linalg.LinAlgError("home is not fixed")
-        return Evidence(innovation, variance, odds, float(log_evidence[0]))
-    innovation, variance = _innovations(linear, inliers, step, precision, information)
-    odds = log_odds(innovation, variance, problem.moved_prior)
-    n, p = int(inliers.sum()), problem.moved_prior
-    offset = problem.off_prior(linear.at)
-    square = linear.residual @ precision @ linear.residual - step @ information @ step
-    square += offset @ problem.before @ offset
-    log_density = -0.5 * (log_volume + n * math.log(TWO_PI))
-    log_home = 0.5 * (3.0 * math.log(TWO_PI) - np.linalg.slogdet(information)[1])
-    labels = n * math.log(1.0 - p) + (q - n) * math.log(p)
-    outlier = log_outlier(innovation, variance)[~inliers].sum()
-    log_evidence = -0.5 * square + log_density + log_home + labels + outlier
-    return Evidence(innovation, variance, odds, float(log_evidence))
+        if problem.prior is not None:
+            offset = problem.off_prior(self.linear.at)
+            square += float(offset @ problem.before @ offset)
+        log_density = -0.5 * (square + of_set.log_volume + n * math.log(TWO_PI))
+        log_home = 0.5 * (3.0 * math.log(TWO_PI) - self._home[1])
+        labels = n * math.log(1.0 - p) + wrong * math.log(p)
+        outliers = float(log_outlier(*self._outliers).sum()) if wrong else 0.0
+        return log_density + log_home + labels + outliers
 
+    @cached_property
+    def _home(self) -> tuple[np.ndarray, float]:
+        """Covariance (3, 3) of home, and the log of the determinant of its information."""
+        return inverted(self.information)
 
-def _innovations(
-    linear: Linear,
-    inliers: np.ndarray,
-    step: np.ndarray,
-    precision: np.ndarray,
-    information: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return stored minus predicted bearings, and the variances of that."""
-    weighted = precision @ (linear.residual - linear.by_home @ step)
-    out, home_covariance = ~inliers, np.linalg.inv(information)
-    lever = precision @ linear.by_home
-    rest = precision.diagonal() - ((lever @ home_covariance) * lever).sum(axis=1)
-    rest = np.maximum(rest, 1e-9)
-    innovation, variance = weighted / rest, 1.0 / rest
-    between, by_home = linear.residual_covariance[out], linear.by_home[out]
-    innovation[out] = wrap(linear.residual[out] - by_home @ step - between @ weighted)
-    gain = between @ precision
-    lever = by_home - gain @ linear.by_home
-    variance[out] = (
-        linear.residual_covariance.diagonal()[out]
-        - (gain * between).sum(axis=1)
-        + ((lever @ home_covariance) * lever).sum(axis=1)
-    )
-    return innovation, variance
+    @cached_property
+    def _inliers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations (r,) of the set, each by the others of it, and their variances."""
+        jacobian, residual = self.of_set.weighted[:, HOME], self.of_set.weighted[:, RESIDUAL]
+        left = self.of_set.precision - ((jacobian @ self._home[0]) * jacobian).sum(axis=1)
+        variance = 1.0 / np.maximum(left, 1e-9)
+        return (residual - jacobian @ self.step) * variance, variance
+
+    @cached_property
+    def _outliers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations (q - r,) of those outside of the set, and their variances."""
+        linear, rest, products = self.linear, self.of_set.rest, self.of_set.products[REST]
+        # What the set says of the map is what it says of them, were home known.
+        jacobian = linear.by_home[rest] - products[:, HOME]
+        innovation = wrap(linear.residual[rest] - products[:, RESIDUAL] - jacobian @ self.step)
+        variance = linear.residual_covariance[rest, rest] - products[:, REST].diagonal()
+        return innovation, variance + ((jacobian @ self._home[0]) * jacobian).sum(axis=1)
+
+    def _all(self, inliers: np.ndarray, outliers: np.ndarray) -> np.ndarray:
+        """Return values of the set (r,) and of the rest (q - r,), in their places (q,)."""
+        found = np.empty(inliers.size + outliers.size)
+        found[self.of_set.members], found[self.of_set.rest] = inliers, outliers
+        return found

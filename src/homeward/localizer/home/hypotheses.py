@@ -80,14 +80,11 @@ class Hypotheses:
         if len(self.fits) == 1:
             return 0.0
         best = self.best
-        spread = np.linalg.inv(best.covariance + 1e-12 * np.eye(3))
-        total = 0.0
-        for other, weight in zip(self.fits[1:], self.weights[1:], strict=True):
-            d = other.home - best.home
-            d[2] = wrap(d[2])
-            if d @ spread @ d > deviations**2:
-                total += float(weight)
-        return total
+        off = np.array([f.home for f in self.fits]) - best.home
+        off[:, 2] = wrap(off[:, 2])
+        information = np.linalg.inv(best.covariance + 1e-12 * np.eye(3))
+        apart = ((off @ information) * off).sum(axis=1) > deviations**2
+        return float(self.weights @ apart)
 
 
 def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:

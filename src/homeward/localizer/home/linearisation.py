@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 
 
@@ -29,13 +28,6 @@ class Linear:
     """(q, 4 + 2 q): covariance of the expected home bearings with what is known."""
     residual_covariance: np.ndarray
     """(q, q): of the residuals, were home known."""
-
-    @staticmethod
-    def room(problem: HomeProblem, at: np.ndarray) -> Linear:
-        """Return room for what a compiled function fills in."""
-        q, size = problem.bearings.size, problem.mean.size
-        jacobians = np.empty((q, 2)), np.empty((q, 3))
-        return Linear(problem, at, np.empty(q), *jacobians, np.empty((q, size)), np.empty((q, q)))
 
     def propagated(self, problem: HomeProblem) -> Linear:
         """Return them around the same point after what is known has changed a little."""
@@ -61,16 +53,13 @@ def expected(
     The latter by the place, (k, 2), and by home, (k, 3); `camera_yaw` [rad] is what the camera's
     yaw is off, if home's is the same.
     """
-    c, s = math.cos(home[2]), math.sin(home[2])
-    mx, my, yaw = problem.mount
-    ox, oy = c * mx - s * my, s * mx + c * my
-    dx, dy = places[:, 0] - home[0] - ox, places[:, 1] - home[1] - oy
-    square = np.maximum(dx * dx + dy * dy, 1e-4)
-    gx, gy = -dy / square, dx / square
-    unknown_yaw = camera_yaw if problem.same_camera else 0.0
-    bearing = np.arctan2(dy, dx) - home[2] - yaw - unknown_yaw
-    by_home = np.stack([-gx, -gy, gx * oy - gy * ox - 1.0], axis=1)
-    return bearing, np.stack([gx, gy], axis=1), by_home
+    eye = compose(home, problem.mount)
+    if problem.same_camera:
+        eye[2] += camera_yaw
+    bearing, by_place, _ = sight(eye, places)
+    by_eye = np.full((len(places), 3), -1.0)
+    np.negative(by_place, out=by_eye[:, :2])
+    return bearing, by_place, by_eye @ lever(eye - home)
 
 
 def expected_change(problem: HomeProblem, by_place: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -87,22 +76,13 @@ def _linear(
     by_home: np.ndarray,
 ) -> Linear:
     """Return it with the covariances that follow."""
-    q, known = len(by_place), problem.covariance
-    correlated, residual_covariance = np.empty((q, len(known))), np.empty((q, q))
-    native = compiled()
-    if native is None:
-        gx, gy = by_place.T
-        correlated[:] = (
-            gx[:, None] * known[POSE_AND_YAW::2] + gy[:, None] * known[POSE_AND_YAW + 1 :: 2]
-        )
-        if problem.same_camera:
-            correlated -= known[YAW]
-        residual_covariance[:] = (
-            correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
-        )
-        if problem.same_camera:
-            residual_covariance -= correlated[:, YAW, None]
-        residual_covariance[np.arange(q), np.arange(q)] += problem.sigmas**2
-    else:
-        native.spread_home(problem.in_c, by_place, correlated, residual_covariance)
-    return Linear(problem, home, residual, by_place, by_home, correlated, residual_covariance)
+    (gx, gy), known = by_place.T, problem.covariance
+    # Each bearing knows one landmark: a product of full matrices were mostly zeros.
+    correlated = gx[:, None] * known[POSE_AND_YAW::2] + gy[:, None] * known[POSE_AND_YAW + 1 :: 2]
+    if problem.same_camera:
+        correlated -= known[YAW]
+    covariance = correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
+    if problem.same_camera:
+        covariance -= correlated[:, YAW, None]
+    covariance.ravel()[:: len(gx) + 1] += problem.sigmas**2
+    return Linear(problem, home, residual, by_place, by_home, correlated, covariance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,8 +10,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
-from homeward.engine.native.program import address
-from homeward.frames import from_polar, inverse, polar_covariance_to_pose
+from homeward.frames import from_polar, polar_covariance_to_pose
+from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.home.resection import REACH
 
 POSE_AND_YAW = 4
@@ -26,17 +25,6 @@ LONGEST_SHARE = 0.2
 """A fit moves home by so much at once at most [of the range] ..."""
 LONGEST_TURN = 1.0
 """... and turns it by so much [rad]."""
-
-
-class ProblemInC(ctypes.Structure):
-    """What the compiled functions take as a problem."""
-
-    _fields_ = (
-        *((name, ctypes.c_long) for name in ("q", "size", "same_camera", "has_prior")),
-        *((name, ctypes.c_double) for name in ("moved_prior", "longest_step")),
-        *((name, ctypes.c_void_p) for name in ("mean", "covariance", "bearings", "sigmas")),
-        *((name, ctypes.c_void_p) for name in ("mount", "before", "prior")),
-    )
 
 
 @dataclass(frozen=True)
@@ -67,17 +55,20 @@ class HomeProblem:
         return self.mean[POSE_AND_YAW:].reshape(-1, 2)
 
     @cached_property
-    def extent(self) -> float:
-        """The longer side of the box round the landmarks [m]."""
+    def _box(self) -> tuple[float, float, float]:
         # Of so few numbers, lists are quicker than arrays.
         x, y = self.landmarks.T.tolist()
-        return float(max(max(x) - min(x), max(y) - min(y)))
+        return max(max(x) - min(x), max(y) - min(y)), sum(x) / len(x), sum(y) / len(y)
 
-    @cached_property
+    @property
+    def extent(self) -> float:
+        """The longer side of the box round the landmarks [m]."""
+        return self._box[0]
+
+    @property
     def centre(self) -> tuple[float, float]:
         """Mean of the landmarks' positions [m]."""
-        x, y = self.landmarks.T.tolist()
-        return sum(x) / len(x), sum(y) / len(y)
+        return self._box[1:]
 
     @cached_property
     def range(self) -> float:
@@ -134,16 +125,6 @@ class HomeProblem:
         offset[2] = wrap(offset[2])
         return offset
 
-    @cached_property
-    def in_c(self) -> ProblemInC:
-        """The problem for compiled functions; its arrays are this problem's own."""
-        given = (self.mean, self.covariance, self.bearings, self.sigmas, self.mount, self.before)
-        prior = None if self.prior is None else address(self.prior)
-        flags = (self.same_camera, self.prior is not None)
-        sizes = (self.bearings.size, self.mean.size)
-        numbers = (self.moved_prior, LONGEST_SHARE * self.range)
-        return ProblemInC(*sizes, *flags, *numbers, *map(address, given), prior)
-
     @property
     def fewest(self) -> int:
         """Home bearings that fix home."""
@@ -155,11 +136,10 @@ def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | Non
     start = drive.start
     if start is None:
         return None
-    pose = from_polar(start.polar)
+    pose = np.array(from_polar(start.polar), float)
     sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
     covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
-    c, s = np.cos(pose.heading), np.sin(pose.heading)
-    home = inverse(pose)
-    jacobian = -np.array([[c, s, -home.y], [-s, c, home.x], [0.0, 0.0, 1.0]])
-    information = np.linalg.inv(jacobian @ covariance @ jacobian.T)
-    return np.array(home, float), information
+    jacobian = rotation(pose[2]).T @ lever(-pose)
+    home = between(pose, np.zeros(3))
+    home[2] = wrap(home[2])
+    return home, np.linalg.inv(jacobian @ covariance @ jacobian.T)

@@ -7,18 +7,21 @@ the information in the mean is taken out again, down to a share of `LEAST_SHARE`
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import LEAST_SQUARE
 from homeward.localizer.home.linearisation import Linear
 from homeward.localizer.home.problem import POSE_AND_YAW
+from homeward.localizer.home.whitening import inverted
 
 LEAST_SHARE = 0.002
 """So much of the information on home is left at least when errors of the map are taken out [1]."""
 
 
 def spurious_covariance(
-    linear: Linear, inliers: np.ndarray, known: np.ndarray, information: np.ndarray
+    linear: Linear, members: np.ndarray, landmarks: np.ndarray, information: np.ndarray
 ) -> np.ndarray:
     """Return the inflation: the covariance (3, 3) of home beyond the inverse of its information.
 
@@ -26,10 +29,10 @@ def spurious_covariance(
     ----------
     linear : Linear
         The home bearings.
-    inliers : ndarray, shape (q,), bool
+    members : ndarray, shape (r,), int
         The set.
-    known : ndarray, shape (4 + 2 q,)
-        What is known, corrected by the set.
+    landmarks : ndarray, shape (q, 2)
+        Corrected by the set [m].
     information : ndarray, shape (3, 3)
         On home.
 
@@ -38,58 +41,72 @@ def spurious_covariance(
     numpy.linalg.LinAlgError
         If home is not fixed.
     """
-    native, problem, q = compiled(), linear.problem, inliers.size
-    if native is not None:
-        found = np.empty((3, 3))
-        of_set = (linear.at, inliers.astype(float), known, linear.residual_covariance)
-        arguments = (information, problem.vague, np.empty(14 * q), found)
-        if native.doubt_home(problem.in_c, 1.0 - LEAST_SHARE, *of_set, *arguments):
-            raise np.linalg.LinAlgError("home is not fixed")
-        return found
-    whole = information + problem.vague
+    whole = information + linear.problem.vague
     left = whole.copy()
-    left[:2, :2] -= _by_chance(information, _bend(linear, inliers, known))
+    if members.size:
+        left[:2, :2] -= _by_chance(information, *_bend(linear, members, landmarks))
     # Both with what is there always: so it is a covariance, where next to nothing is known, too.
-    return np.asarray(np.linalg.inv(left) - np.linalg.inv(whole))
+    return np.asarray(inverted(left)[0] - inverted(whole)[0])
 
 
-def _by_chance(information: np.ndarray, bend: np.ndarray) -> np.ndarray:
+def _by_chance(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:
     """Return how much of the information on home's place, (2, 2), is there by chance.
 
     In axes in which the information on the place, the heading being unknown, is a unit matrix, the
-    shares that are there by chance are the eigenvalues of `bend`.
+    shares that are there by chance are the eigenvalues of what bending adds to it, [xx, xy; xy,
+    yy], of which `spread` is xx + yy and `pseudo` xx - yy + 2i xy.
     """
-    by_heading = information[:2, 2]
-    place = information[:2, :2] - np.outer(by_heading, by_heading) / information[2, 2]
-    root = np.linalg.cholesky(place)
-    inverse = np.linalg.inv(root)
-    shares, axes = np.linalg.eigh(inverse @ bend @ inverse.T)
-    kept = root @ axes
-    return np.asarray((kept * np.minimum(shares, 1.0 - LEAST_SHARE)) @ kept.T)
+    (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
+    a = math.sqrt(m - along * along / turn)  # the Cholesky factor: [a, 0; b, c]
+    b = (n - along * across / turn) / a
+    c = math.sqrt(o - across * across / turn - b * b)
+    xx, xy, yy = 0.5 * (spread + pseudo.real), 0.5 * pseudo.imag, 0.5 * (spread - pseudo.real)
+    xx, xy = xx / (a * a), (xy - b * xx / a) / (a * c)
+    yy = (yy - b * (2.0 * c * xy + b * xx)) / (c * c)
+    half, apart = 0.5 * (xx - yy), math.hypot(0.5 * (xx - yy), xy)
+    shares = 0.5 * (xx + yy) + apart, 0.5 * (xx + yy) - apart
+    most, least = (min(share, 1.0 - LEAST_SHARE) for share in shares)
+    middle, ratio = 0.5 * (most + least), 0.5 * (most - least) / max(apart, 1e-300)
+    kept = np.array([[middle + ratio * half, ratio * xy], [ratio * xy, middle - ratio * half]])
+    root = np.array([[a, 0.0], [b, c]])
+    return np.asarray(root @ kept @ root.T)
 
 
-def _bend(linear: Linear, inliers: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the information (2, 2) that the landmarks' own errors add by bending bearings."""
-    d = known[POSE_AND_YAW:].reshape(-1, 2)[inliers] - linear.at[:2]
-    square = np.maximum((d**2).sum(axis=1), 1e-4)
-    a, b = 2.0 * d[:, 0] * d[:, 1] / square**2, (d[:, 1] ** 2 - d[:, 0] ** 2) / square**2
-    curvature = np.array([[a, b], [b, -a]]).transpose(2, 0, 1)
-    of_set = np.repeat(np.concatenate([np.zeros(POSE_AND_YAW // 2, bool), inliers]), 2)
-    errors = _own_errors(d, linear.problem.covariance[of_set][:, of_set])
-    weighed = errors / linear.residual_covariance.diagonal()[inliers, None, None]
-    return np.asarray((curvature @ weighed @ curvature).sum(axis=0))
+def _bend(linear: Linear, members: np.ndarray, landmarks: np.ndarray) -> tuple[float, complex]:
+    """Return the information that the landmarks' own errors add by bending bearings.
 
-
-def _own_errors(d: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the covariances (r, 2, 2) of landmarks seen from home at `d` (r, 2).
-
-    What moves or turns all of them alike moves home with them, and is left out.
+    In the plane as complex numbers a landmark at z that is off by e adds k conj(e) to the
+    derivative of its bearing, with the curvature k = -i / conj(z)^2.
     """
-    rigid = np.zeros((len(d), 2, 3))
-    rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
-    rigid[:, 0, 2], rigid[:, 1, 2] = -d[:, 1], d[:, 0]
-    basis = np.linalg.qr(rigid.reshape(-1, 3))[0]
-    own = np.eye(len(basis)) - basis @ basis.T
-    each = np.arange(len(d))
-    errors = (own @ covariance @ own).reshape(len(d), 2, len(d), 2)
-    return np.asarray(errors[each, :, each])
+    away = landmarks.view(complex)[members, 0] - complex(*linear.at[:2].tolist())
+    spread, pseudo = _own_errors(away, linear.problem.covariance, POSE_AND_YAW // 2 + members)
+    square = away * away
+    size = np.maximum(np.abs(square), LEAST_SQUARE)
+    weight = 1.0 / (linear.residual_covariance[members, members] * size * size)
+    turned = -weight * (square / size) ** 2
+    return float(weight @ spread), complex(turned @ pseudo.conj())
+
+
+def _own_errors(
+    away: np.ndarray, covariance: np.ndarray, of_set: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variances xx + yy and xx - yy + 2i xy (r,) of the landmarks' own errors.
+
+    What moves or turns all of them alike moves home with them, and is left out. They are seen from
+    home at `away` (r,), complex, and are the numbers `of_set` (r,) of what is known, in pairs.
+    """
+    centred = away - away.sum() / len(away)
+    rigid = np.zeros((3, len(covariance) // 2), complex)
+    motions = np.empty((3, len(away)), complex)
+    motions[0], motions[1] = 1.0 / math.sqrt(len(away)), 1j / math.sqrt(len(away))
+    motions[2] = 1j / max(float(np.linalg.norm(centred)), 1e-6) * centred
+    rigid[:, of_set] = motions
+    # With B an orthonormal basis of that, the own errors are (I - B B^T) C (I - B B^T).
+    basis = rigid.view(float)
+    shared = basis @ covariance
+    shared -= 0.5 * (shared @ basis.T) @ basis
+    without = shared.view(complex)[:, of_set]
+    variance, mixed = covariance.diagonal(), covariance.diagonal(1)
+    xx, xy, yy = variance[::2][of_set], mixed[::2][of_set], variance[1::2][of_set]
+    spread = xx + yy - 2.0 * (motions * without.conj()).real.sum(axis=0)
+    return spread, xx - yy + 2j * xy - 2.0 * (motions * without).sum(axis=0)

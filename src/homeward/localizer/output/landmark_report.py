@@ -105,7 +105,7 @@ class LandmarkReport:
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:
                 at[index[name]] = place
-        covariance += best.joint_covariance[:2, :2]
+        covariance += best.covariance[:2, :2]
         away = at - best.home[:2]
         c, s = math.cos(best.home[2]), math.sin(best.home[2])
         towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]

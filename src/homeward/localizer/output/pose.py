@@ -9,10 +9,11 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.localizer.compiled import compiled
+from homeward.localizer.geometry import compose, lever, rotation
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.outliers import SCALE
+from homeward.localizer.home.whitening import HOME, inverted
 
 CENTRE_STEPS = 20
 NEAR = 2.0
@@ -29,6 +30,12 @@ class PoseEstimate:
     covariance: np.ndarray
     """(3, 3), of x [m], y [m] and heading [rad]."""
 
+    @staticmethod
+    def of(pose: np.ndarray, covariance: np.ndarray) -> PoseEstimate:
+        """Return the estimate of a pose (3,) whose heading may not be wrapped."""
+        x, y, heading = pose.tolist()
+        return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
+
     def propagate(self, delta: np.ndarray, drift: np.ndarray) -> PoseEstimate:
         """Propagate it by a motion.
 
@@ -39,14 +46,11 @@ class PoseEstimate:
         drift : ndarray, shape (3, 3)
             Covariance of the motion in that frame.
         """
-        x, y, heading = self.pose
-        c, s = math.cos(heading), math.sin(heading)
-        dx, dy, turn = delta.tolist()
-        step_x, step_y = c * dx - s * dy, s * dx + c * dy
-        by_pose = np.array([[1.0, 0.0, -step_y], [0.0, 1.0, step_x], [0.0, 0.0, 1.0]])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        covariance = by_pose @ self.covariance @ by_pose.T + rotation @ drift @ rotation.T
-        return PoseEstimate(Pose(x + step_x, y + step_y, wrap(heading + turn)), covariance)
+        before = np.array(self.pose)
+        after, turn = compose(before, delta), rotation(before[2])
+        by_pose = lever(after - before)
+        covariance = by_pose @ self.covariance @ by_pose.T + turn @ drift @ turn.T
+        return PoseEstimate.of(after, covariance)
 
     def with_mount(self, mount_covariance: np.ndarray) -> PoseEstimate:
         """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
@@ -62,38 +66,7 @@ class PoseEstimate:
 
 def in_home_frame(fit: HomeFit) -> PoseEstimate:
     """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
-    native, linear, problem = compiled(), fit.linear, fit.problem
-    if native is not None:
-        q, size = linear.correlated.shape
-        pose, covariance = np.empty(3), np.empty((3, 3))
-        known = (problem.mean, problem.covariance, linear.correlated, fit.precision)
-        arguments = (
-            linear.by_home,
-            linear.residual,
-            fit.step,
-            fit.home,
-            fit.covariance,
-            np.empty(4 * q),
-        )
-        native.from_home(q, size, *known, *arguments, pose, covariance)
-        x, y, heading = pose.tolist()
-        return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
-    by_home, by_pose, there = _derivatives(fit)
-    covariance = by_home @ fit.covariance @ by_home.T + by_pose @ fit.pose_covariance @ by_pose.T
-    return PoseEstimate(there, 0.5 * (covariance + covariance.T))
-
-
-def _derivatives(fit: HomeFit) -> tuple[np.ndarray, np.ndarray, Pose]:
-    """Return Jacobians (3, 3) of the pose in the home frame, by home and by the pose, and it."""
-    home_x, home_y, home_heading = fit.home.tolist()
-    x, y, heading = fit.pose.tolist()
-    c, s = math.cos(home_heading), math.sin(home_heading)
-    dx, dy = x - home_x, y - home_y
-    px, py = c * dx + s * dy, c * dy - s * dx
-    by_home = np.array([[-c, -s, py], [s, -c, -px], [0.0, 0.0, -1.0]])
-    by_pose = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    in_all = by_home - by_pose @ fit.by_home  # home moves the pose with it
-    return in_all, by_pose, Pose(px, py, wrap(heading - home_heading))
+    return PoseEstimate.of(*fit.robot)
 
 
 def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
@@ -106,10 +79,10 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
-    by_bearing = np.linalg.solve(fit.information, fit.linear.by_home.T @ fit.precision[:, alone])
-    lever = math.sqrt(problem.moved_prior) * SCALE * _derivatives(fit)[0] @ by_bearing
+    by_bearing = inverted(fit.information)[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
+    moves = math.sqrt(problem.moved_prior) * SCALE * fit.derivatives[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
-    place, turn = np.linalg.norm(lever[:2], 2), np.linalg.norm(lever[2])
+    place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
 
 
@@ -132,10 +105,15 @@ class OtherHypotheses:
 
 def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
     """Return what makes the best hypothesis' answer that of all: their middle, their covariance."""
-    estimates, weights = [in_home_frame(fit) for fit in hypotheses.fits], hypotheses.weights
-    off = np.array([a.pose for a in estimates]) - np.array(estimates[0].pose)
+    if len(hypotheses.fits) == 1:
+        return OtherHypotheses.nothing()
+    weights = hypotheses.weights
+    poses, covariances = (
+        np.array(p) for p in zip(*(f.robot for f in hypotheses.fits), strict=True)
+    )
+    off = poses - poses[0]
     off[:, 2] = wrap(off[:, 2])
-    each = weights[:, None, None] * np.array([a.covariance for a in estimates])
+    each = weights[:, None, None] * covariances
     middle = centre(off, weights, each.sum(axis=0))
     off -= middle
     return OtherHypotheses(
@@ -147,17 +125,17 @@ def combined_estimate(
     best: HomeFit, others: OtherHypotheses, more: np.ndarray | None = None
 ) -> PoseEstimate:
     """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
-    alone = in_home_frame(best)
-    covariance = others.share * alone.covariance + others.covariance
+    pose, alone = best.robot
+    covariance = others.share * alone + others.covariance
     if more is not None:
         covariance += more
     # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     sagitta = largest / (2.0 * landmark_distance(best, best.home))
-    covariance[[0, 1], [0, 1]] += sagitta**2
-    x, y, heading = np.add(alone.pose, others.shift).tolist()
-    return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
+    covariance[0, 0] += sagitta**2
+    covariance[1, 1] += sagitta**2
+    return PoseEstimate.of(pose + others.shift, covariance)
 
 
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -177,15 +155,17 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
     """
     if len(points) == 1:
         return np.asarray(points[0])
-    information, middle = np.linalg.inv(covariance), weights @ points
+    # The middle is one of shares of the points, so products of these tell all distances.
+    products, share = points @ np.linalg.inv(covariance) @ points.T, weights
+    squares = products.diagonal() + NEAR**2
     for _ in range(CENTRE_STEPS):
-        off = points - middle
-        pull = weights / np.sqrt(((off @ information) * off).sum(axis=1) + NEAR**2)
-        step = pull @ off / pull.sum()
-        middle = middle + step
-        if step @ information @ step < AT_REST**2:
+        towards = products @ share
+        pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)
+        step = pull / pull.sum() - share
+        share = share + step
+        if step @ products @ step < AT_REST**2:
             break
-    return np.asarray(middle)
+    return np.asarray(share @ points)
 
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """The renderer's innermost loop in C, where there is a compiler; NumPy does the same without.
 
-As in `homeward.localizer.compiled`; a test holds the two together.
+As in `homeward.vision.compiled`; a test holds the two together.
 """
 
 from __future__ import annotations

@@ -1,0 +1,85 @@
+"""Whitening of a set's residuals: all that least squares asks of the set, as dot products.
+
+With the covariance of the residuals of the set S = L L^T, L^-1 makes independent residuals of unit
+variance. Each column that is correlated with them is treated likewise, once, and their products
+are the information on home, the gain of the newest pose, and what the others are predicted by.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
+
+from homeward.localizer.home.linearisation import Linear
+
+HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)
+"""Columns: Jacobian by home, residual, correlation with the newest pose, and with the others."""
+IDENTITY = np.eye(3)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """A set of r home bearings out of q, whitened."""
+
+    members: np.ndarray
+    """(r,), int: the set."""
+    rest: np.ndarray
+    """(q - r,), int: the others."""
+    root: np.ndarray
+    """(r, r): lower Cholesky factor of the covariance of the set's residuals; nothing above."""
+    columns: np.ndarray
+    """(r, 7 + q - r): whitened Jacobian, residual and correlations."""
+    products: np.ndarray
+    """(7 + q - r, 7 + q - r): of the columns with each other."""
+
+    @cached_property
+    def log_volume(self) -> float:
+        """Log of the determinant of the covariance of the set's residuals."""
+        return 2.0 * sum(map(math.log, self.root.diagonal().tolist()))
+
+    @cached_property
+    def weighted(self) -> np.ndarray:
+        """(r, 4): Jacobian by home and residual, times the inverse of that covariance."""
+        columns = self.columns[:, : RESIDUAL + 1]
+        return np.asarray(
+            dtrtrs(self.root, columns, lower=1, trans=1)[0] if columns.size else columns
+        )
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """(r,): diagonal of the inverse of that covariance."""
+        return np.asarray(dpotri(self.root, lower=1)[0].diagonal())
+
+
+def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:
+    """Whiten a set of inliers (q,), bool; None when its covariance is not positive definite."""
+    members, rest = inliers.nonzero()[0], (~inliers).nonzero()[0]
+    columns = np.empty((members.size, REST.start + rest.size), order="F")
+    columns[:, HOME], columns[:, RESIDUAL] = linear.by_home[members], linear.residual[members]
+    columns[:, POSE] = linear.correlated[members, :3]
+    rows = linear.residual_covariance[members]
+    columns[:, REST] = rows[:, rest]
+    root, failed = dpotrf(rows[:, members].T, lower=1, clean=0)
+    if failed:
+        return None
+    if members.size:
+        columns = dtrtrs(root, columns, lower=1, overwrite_b=1)[0]
+    return Whitened(members, rest, root, columns, columns.T @ columns)
+
+
+def inverted(information: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the inverse of information (3, 3) on home, and the log of the latter's determinant.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If home is not fixed.
+    """
+    root, inverse, failed = dposv(information, IDENTITY)
+    if failed:
+        raise np.linalg.LinAlgError("home is not fixed")
+    return inverse, 2.0 * math.log(math.prod(root.diagonal().tolist()))

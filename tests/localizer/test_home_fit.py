@@ -1,0 +1,141 @@
+"""A fit of home says what dense least squares says, and its evidence is that of a Gaussian."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from homeward.angles import wrap
+from homeward.localizer.home.gauss_newton import SETTLED, fit, solved
+from homeward.localizer.home.linearisation import linearised
+from homeward.localizer.home.outliers import log_odds, log_outlier
+from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
+
+PRIOR = np.array([0.1, -0.1, 0.2])
+
+
+def a_home(rng, q=6, prior=None):
+    """Landmarks round a home, as known, with a home bearing each."""
+    at = rng.uniform(0.0, 2.0 * np.pi, q)
+    landmarks = rng.uniform(1.0, 3.0, q)[:, None] * np.stack([np.cos(at), np.sin(at)], axis=1)
+    root = 0.05 * rng.normal(size=(4 + 2 * q, 4 + 2 * q))
+    return HomeProblem(
+        mean=np.concatenate([[0.5, 0.2, 0.3, 0.0], landmarks.ravel()]),
+        covariance=root @ root.T,
+        bearings=at + 0.02 * rng.normal(size=q),
+        sigmas=rng.uniform(0.005, 0.03, q),
+        mount=np.array([0.1, 0.0, 0.2]),
+        same_camera=True,
+        moved_prior=0.1,
+        prior=prior,
+        prior_information=None if prior is None else np.diag([4.0, 3.0, 2.0]),
+    )
+
+
+def jacobian_by_known(linear):
+    """Of the expected home bearings by all that is known, the camera's yaw included."""
+    q = linear.residual.size
+    jacobian = np.zeros((q, 4 + 2 * q))
+    jacobian[:, 3] = -1.0
+    jacobian[np.arange(q), 4 + 2 * np.arange(q)] = linear.by_place[:, 0]
+    jacobian[np.arange(q), 5 + 2 * np.arange(q)] = linear.by_place[:, 1]
+    return jacobian
+
+
+def log_normal(off, covariance):
+    return -0.5 * (
+        off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    )
+
+
+@pytest.mark.parametrize("prior", [None, PRIOR])
+@pytest.mark.parametrize("inliers", [[1, 1, 1, 1, 1, 1], [1, 0, 1, 1, 0, 1], [0, 0, 0, 0, 0, 0]])
+def test_a_fit_is_the_posterior_of_home_and_map_together(prior, inliers):
+    problem, inliers = a_home(np.random.default_rng(4), prior=prior), np.array(inliers, bool)
+    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    found = solved(linear, inliers)
+    whole = np.concatenate([linear.by_home, jacobian_by_known(linear)], axis=1)
+    before = np.zeros((len(whole[0]), len(whole[0])))
+    before[:3, :3], before[3:, 3:] = problem.before, np.linalg.inv(problem.covariance)
+    weighed = whole[inliers].T / problem.sigmas[inliers] ** 2
+    covariance = np.linalg.inv(before + weighed @ whole[inliers])
+    slope = weighed @ linear.residual[inliers] + before[:, :3] @ problem.off_prior(linear.at)
+    step = covariance @ slope
+    assert problem.length(step[:3]) < 1.0
+    assert found.step == pytest.approx(step[:3], rel=1e-6, abs=1e-9)
+    assert found.known - problem.mean == pytest.approx(step[3:], rel=1e-6, abs=1e-9)
+    assert found.pose == pytest.approx(found.known[:3])
+    assert np.linalg.inv(found.information) == pytest.approx(covariance[:3, :3], rel=1e-6)
+    follows = -found.by_home
+    assert follows @ np.linalg.inv(found.information) == pytest.approx(
+        covariance[3:6, :3], rel=1e-6, abs=1e-9
+    )
+    alone = covariance[3:6, 3:6] - follows @ covariance[:3, 3:6]
+    assert found.pose_covariance == pytest.approx(alone, rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("prior", [None, PRIOR])
+def test_each_bearing_is_predicted_by_all_others(prior):
+    problem = a_home(np.random.default_rng(4), prior=prior)
+    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    inliers = np.array([1, 0, 1, 1, 1, 1], bool)
+    innovation, variance = solved(linear, inliers).innovations
+    for i in range(6):
+        others = inliers & (np.arange(6) != i)
+        rest = solved(linear, others)
+        jacobian = np.concatenate([linear.by_home, jacobian_by_known(linear)], axis=1)
+        expected = linear.by_home[i] @ rest.step
+        expected += jacobian[i, 3:] @ (rest.known - problem.mean)
+        assert innovation[i] == pytest.approx(wrap(linear.residual[i] - expected), rel=1e-6)
+        assert variance[i] == pytest.approx(rest.innovations[1][i], rel=1e-6)
+    assert solved(linear, inliers).odds == pytest.approx(log_odds(innovation, variance, 0.1))
+
+
+def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are():
+    problem = a_home(np.random.default_rng(4), prior=PRIOR)
+    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    inliers = np.array([1, 0, 1, 1, 0, 1], bool)
+    found = solved(linear, inliers)
+    by_home, off = linear.by_home[inliers], problem.off_prior(linear.at)
+    spread = linear.residual_covariance[inliers][:, inliers]
+    spread = spread + by_home @ np.linalg.inv(problem.before) @ by_home.T
+    density = log_normal(linear.residual[inliers] - by_home @ off, spread)
+    wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
+    labels = 4.0 * math.log(0.9) + 2.0 * math.log(0.1)
+    # All sets share the prior's normalisation.
+    shared = 0.5 * np.linalg.slogdet(problem.before / (2.0 * np.pi))[1]
+    assert found.log_evidence + shared == pytest.approx(density + wrong + labels, rel=1e-9)
+
+
+@pytest.mark.parametrize("prior", [None, PRIOR])
+def test_home_is_iterated_to(prior):
+    problem = a_home(np.random.default_rng(6), prior=prior)
+    inliers = np.array([1, 1, 1, 0, 1, 1], bool)
+    one, many = (fit(problem, np.array([0.4, -0.3, 0.3]), inliers, steps) for steps in (1, 20))
+    assert problem.length(many.step) < SETTLED < problem.length(one.step)
+    again = linearised(problem, many.home, many.known)
+    assert solved(again, inliers).step == pytest.approx(np.zeros(3), abs=1e-4)
+    assert (fit(problem, np.zeros(3), np.zeros(6, bool)) is None) == (prior is None)
+
+
+def test_bearings_without_spread_fix_no_home():
+    problem = a_home(np.random.default_rng(5))
+    around = linearised(problem, np.zeros(3), problem.mean)
+    around.residual_covariance[:] = -1.0
+    assert solved(around, np.ones(6, bool)) is None
+
+
+def test_errors_that_move_all_landmarks_alike_are_not_spurious_information():
+    problem = a_home(np.random.default_rng(7))
+    away = problem.landmarks
+    rigid = np.zeros((problem.mean.size, 3))
+    rigid[POSE_AND_YAW::2, 0] = rigid[POSE_AND_YAW + 1 :: 2, 1] = 1.0
+    rigid[POSE_AND_YAW::2, 2], rigid[POSE_AND_YAW + 1 :: 2, 2] = -away[:, 1], away[:, 0]
+    alike = rigid @ np.diag([0.04, 0.05, 0.02]) @ rigid.T
+    home = np.zeros(3)
+    moved = solved(
+        linearised(replace(problem, covariance=alike), home, problem.mean), np.ones(6, bool)
+    )
+    own = solved(linearised(problem, home, problem.mean), np.ones(6, bool))
+    assert np.abs(moved.inflation).max() < 1e-3 * np.abs(own.inflation).max()
