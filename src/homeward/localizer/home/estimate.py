@@ -15,11 +15,11 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.home.evidence import Evidence
-from homeward.localizer.home.linearisation import Linear, expected
+from homeward.localizer.home.linearisation import HOME, POSE, RESIDUAL, Linear, expected
 from homeward.localizer.home.outliers import SCALE, log_odds
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
-from homeward.localizer.home.whitening import HOME, POSE, RESIDUAL, Whitened, inverted
+from homeward.localizer.home.whitening import Whitened, inverted
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""
@@ -86,9 +86,14 @@ class HomeFit:
         return np.asarray(self.known[POSE_AND_YAW:].reshape(-1, 2))
 
     @cached_property
+    def least(self) -> tuple[np.ndarray, float]:
+        """(3, 3): inverse of the information on home; and the log of the latter's determinant."""
+        return inverted(self.information)
+
+    @cached_property
     def covariance(self) -> np.ndarray:
         """(3, 3): covariance of home."""
-        return np.asarray(inverted(self.information)[0] + self.inflation)
+        return np.asarray(self.least[0] + self.inflation)
 
     @property
     def by_home(self) -> np.ndarray:
@@ -120,7 +125,7 @@ class HomeFit:
     @cached_property
     def evidence(self) -> Evidence:
         """What it says of each home bearing and of the set."""
-        return Evidence(self.linear, self.of_set, self.step, self.information)
+        return Evidence(self.linear, self.of_set, self.step, self.information, *self.least)
 
     @cached_property
     def log_evidence(self) -> float:
@@ -158,7 +163,7 @@ class HomeFit:
         """
         bearing, by_place, by_home = expected(self.problem, self.home, places, self.known[YAW])
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
-        variance += ((by_home @ self.covariance) * by_home).sum(axis=1)
+        variance += np.vecdot(by_home @ self.covariance, by_home)
         return log_odds(wrap(bearings - bearing), variance, self.problem.moved_prior)
 
     @cached_property

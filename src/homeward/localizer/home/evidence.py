@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
-from homeward.localizer.home.linearisation import Linear
+from homeward.localizer.home.linearisation import HOME, RESIDUAL, REST, Linear
 from homeward.localizer.home.outliers import log_odds, log_outlier
-from homeward.localizer.home.whitening import HOME, RESIDUAL, REST, Whitened, inverted
+from homeward.localizer.home.whitening import Whitened
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,9 @@ class Evidence:
     step: np.ndarray
     """(3,): from where home was linearised to where it is."""
     information: np.ndarray
-    """(3, 3): on home."""
+    """(3, 3): on home, and of that:"""
+    covariance: np.ndarray
+    log_determinant: float
 
     @cached_property
     def innovation(self) -> np.ndarray:
@@ -56,21 +58,16 @@ class Evidence:
             offset = problem.off_prior(self.linear.at)
             square += float(offset @ problem.before @ offset)
         log_density = -0.5 * (square + of_set.log_volume + n * math.log(TWO_PI))
-        log_home = 0.5 * (3.0 * math.log(TWO_PI) - self._home[1])
+        log_home = 0.5 * (3.0 * math.log(TWO_PI) - self.log_determinant)
         labels = n * math.log(1.0 - p) + wrong * math.log(p)
         outliers = float(log_outlier(*self._outliers).sum()) if wrong else 0.0
         return log_density + log_home + labels + outliers
 
     @cached_property
-    def _home(self) -> tuple[np.ndarray, float]:
-        """Covariance (3, 3) of home, and the log of the determinant of its information."""
-        return inverted(self.information)
-
-    @cached_property
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:
         """Innovations (r,) of the set, each by the others of it, and their variances."""
         jacobian, residual = self.of_set.weighted[:, HOME], self.of_set.weighted[:, RESIDUAL]
-        left = self.of_set.precision - ((jacobian @ self._home[0]) * jacobian).sum(axis=1)
+        left = self.of_set.precision - np.vecdot(jacobian @ self.covariance, jacobian)
         variance = 1.0 / np.maximum(left, 1e-9)
         return (residual - jacobian @ self.step) * variance, variance
 
@@ -82,7 +79,7 @@ class Evidence:
         jacobian = linear.by_home[rest] - products[:, HOME]
         innovation = wrap(linear.residual[rest] - products[:, RESIDUAL] - jacobian @ self.step)
         variance = linear.residual_covariance[rest, rest] - products[:, REST].diagonal()
-        return innovation, variance + ((jacobian @ self._home[0]) * jacobian).sum(axis=1)
+        return innovation, variance + np.vecdot(jacobian @ self.covariance, jacobian)
 
     def _all(self, inliers: np.ndarray, outliers: np.ndarray) -> np.ndarray:
         """Return values of the set (r,) and of the rest (q - r,), in their places (q,)."""

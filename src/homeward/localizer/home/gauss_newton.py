@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.linalg.lapack import dposv
 
 from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.linearisation import Linear, linearised
+from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.home.whitening import HOME, RESIDUAL, whitened
+from homeward.localizer.home.whitening import whitened
 
 STEPS = 6
 SETTLED = 1e-4
@@ -65,9 +67,9 @@ def solved(
     if of_set is None:
         return None
     information = problem.before + of_set.products[HOME, HOME]
-    slope = problem.before @ problem.off_prior(linear.at) + of_set.products[HOME, RESIDUAL]
+    slope = of_set.products[HOME, RESIDUAL] + problem.before @ problem.off_prior(linear.at)
     _, step, failed = dposv(information, slope)
-    if failed or not np.isfinite(step).all():
+    if failed or not math.isfinite(step @ step):
         return None
     step = step / max(1.0, problem.length(step))
     return HomeFit(linear, inliers, step, of_set, information, inflation)

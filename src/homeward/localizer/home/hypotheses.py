@@ -16,10 +16,10 @@ from itertools import combinations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.frames import Pose, compose, inverse
+from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
-from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.problem import FEWEST, POSE_AND_YAW, HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
 
 Seed = tuple[np.ndarray, np.ndarray]
@@ -83,7 +83,7 @@ class Hypotheses:
         off = np.array([f.home for f in self.fits]) - best.home
         off[:, 2] = wrap(off[:, 2])
         information = np.linalg.inv(best.covariance + 1e-12 * np.eye(3))
-        apart = ((off @ information) * off).sum(axis=1) > deviations**2
+        apart = np.vecdot(off @ information, off) > deviations**2
         return float(self.weights @ apart)
 
 
@@ -190,7 +190,7 @@ def seeds(problem: HomeProblem) -> list[Seed]:
     found: list[Seed] = []
     if problem.prior is not None:
         found.append((problem.prior, np.ones(problem.bearings.size, bool)))
-    if problem.bearings.size >= 3:
+    if problem.bearings.size >= FEWEST:
         found.extend(_from_triples(problem))
     unique = {inliers.tobytes(): (home, inliers) for home, inliers in reversed(found)}
     return list(unique.values())[::-1][: MOST_SEEDS + 2]
@@ -202,20 +202,18 @@ def _from_triples(problem: HomeProblem) -> list[Seed]:
     cameras = poses_from_triples(points, problem.bearings)
     if not len(cameras):
         return []
-    q = len(points)
-    marginals = problem.covariance[4:, 4:].reshape(q, 2, q, 2)[np.arange(q), :, np.arange(q)]
+    each = POSE_AND_YAW + np.arange(2 * len(points)).reshape(-1, 2)
+    marginals = problem.covariance[each[:, :, None], each[:, None]]
     scores, inliers = mixture_scores(
         cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
     )
-    found: dict[bytes, Seed] = {}
-    unmount = inverse(Pose(*problem.mount))
-    for i in np.argsort(-scores)[: 6 * MOST_SEEDS]:
-        if inliers[i].sum() >= 3 and inliers[i].tobytes() not in found:
-            home = np.array(compose(Pose(*cameras[i]), unmount))
-            found[inliers[i].tobytes()] = (home, inliers[i])
-        if len(found) == MOST_SEEDS:
-            break
-    return list(found.values())
+    first: dict[bytes, int] = {}
+    best = np.argsort(-scores)[: 6 * MOST_SEEDS]
+    for i in best[np.count_nonzero(inliers[best], axis=1) >= FEWEST].tolist():
+        first.setdefault(inliers[i].tobytes(), i)
+    chosen = list(first.values())[:MOST_SEEDS]
+    homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
+    return list(zip(homes, inliers[chosen], strict=True))
 
 
 def _local_search(

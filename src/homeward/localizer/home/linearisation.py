@@ -10,6 +10,9 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 
+HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)
+"""Columns: Jacobian by home, residual, correlation with the newest pose, and with each other."""
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -18,21 +21,32 @@ class Linear:
     problem: HomeProblem
     at: np.ndarray
     """(3,): the home that they are linear around."""
-    residual: np.ndarray
-    """(q,): measured minus expected there, the map at its mean [rad]."""
-    by_place: np.ndarray
-    """(q, 2): Jacobian of each expected home bearing by its landmark's place ..."""
-    by_home: np.ndarray
-    """(q, 3): ... and by home."""
+    by_known: np.ndarray
+    """(q, 4 + 2 q): Jacobian of the expected home bearings by what is known."""
     correlated: np.ndarray
-    """(q, 4 + 2 q): covariance of the expected home bearings with what is known."""
-    residual_covariance: np.ndarray
-    """(q, q): of the residuals, were home known."""
+    """(q, 4 + 2 q): their covariance with what is known."""
+    columns: np.ndarray
+    """(q, 7 + q): what least squares asks for, a row for each of them."""
+
+    @property
+    def by_home(self) -> np.ndarray:
+        """(q, 3): Jacobian of the expected home bearings by home."""
+        return self.columns[:, HOME]
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(q,): measured minus expected, the map at its mean [rad]."""
+        return self.columns[:, RESIDUAL]
+
+    @property
+    def residual_covariance(self) -> np.ndarray:
+        """(q, q): of the residuals, were home known."""
+        return self.columns[:, REST]
 
     def propagated(self, problem: HomeProblem) -> Linear:
         """Return them around the same point after what is known has changed a little."""
-        change = expected_change(problem, self.by_place, problem.mean - self.problem.mean)
-        return _linear(problem, self.at, self.residual - change, self.by_place, self.by_home)
+        residual = self.residual - self.by_known @ (problem.mean - self.problem.mean)
+        return _linear(problem, self.at, residual, self.by_known, self.by_home)
 
 
 def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Linear:
@@ -40,9 +54,14 @@ def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Lin
     bearing, by_place, by_home = expected(
         problem, home, known[POSE_AND_YAW:].reshape(-1, 2), known[YAW]
     )
-    residual = wrap(problem.bearings - bearing)
-    residual = residual + expected_change(problem, by_place, known - problem.mean)
-    return _linear(problem, home, residual, by_place, by_home)
+    by_known = np.zeros((bearing.size, known.size))
+    if problem.same_camera:
+        by_known[:, YAW] = -1.0
+    # Each of them is of one landmark: two elements of a row, one row down and two to the right.
+    diagonal = by_known.ravel()[POSE_AND_YAW:]
+    diagonal[:: known.size + 2], diagonal[1 :: known.size + 2] = by_place[:, 0], by_place[:, 1]
+    residual = wrap(problem.bearings - bearing) + by_known @ (known - problem.mean)
+    return _linear(problem, home, residual, by_known, by_home)
 
 
 def expected(
@@ -62,27 +81,17 @@ def expected(
     return bearing, by_place, by_eye @ lever(eye - home)
 
 
-def expected_change(problem: HomeProblem, by_place: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return how home bearings, expected (q,), change with what is known (4 + 2 q,)."""
-    moved = (by_place * change[POSE_AND_YAW:].reshape(-1, 2)).sum(axis=1)
-    return np.asarray(moved - change[YAW] if problem.same_camera else moved)
-
-
 def _linear(
     problem: HomeProblem,
     home: np.ndarray,
     residual: np.ndarray,
-    by_place: np.ndarray,
+    by_known: np.ndarray,
     by_home: np.ndarray,
 ) -> Linear:
     """Return it with the covariances that follow."""
-    (gx, gy), known = by_place.T, problem.covariance
-    # Each bearing knows one landmark: a product of full matrices were mostly zeros.
-    correlated = gx[:, None] * known[POSE_AND_YAW::2] + gy[:, None] * known[POSE_AND_YAW + 1 :: 2]
-    if problem.same_camera:
-        correlated -= known[YAW]
-    covariance = correlated[:, POSE_AND_YAW::2] * gx + correlated[:, POSE_AND_YAW + 1 :: 2] * gy
-    if problem.same_camera:
-        covariance -= correlated[:, YAW, None]
-    covariance.ravel()[:: len(gx) + 1] += problem.sigmas**2
-    return Linear(problem, home, residual, by_place, by_home, correlated, covariance)
+    q, correlated = residual.size, by_known @ problem.covariance
+    columns = np.empty((q, REST.start + q))
+    columns[:, HOME], columns[:, RESIDUAL], columns[:, POSE] = by_home, residual, correlated[:, :3]
+    columns[:, REST] = correlated @ by_known.T
+    columns.ravel()[REST.start :: REST.start + q + 1] += problem.sigmas**2
+    return Linear(problem, home, by_known, correlated, columns)

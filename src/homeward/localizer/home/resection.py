@@ -8,13 +8,14 @@ uniform.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from itertools import combinations
-from math import comb
 
 import numpy as np
 
 from homeward.angles import TWO_PI, wrap
+from homeward.localizer.geometry import sight
 
 REACH = 20.0
 """A pose is not so many times farther from the landmarks than they are from each other."""
@@ -51,11 +52,11 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
         determinant = (x12 - x23) * (y23 - y31) - (y12 - y23) * (x23 - x31)
         x = points[b, 0] + k31 * (y12 - y23) / determinant
         y = points[b, 1] + k31 * (x23 - x12) / determinant
-        heading = wrap(np.arctan2(points[a, 1] - y, points[a, 0] - x) - bearings[a])
-    poses = np.stack([x, y, heading], axis=1)
+        eyes = np.stack([x, y, bearings[a]], axis=1)
+        eyes[:, 2] = wrap(sight(eyes, points[a]).bearing)
     reach = REACH * np.ptp(points, axis=0).max()
-    near = np.abs(poses[:, :2] - points.mean(axis=0)).max(axis=1) < reach
-    return np.asarray(poses[np.isfinite(poses).all(axis=1) & near])
+    near = np.abs(eyes[:, :2] - points.mean(axis=0)).max(axis=1) < reach
+    return np.asarray(eyes[np.isfinite(eyes).all(axis=1) & near])
 
 
 def mixture_scores(
@@ -86,20 +87,14 @@ def mixture_scores(
     scores : ndarray, shape (k,)
     inliers : ndarray, shape (k, q), bool
     """
-    dx = points[:, 0] - poses[:, 0, None]
-    dy = points[:, 1] - poses[:, 1, None]
-    square = np.maximum(dx * dx + dy * dy, 1e-6)
-    gx, gy = -dy / square, dx / square
-    variance = (
-        sigmas**2
-        + covariances[:, 0, 0] * gx * gx
-        + 2.0 * covariances[:, 0, 1] * gx * gy
-        + covariances[:, 1, 1] * gy * gy
-    )
-    residual = wrap(bearings - np.arctan2(dy, dx) + poses[:, 2, None])
-    inlier = (
-        (1.0 - moved_prior) * np.exp(-0.5 * residual**2 / variance) / np.sqrt(TWO_PI * variance)
-    )
+    bearing, by_place, _ = sight(poses[:, None], points)
+    gx, gy = by_place[..., 0], by_place[..., 1]
+    (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
+    variance = gx * (xx * gx + 2.0 * xy * gy) + yy * gy * gy + sigmas**2
+    exponent = -0.5 * wrap(bearings - bearing) ** 2 / variance
+    # Where it underflows, the exponential takes many times longer.
+    inlier = np.exp(np.maximum(exponent, -700.0)) / np.sqrt(variance)
+    inlier *= (1.0 - moved_prior) / math.sqrt(TWO_PI)
     outlier = moved_prior / TWO_PI
     return np.log(inlier + outlier).sum(axis=1), inlier > outlier
 
@@ -107,7 +102,7 @@ def mixture_scores(
 @lru_cache(maxsize=64)
 def _triples(q: int) -> np.ndarray:
     """Return triples of q things, shape (k, 3)."""
-    if comb(q, 3) <= MOST_TRIPLES:
+    if math.comb(q, 3) <= MOST_TRIPLES:
         return np.array(list(combinations(range(q), 3)), int).reshape(-1, 3)
     draw = np.random.default_rng(0)
     return np.argsort(draw.random((MOST_TRIPLES, q)), axis=1)[:, :3]

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
 
-from homeward.localizer.home.linearisation import Linear
+from homeward.localizer.home.linearisation import RESIDUAL, REST, Linear
 
-HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)
-"""Columns: Jacobian by home, residual, correlation with the newest pose, and with the others."""
 IDENTITY = np.eye(3)
 
 
@@ -57,18 +55,24 @@ class Whitened:
 
 def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:
     """Whiten a set of inliers (q,), bool; None when its covariance is not positive definite."""
-    members, rest = inliers.nonzero()[0], (~inliers).nonzero()[0]
-    columns = np.empty((members.size, REST.start + rest.size), order="F")
-    columns[:, HOME], columns[:, RESIDUAL] = linear.by_home[members], linear.residual[members]
-    columns[:, POSE] = linear.correlated[members, :3]
-    rows = linear.residual_covariance[members]
-    columns[:, REST] = rows[:, rest]
-    root, failed = dpotrf(rows[:, members].T, lower=1, clean=0)
+    members, rest, across, asked = _places(inliers.tobytes())
+    rows = linear.columns[members]
+    root, failed = dpotrf(rows[:, across].T, lower=1, clean=0, overwrite_a=1)
     if failed:
         return None
+    columns = rows[:, asked]
     if members.size:
-        columns = dtrtrs(root, columns, lower=1, overwrite_b=1)[0]
+        columns = dtrtrs(root, columns, lower=1)[0]
     return Whitened(members, rest, root, columns, columns.T @ columns)
+
+
+@lru_cache(maxsize=64)
+def _places(inliers: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the set and the others, and where in a row their covariance and what is asked are."""
+    of_set = np.frombuffer(inliers, bool)
+    members, rest = of_set.nonzero()[0], (~of_set).nonzero()[0]
+    asked = np.concatenate([np.arange(REST.start), REST.start + rest])
+    return members, rest, REST.start + members, asked
 
 
 def inverted(information: np.ndarray) -> tuple[np.ndarray, float]:

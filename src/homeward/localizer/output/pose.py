@@ -12,8 +12,9 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import compose, lever, rotation
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.home.linearisation import HOME
 from homeward.localizer.home.outliers import SCALE
-from homeward.localizer.home.whitening import HOME, inverted
+from homeward.localizer.home.whitening import inverted
 
 CENTRE_STEPS = 20
 NEAR = 2.0
@@ -79,7 +80,7 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
-    by_bearing = inverted(fit.information)[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
+    by_bearing = fit.least[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
     moves = math.sqrt(problem.moved_prior) * SCALE * fit.derivatives[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
@@ -156,7 +157,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
     if len(points) == 1:
         return np.asarray(points[0])
     # The middle is one of shares of the points, so products of these tell all distances.
-    products, share = points @ np.linalg.inv(covariance) @ points.T, weights
+    products, share = points @ inverted(covariance)[0] @ points.T, weights
     squares = products.diagonal() + NEAR**2
     for _ in range(CENTRE_STEPS):
         towards = products @ share
