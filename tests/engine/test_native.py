@@ -331,3 +331,14 @@ def test_functions_that_many_threads_ask_for_at_once_are_loaded_once(cache, monk
     assert len(loaded) == 1
     assert found[0] is not None
     assert all(each is found[0] for each in found)
+
+
+def test_arguments_are_of_their_type_row_by_row_and_may_be_read_only_or_empty():
+    doubles = program.Array(np.float64)
+    for wrong in (np.zeros((4, 3), int), np.zeros((4, 6))[:, ::2]):
+        with pytest.raises(AssertionError):
+            doubles.from_param(wrong)
+    fixed = np.arange(12.0)
+    fixed.flags.writeable = False
+    for array in (fixed, np.zeros((0, 3))):
+        assert doubles.from_param(array).value == array.ctypes.data

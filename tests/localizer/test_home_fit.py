@@ -63,6 +63,11 @@ def test_a_fit_is_the_posterior_of_home_and_map_together(prior, inliers):
     )
     alone = covariance[3:6, 3:6] - follows @ covariance[:3, 3:6]
     assert found.pose_covariance == pytest.approx(alone, rel=1e-5, abs=1e-9)
+    predicted = whole @ covariance @ whole.T + np.diag(problem.sigmas**2)
+    outside = ~inliers
+    innovation = wrap(linear.residual - whole @ step)
+    assert found.innovations[0][outside] == pytest.approx(innovation[outside], rel=1e-6)
+    assert found.innovations[1][outside] == pytest.approx(predicted.diagonal()[outside], rel=1e-6)
 
 
 @pytest.mark.parametrize("prior", [None, PRIOR])

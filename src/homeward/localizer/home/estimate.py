@@ -31,7 +31,7 @@ UNSETTLED = 0.5
 
 @dataclass(frozen=True)
 class HomeFit:
-    """Home for one set of right home bearings; what follows from it is worked out when asked."""
+    """Gaussian posterior of home, pose and map for one set of inliers, worked out when asked."""
 
     linear: Linear
     inliers: np.ndarray
@@ -39,6 +39,7 @@ class HomeFit:
     step: np.ndarray
     """(3,): from where home was linearised to where it is."""
     of_set: Whitened
+    """Its residuals, whitened."""
     information: np.ndarray
     """(3, 3): on home."""
     known_inflation: np.ndarray | None = None
@@ -86,14 +87,14 @@ class HomeFit:
         return np.asarray(self.known[POSE_AND_YAW:].reshape(-1, 2))
 
     @cached_property
-    def least(self) -> tuple[np.ndarray, float]:
+    def inverse(self) -> tuple[np.ndarray, float]:
         """(3, 3): inverse of the information on home; and the log of the latter's determinant."""
         return inverted(self.information)
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """(3, 3): covariance of home."""
-        return np.asarray(self.least[0] + self.inflation)
+        return np.asarray(self.inverse[0] + self.inflation)
 
     @property
     def by_home(self) -> np.ndarray:
@@ -105,9 +106,9 @@ class HomeFit:
         """(3, 3): covariance of the newest pose, were home known."""
         return np.asarray(self.problem.covariance[:3, :3] - self.of_set.products[POSE, POSE])
 
-    @cached_property
-    def derivatives(self) -> tuple[np.ndarray, np.ndarray]:
-        """(3, 3), (3, 3): of the robot in the home frame, by home and by it in the odometry frame.
+    @property
+    def home_frame_jacobians(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3, 3), (3, 3): of the newest pose in the home frame, by home and by the pose.
 
         Home moves the pose with it.
         """
@@ -115,9 +116,9 @@ class HomeFit:
         return -by_pose @ (lever(self.pose - self.home) + self.by_home), by_pose
 
     @cached_property
-    def robot(self) -> tuple[np.ndarray, np.ndarray]:
-        """(3,), (3, 3): newest pose in the home frame, its heading not wrapped, and covariance."""
-        by_home, by_pose = self.derivatives
+    def in_home_frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3,), (3, 3): newest pose in the home frame, heading not wrapped, and its covariance."""
+        by_home, by_pose = self.home_frame_jacobians
         covariance = by_home @ self.covariance @ by_home.T
         covariance += by_pose @ self.pose_covariance @ by_pose.T
         return between(self.home, self.pose), 0.5 * (covariance + covariance.T)
@@ -125,7 +126,7 @@ class HomeFit:
     @cached_property
     def evidence(self) -> Evidence:
         """What it says of each home bearing and of the set."""
-        return Evidence(self.linear, self.of_set, self.step, self.information, *self.least)
+        return Evidence(self.linear, self.of_set, self.step, self.information, *self.inverse)
 
     @cached_property
     def log_evidence(self) -> float:
@@ -168,7 +169,7 @@ class HomeFit:
 
     @cached_property
     def inflation(self) -> np.ndarray:
-        """(3, 3): covariance of home beyond what the information on it says; see `inflation`."""
+        """(3, 3): covariance of home beyond its information; see `spurious_information`."""
         if self.known_inflation is not None:
             return self.known_inflation
         return spurious_covariance(

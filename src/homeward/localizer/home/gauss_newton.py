@@ -13,6 +13,7 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.whitening import whitened
 
 STEPS = 6
+"""Most homes come to rest after three or four; one that has not by then wanders."""
 SETTLED = 1e-4
 """A step of home smaller than this ends the iteration [of the longest one]."""
 

@@ -1,8 +1,8 @@
-"""Whitening of a set's residuals: all that least squares asks of the set, as dot products.
+"""Whitened residuals of a set of inliers: all that least squares asks for, as dot products.
 
-With the covariance of the residuals of the set S = L L^T, L^-1 makes independent residuals of unit
-variance. Each column that is correlated with them is treated likewise, once, and their products
-are the information on home, the gain of the newest pose, and what the others are predicted by.
+With S = L L^T the covariance of the residuals, L^-1 makes them independent and of unit variance.
+What depends on them, or is correlated with them, is whitened likewise, once; the products of these
+columns are the information on home, the gain of the newest pose, and what predicts the others.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Whitened:
     products: np.ndarray
     """(7 + q - r, 7 + q - r): of the columns with each other."""
 
-    @cached_property
+    @property
     def log_volume(self) -> float:
         """Log of the determinant of the covariance of the set's residuals."""
         return 2.0 * sum(map(math.log, self.root.diagonal().tolist()))
@@ -47,7 +47,7 @@ class Whitened:
             dtrtrs(self.root, columns, lower=1, trans=1)[0] if columns.size else columns
         )
 
-    @cached_property
+    @property
     def precision(self) -> np.ndarray:
         """(r,): diagonal of the inverse of that covariance."""
         return np.asarray(dpotri(self.root, lower=1)[0].diagonal())

@@ -67,7 +67,7 @@ class PoseEstimate:
 
 def in_home_frame(fit: HomeFit) -> PoseEstimate:
     """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
-    return PoseEstimate.of(*fit.robot)
+    return PoseEstimate.of(*fit.in_home_frame)
 
 
 def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
@@ -80,8 +80,8 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
-    by_bearing = fit.least[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
-    moves = math.sqrt(problem.moved_prior) * SCALE * fit.derivatives[0] @ by_bearing
+    by_bearing = fit.inverse[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
+    moves = math.sqrt(problem.moved_prior) * SCALE * fit.home_frame_jacobians[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
@@ -110,7 +110,7 @@ def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
         return OtherHypotheses.nothing()
     weights = hypotheses.weights
     poses, covariances = (
-        np.array(p) for p in zip(*(f.robot for f in hypotheses.fits), strict=True)
+        np.array(p) for p in zip(*(f.in_home_frame for f in hypotheses.fits), strict=True)
     )
     off = poses - poses[0]
     off[:, 2] = wrap(off[:, 2])
@@ -126,7 +126,7 @@ def combined_estimate(
     best: HomeFit, others: OtherHypotheses, more: np.ndarray | None = None
 ) -> PoseEstimate:
     """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
-    pose, alone = best.robot
+    pose, alone = best.in_home_frame
     covariance = others.share * alone + others.covariance
     if more is not None:
         covariance += more
