@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import between, lever, rotation
+from homeward.localizer.geometry import lever, rotation
 from homeward.localizer.home.evidence import Evidence
 from homeward.localizer.home.linearisation import HOME, POSE, RESIDUAL, Linear, expected
 from homeward.localizer.home.outliers import SCALE, log_odds
@@ -121,7 +121,7 @@ class HomeFit:
         by_home, by_pose = self.home_frame_jacobians
         covariance = by_home @ self.covariance @ by_home.T
         covariance += by_pose @ self.pose_covariance @ by_pose.T
-        return between(self.home, self.pose), 0.5 * (covariance + covariance.T)
+        return by_pose @ (self.pose - self.home), 0.5 * (covariance + covariance.T)
 
     @cached_property
     def evidence(self) -> Evidence:

@@ -46,7 +46,7 @@ class Evidence:
         """(q,): log odds of right against wrong, the rest of the set given."""
         return log_odds(self.innovation, self.variance, self.linear.problem.moved_prior)
 
-    @cached_property
+    @property
     def log_evidence(self) -> float:
         """Log of the evidence, could home be anywhere, up to a constant that all sets share."""
         of_set, p, problem = self.of_set, self.linear.problem.moved_prior, self.linear.problem

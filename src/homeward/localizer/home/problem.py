@@ -113,7 +113,7 @@ class HomeProblem:
         near = (0.5 * REACH * max(self.extent, 1e-3)) ** -2
         return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
 
-    @cached_property
+    @property
     def before(self) -> np.ndarray:
         """(3, 3): information on home before any home bearing is taken."""
         prior = self.prior_information

@@ -99,7 +99,7 @@ def _own_errors(
     rigid = np.zeros((3, len(covariance) // 2), complex)
     motions = np.empty((3, len(away)), complex)
     motions[0], motions[1] = 1.0 / math.sqrt(len(away)), 1j / math.sqrt(len(away))
-    motions[2] = 1j / max(float(np.linalg.norm(centred)), 1e-6) * centred
+    motions[2] = 1j / max(math.sqrt(np.vdot(centred, centred).real), 1e-6) * centred
     rigid[:, of_set] = motions
     # With B an orthonormal basis of that, the own errors are (I - B B^T) C (I - B B^T).
     basis = rigid.view(float)
@@ -108,5 +108,5 @@ def _own_errors(
     without = shared.view(complex)[:, of_set]
     variance, mixed = covariance.diagonal(), covariance.diagonal(1)
     xx, xy, yy = variance[::2][of_set], mixed[::2][of_set], variance[1::2][of_set]
-    spread = xx + yy - 2.0 * (motions * without.conj()).real.sum(axis=0)
-    return spread, xx - yy + 2j * xy - 2.0 * (motions * without).sum(axis=0)
+    spread = xx + yy - 2.0 * np.vecdot(motions.T, without.T).real
+    return spread, xx - yy + 2j * xy - 2.0 * np.vecdot(motions.T.conj(), without.T)
