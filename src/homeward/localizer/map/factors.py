@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
@@ -11,18 +12,17 @@ from homeward.localizer.motion.preintegration import NC, Motion
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""
-FREE, NOISE, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
+FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
 """Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
-its covariance (3, 3), and its derivative by the calibration (3, 7)."""
+the inverse of its covariance (3, 3), and its derivative by the calibration (3, 7)."""
 
 
 def step_row(motion: Motion) -> np.ndarray:
     """Return a motion as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.free
-    row[0, NOISE] = motion.covariance.ravel()
-    row[0, NOISE][::4] += LEAST_VARIANCE
+    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST_VARIANCE * np.eye(3)).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
     return row
 
@@ -43,10 +43,10 @@ def add_odometry(
     jacobian = np.empty((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
     jacobian[:, :, :3], jacobian[:, :, 3:6] = -back @ lever(b - a), back
     jacobian[:, :, 6:] = -by_calibration
-    information = np.linalg.inv(steps[:, NOISE].reshape(-1, 3, 3))
-    square = np.einsum("ki,kij,kj->k", error, information, error)
-    information /= np.maximum(square / TRUSTED**2, 1.0)[:, None, None]
-    weighted = jacobian.transpose(0, 2, 1) @ information
+    information = steps[:, INFORMATION].reshape(-1, 3, 3)
+    square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
+    weight = 1.0 / np.maximum(square / TRUSTED**2, 1.0)
+    weighted = jacobian.transpose(0, 2, 1) @ (weight[:, None, None] * information)
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]
     e.own[:-1] += blocks[:, :3, :3]
@@ -81,6 +81,8 @@ def add_sightings(
     pose, landmark : ndarray, shape (m,), int
         From which pose each was made, and of which landmark.
     """
+    if not residual.size:
+        return
     w, n = len(e.own), (len(e.common) - NC) // 2
     scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (TRUSTED * sigma), 1.0))
     columns = np.concatenate([jacobian, residual[:, None]], axis=1)
@@ -109,8 +111,6 @@ def add_sightings(
 
 def _sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
     """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j)."""
-    blocks = left[:, :, None] * right[:, None, :]
-    size = blocks.shape[1] * blocks.shape[2]
-    flat = group[:, None] * size + np.arange(size)
-    total = np.bincount(flat.ravel(), blocks.ravel(), groups * size)
-    return np.asarray(total.reshape(groups, *blocks.shape[1:]))
+    m, blocks = len(group), left[:, :, None] * right[:, None, :]
+    of_group = csc_array((np.ones(m), group, np.arange(m + 1)), shape=(groups, m))
+    return np.asarray((of_group @ blocks.reshape(m, -1)).reshape(groups, *blocks.shape[1:]))

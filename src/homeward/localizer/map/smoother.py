@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.angles import wrap
+from homeward.localizer.geometry import sight
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.map.prior import Prior
@@ -241,7 +243,9 @@ class Smoother:
 
     def residuals(self) -> np.ndarray:
         """Return measured minus expected bearing of each sighting, shape (m,) [rad]."""
-        return self._linearised(self.sightings)[0]
+        rows = self.sightings
+        seen = sight(self.cameras(rows)[0], self.positions[self.index(rows[:, LANDMARK])])
+        return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
     def _linearised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of rows of the table, and their Jacobians."""
