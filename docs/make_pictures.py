@@ -17,12 +17,12 @@ from rerun.experimental import ViewerClient
 
 from homeward.drives.images import Images
 from homeward.observability.study import observe
-from homeward.report.blueprint import TIMELINE
 from homeward.report.canvas import png
-from homeward.report.observe_figures import draw_family
-from homeward.report.plan_figures import draw_begin
-from homeward.report.run_folder import write_run
-from homeward.report.viewer import write_recording
+from homeward.report.observe.figures import draw_family
+from homeward.report.plan.figures import draw_begin
+from homeward.report.run.folder import write_run
+from homeward.report.viewer.blueprint import TIMELINE
+from homeward.report.viewer.recording import write_recording
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rooms import load_room
 from homeward.studies.planning.analysis import analyse

@@ -8,8 +8,8 @@ import argparse
 from pathlib import Path
 
 from homeward.report.canvas import png
-from homeward.report.layout_figures import FIGURES
-from homeward.report.study_maps import draw_maps, grids
+from homeward.report.paper.layout_figures import FIGURES
+from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.blocks.finish import Where
 from homeward.studies.paper.layout_study import study_layouts
 from homeward.studies.paper.layouts import LayoutSettings, open_store

@@ -6,8 +6,8 @@ import yaml
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
-from homeward.report.observe_figures import draw_drive_view
-from homeward.report.observe_page import drive_summary
+from homeward.report.observe.figures import draw_drive_view
+from homeward.report.observe.page import drive_summary
 from homeward.studies.observing import observe_drive
 from homeward.studies.single_run import RunSettings, prepare
 

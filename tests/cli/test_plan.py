@@ -7,7 +7,7 @@ import yaml
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
-from homeward.report.plan_words import plan_summary
+from homeward.report.plan.words import plan_summary
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan, plans_folder
 

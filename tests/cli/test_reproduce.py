@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from homeward.cli import options
 from homeward.cli.main import app
-from homeward.report.paper_claims import verdict
-from homeward.report.paper_figures import DRAWN, FIGURES, figures_of
-from homeward.report.paper_page import found, sentences
+from homeward.report.paper.claims import verdict
+from homeward.report.paper.figures import DRAWN, FIGURES, figures_of
+from homeward.report.paper.page import found, sentences
 from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
 from homeward.studies.paper.layouts import open_store
 from homeward.studies.paper.reproduction import reproduce

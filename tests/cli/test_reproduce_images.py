@@ -16,7 +16,7 @@ from homeward.studies.paper.layouts import Block, Question, run_block
 from homeward.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
-from homeward.report.paper_figures import draw_panorama
+from homeward.report.paper.figures import draw_panorama
 from homeward.studies.paper.images import draw_image_world
 
 ONE = Assumed(faults=1, longest=2.0)

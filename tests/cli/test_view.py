@@ -63,6 +63,6 @@ def test_a_wrong_name_is_refused_before_anything_is_run(tmp_path):
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    monkeypatch.delitem(sys.modules, "homeward.report.viewer", raising=False)
-    monkeypatch.delattr("homeward.report.viewer", raising=False)
+    monkeypatch.delitem(sys.modules, "homeward.report.viewer.recording", raising=False)
+    monkeypatch.delattr("homeward.report.viewer.recording", raising=False)
     assert "pip install -c constraints.txt -e '.[view]'" in refused(call("view", "sample"))

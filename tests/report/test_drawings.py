@@ -7,10 +7,10 @@ from made_up_study import made_up_study
 
 from homeward.report.below_bound import MARK, below_bound, note_below
 from homeward.report.canvas import legend_below, new_figure, style, svg, svg_file, uncrowd
-from homeward.report.plan_figures import draw_accuracy, draw_begin, draw_hidden
-from homeward.report.study_figures import draw_nees, draw_overview, draw_rmse
-from homeward.report.study_maps import draw_maps, grids
-from homeward.report.study_page import PAGE, write_study
+from homeward.report.plan.figures import draw_accuracy, draw_begin, draw_hidden
+from homeward.report.study.figures import draw_nees, draw_overview, draw_rmse
+from homeward.report.study.maps import draw_maps, grids
+from homeward.report.study.page import PAGE, write_study
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import Plan
 from homeward.studies.study.summary import table

@@ -4,7 +4,7 @@ import csv
 
 from report.made_up_run import made_up
 
-from homeward.report.run_folder import write_run
+from homeward.report.run.folder import write_run
 
 ODD = (
     "9" * 5000,

@@ -10,12 +10,12 @@ import pytest
 from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.estimator import LandmarkEstimate
-from homeward.report.map_plot import map_limits, undrawn
-from homeward.report.moments import MOST_MOMENTS, NEW, REJECTED, USED, moments
-from homeward.report.run_folder import write_run
-from homeward.report.summary import sentence
-from homeward.report.thinning import thin, thin_dots
-from homeward.report.time_plots import chi_square_interval, windowed_nis
+from homeward.report.plots.map import map_limits, undrawn
+from homeward.report.plots.moments import MOST_MOMENTS, NEW, REJECTED, USED, moments
+from homeward.report.plots.thinning import thin, thin_dots
+from homeward.report.plots.time import chi_square_interval, windowed_nis
+from homeward.report.run.folder import write_run
+from homeward.report.run.summary import sentence
 from homeward.scoring import score
 from homeward.track import Innovations
 

@@ -6,10 +6,10 @@ from made_up_run import SETTINGS, made_up
 from made_up_study import made_up_study
 
 from homeward.observability.study import observe
-from homeward.report.observe_page import write_model_view
-from homeward.report.plan_page import write_plan
-from homeward.report.run_folder import write_run
-from homeward.report.study_page import write_study
+from homeward.report.observe.page import write_model_view
+from homeward.report.plan.page import write_plan
+from homeward.report.run.folder import write_run
+from homeward.report.study.page import write_study
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan
 

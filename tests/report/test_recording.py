@@ -18,7 +18,7 @@ from homeward.drives.drive import DriveSettings, Odometry
 from homeward.frames import Pose, compose
 from homeward.report.files import write_trajectory
 from homeward.report.palette import BLUE, MOVED
-from homeward.report.recording import write_recording
+from homeward.report.run.mcap import write_recording
 from homeward.scoring import score
 
 NANO = 10**9

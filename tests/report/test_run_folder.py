@@ -13,8 +13,10 @@ from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.report import output, page, run_folder
-from homeward.report.run_folder import write_run
+from homeward.report import output
+from homeward.report.run import folder as run_folder
+from homeward.report.run import page
+from homeward.report.run.folder import write_run
 
 
 def rows_of(file):

@@ -8,8 +8,8 @@ import pytest
 from made_up_run import START, made_up
 
 from homeward.report import words
-from homeward.report.sightings import describe_moved
-from homeward.report.summary import sentence, summarise
+from homeward.report.images.sightings import describe_moved
+from homeward.report.run.summary import sentence, summarise
 from homeward.scoring import score
 
 

@@ -15,7 +15,7 @@ pytest.importorskip("rerun", reason="the extra view is not installed")
 
 from rerun.chunk import RrdReader
 
-from homeward.report.viewer import check_display, write_recording
+from homeward.report.viewer.recording import check_display, write_recording
 
 NONE = Images(np.empty(0), [])
 HOSTILE = ("a/b", "", "line\nbreak", "棚🚚 <b>")

@@ -12,7 +12,7 @@ from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.report.canvas import plain
 from homeward.report.output import check_output
-from homeward.report.study_page import PAGE, write_study
+from homeward.report.study.page import PAGE, write_study
 from homeward.studies.blocks.store import BlockStore
 from homeward.studies.single_run import sample_drive
 from homeward.studies.study.plan import block_name

@@ -10,9 +10,9 @@ from studies.chores import in_this_process
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
-from homeward.report.layout_figures import FIGURES
-from homeward.report.layout_page import CLAIMED, grid_table, headline
-from homeward.report.paper_claims import claims, command
+from homeward.report.paper.claims import claims, command
+from homeward.report.paper.layout_figures import FIGURES
+from homeward.report.paper.layout_page import CLAIMED, grid_table, headline
 from homeward.studies.blocks.finish import Where
 from homeward.studies.paper.cases import FILTERS, run_filter
 from homeward.studies.paper.layout_study import layout_settings, study_layouts

@@ -18,8 +18,8 @@ from homeward.cli.main import app
 from homeward.errors import InputError
 from homeward.registry import make_estimator
 from homeward.report.canvas import new_figure, png, style, svg
-from homeward.report.study_maps import draw_maps, grids
-from homeward.report.study_page import headline, write_study
+from homeward.report.study.maps import draw_maps, grids
+from homeward.report.study.page import headline, write_study
 from homeward.scoring import score
 from homeward.simulation.simulate import simulate
 from homeward.studies.blocks.finish import Where

@@ -35,7 +35,7 @@ def compare(
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
     from homeward.one_thread import one_thread
-    from homeward.report.comparison import PICTURE, RESULT, describe, write_comparison
+    from homeward.report.images.comparison import PICTURE, RESULT, describe, write_comparison
     from homeward.report.output import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas

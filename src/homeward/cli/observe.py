@@ -79,7 +79,7 @@ def observe(
 
 def _of_model(given: dict[str, Any], out: Path) -> None:
     from homeward.observability.study import observe as observe_model
-    from homeward.report.observe_page import (
+    from homeward.report.observe.page import (
         PAGE,
         SETTINGS_FILE,
         model_summary,
@@ -126,7 +126,7 @@ def _numbers(view: ModelView) -> str:
 def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     from homeward.drives.opening import open_drive
     from homeward.frames import Pose
-    from homeward.report.observe_page import (
+    from homeward.report.observe.page import (
         PAGE,
         SETTINGS_FILE,
         drive_summary,

@@ -24,8 +24,8 @@ def plan(
     the plan with every default spelt out.
     """
     from homeward.report.output import check_output
-    from homeward.report.plan_page import PAGE, SETTINGS_FILE, write_plan
-    from homeward.report.plan_words import plan_summary
+    from homeward.report.plan.page import PAGE, SETTINGS_FILE, write_plan
+    from homeward.report.plan.words import plan_summary
     from homeward.studies.planning.analysis import analyse
     from homeward.studies.planning.floor import make_floor
     from homeward.studies.planning.settings import load_plan

@@ -91,7 +91,7 @@ def reproduce(
 def _cases(out: Path, places: tuple[str | None, int | None], values: dict[str, Any]) -> None:
     from homeward.drives.settings import validated
     from homeward.report.output import check_output
-    from homeward.report.paper_page import (
+    from homeward.report.paper.page import (
         PAGE,
         SETTINGS_FILE,
         fault_rows,
@@ -137,7 +137,8 @@ def _study(
     places: tuple[str | None, int | None],
     values: dict[str, Any],
 ) -> None:
-    from homeward.report.layout_page import (
+    from homeward.report.output import check_output
+    from homeward.report.paper.layout_page import (
         DATA,
         PAGE,
         claim_table,
@@ -148,7 +149,6 @@ def _study(
         search_table,
         write_layouts,
     )
-    from homeward.report.output import check_output
     from homeward.studies.blocks.finish import Where
     from homeward.studies.paper.layout_study import layout_settings, study_layouts
     from homeward.studies.paper.layouts import MARKER, open_store

@@ -122,7 +122,7 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
 
 
 def _run(settings: RunSettings, out: Path | None) -> None:
-    from homeward.report.run_folder import SETTINGS_FILE, write_run
+    from homeward.report.run.folder import SETTINGS_FILE, write_run
     from homeward.studies.single_run import finish, prepare
 
     with progress(f"{settings.drive}, {settings.estimator}") as tell:

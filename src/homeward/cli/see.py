@@ -29,8 +29,8 @@ def see(
     """
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.errors import InputError
+    from homeward.report.images.sightings import describe_sightings
     from homeward.report.output import check_output
-    from homeward.report.sightings import describe_sightings
     from homeward.vision.recorded.folder import see_folder
 
     if os.path.realpath(out) == os.path.realpath(folder):

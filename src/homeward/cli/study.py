@@ -32,7 +32,7 @@ def study(
     is 1. Needs the extra scale.
     """
     from homeward.report.output import check_output
-    from homeward.report.study_page import DATA, PAGE, headline, write_study
+    from homeward.report.study.page import DATA, PAGE, headline, write_study
     from homeward.studies.blocks.finish import Where
     from homeward.studies.study.plan import make_plan
     from homeward.studies.study.results import MARKER, open_study, require_scale, run_study

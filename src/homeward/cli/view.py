@@ -27,13 +27,13 @@ def view(
     The run is repeated from its run.yaml, on its drive. Needs the extra view.
     """
     try:
-        from homeward.report import viewer
+        from homeward.report.viewer import recording as viewer
     except ModuleNotFoundError as error:
         if error.name != "rerun":
             raise
         raise needs_extra("views of a run", "view") from None
     from homeward.drives.images import read_images
-    from homeward.report.run_folder import SETTINGS_FILE, is_written_as
+    from homeward.report.run.folder import SETTINGS_FILE, is_written_as
     from homeward.studies.single_run import drive_path, finish, prepare
 
     written = (Path(run) / SETTINGS_FILE).is_file()

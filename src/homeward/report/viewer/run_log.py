@@ -1,4 +1,4 @@
-"""What of a run goes into a Rerun recording; only `homeward.report.viewer` imports this."""
+"""What of a run goes into a Rerun recording; only `viewer.recording` imports this."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import rerun as rr
 from homeward.drives.drive import Drive
 from homeward.drives.images import KINDS, Images
 from homeward.frames import Pose, compose
-from homeward.report.blueprint import TIMELINE
-from homeward.report.moments import NEW, REJECTED, USED, bearings_at
 from homeward.report.palette import BLUE, MOVED, MUTED, STATUS_COLOURS
-from homeward.report.probability import LEVELS, UNJUDGED, colour
-from homeward.report.thinning import runs
+from homeward.report.plots.moments import NEW, REJECTED, USED, bearings_at
+from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+from homeward.report.plots.thinning import runs
+from homeward.report.viewer.blueprint import TIMELINE
 from homeward.scoring import errors
 from homeward.track import Track
 

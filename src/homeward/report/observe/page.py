@@ -14,7 +14,7 @@ from homeward.observability.paper import printed_matrix, rank_table
 from homeward.observability.study import ModelView, observe_motions
 from homeward.report import words
 from homeward.report.canvas import png, svg, svg_file
-from homeward.report.observe_figures import draw_drive_view, draw_family
+from homeward.report.observe.figures import draw_drive_view, draw_family
 from homeward.report.output import whole_folder
 from homeward.report.template import render
 from homeward.report.versions import versions

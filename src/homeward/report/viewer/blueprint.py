@@ -1,4 +1,4 @@
-"""How Rerun's viewer first shows a run; only `homeward.report.viewer` imports this."""
+"""How Rerun's viewer first shows a run; only `viewer.recording` imports this."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
-from homeward.report.map_plot import map_limits
+from homeward.report.plots.map import map_limits
 from homeward.track import Track
 
 TIMELINE = "time"

@@ -15,14 +15,14 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.naming import natural
 from homeward.report import words
-from homeward.report.map_plot import map_aspect, map_plot, undrawn
-from homeward.report.moments import moments
 from homeward.report.palette import STATUS_COLOURS
-from homeward.report.plots import embedded, script
-from homeward.report.summary import caution, sentence
+from homeward.report.plots.look import embedded, script
+from homeward.report.plots.map import map_aspect, map_plot, undrawn
+from homeward.report.plots.moments import moments
+from homeward.report.plots.time import consistency_plots, error_plots, sigma_plots, time_range
+from homeward.report.plots.timeline import MOST_ROWS, timeline
+from homeward.report.run.summary import caution, sentence
 from homeward.report.template import render
-from homeward.report.time_plots import consistency_plots, error_plots, sigma_plots, time_range
-from homeward.report.timeline import MOST_ROWS, timeline
 from homeward.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track
 

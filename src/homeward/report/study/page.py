@@ -10,7 +10,7 @@ from markupsafe import Markup
 from homeward.report.below_bound import note_below
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
-from homeward.report.study_figures import (
+from homeward.report.study.figures import (
     MOST_PANELS,
     MOST_ROWS,
     OVER_TIME,

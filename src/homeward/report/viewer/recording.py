@@ -16,8 +16,8 @@ import rerun as rr
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
 from homeward.errors import InputError
-from homeward.report.blueprint import blueprint
-from homeward.report.run_log import log_run
+from homeward.report.viewer.blueprint import blueprint
+from homeward.report.viewer.run_log import log_run
 from homeward.track import Track
 
 SUFFIX, MAGIC = ".rrd", b"RRF"

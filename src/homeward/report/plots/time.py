@@ -11,8 +11,8 @@ from homeward.drives.drive import Truth
 from homeward.estimator import Status
 from homeward.report import words
 from homeward.report.palette import BLUE, INK, MOVED, STATUS_COLOURS
-from homeward.report.plots import THEMED, add_hover, new_plot
-from homeward.report.thinning import runs, thin, thin_dots
+from homeward.report.plots.look import THEMED, add_hover, new_plot
+from homeward.report.plots.thinning import runs, thin, thin_dots
 from homeward.scoring import errors
 from homeward.track import Track
 

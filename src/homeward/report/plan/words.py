@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.report import words
-from homeward.report.plan_figures import costliest
+from homeward.report.plan.figures import costliest
 from homeward.studies.planning.analysis import PlanView
 
 RIGID = 3

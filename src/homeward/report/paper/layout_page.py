@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from homeward.report.below_bound import below_bound, note_below
 from homeward.report.canvas import drawn
-from homeward.report.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.output import whole_folder
-from homeward.report.paper_claims import claims, reading_words, start_words, verdict
+from homeward.report.paper.claims import claims, reading_words, start_words, verdict
+from homeward.report.paper.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import percent

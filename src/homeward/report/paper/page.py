@@ -10,8 +10,8 @@ from markupsafe import Markup
 
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
-from homeward.report.paper_claims import median, triple, verdict
-from homeward.report.paper_figures import QUANTITIES, figures_of
+from homeward.report.paper.claims import median, triple, verdict
+from homeward.report.paper.figures import QUANTITIES, figures_of
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, listing

@@ -17,9 +17,9 @@ from homeward.report.files import (
     write_trajectory,
 )
 from homeward.report.output import whole_folder
-from homeward.report.page import write_page
-from homeward.report.recording import write_recording
-from homeward.report.summary import summarise
+from homeward.report.run.mcap import write_recording
+from homeward.report.run.page import write_page
+from homeward.report.run.summary import summarise
 from homeward.report.versions import versions
 from homeward.scoring import score
 from homeward.track import Track

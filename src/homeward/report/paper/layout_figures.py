@@ -14,8 +14,8 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
 from homeward.report.canvas import legend_below, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
-from homeward.report.paper_claims import start_words
-from homeward.report.paper_figures import COLOURS, QUANTITIES
+from homeward.report.paper.claims import start_words
+from homeward.report.paper.figures import COLOURS, QUANTITIES
 from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT
 from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Start

@@ -22,10 +22,10 @@ from bokeh.plotting import figure
 from homeward.drives.drive import Truth
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.report import words
-from homeward.report.landmark_tip import landmark_tip
 from homeward.report.palette import BLUE, HOUSE, INK, MOVED, MUTED, STATUS_COLOURS
-from homeward.report.plots import FONT, THEMED, TYPE, add_hover, restyled
-from homeward.report.thinning import runs, thin
+from homeward.report.plots.landmark_tip import landmark_tip
+from homeward.report.plots.look import FONT, THEMED, TYPE, add_hover, restyled
+from homeward.report.plots.thinning import runs, thin
 from homeward.track import Track
 
 ELLIPSES = 24

@@ -17,7 +17,7 @@ from matplotlib.transforms import blended_transform_factory
 from homeward.report.below_bound import MARK, below_bound
 from homeward.report.canvas import legend_below, new_figure, plain, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
-from homeward.report.study_maps import draw_maps, grids
+from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.study.results import Results
 from homeward.studies.study.summary import Line, lines, over_time
 

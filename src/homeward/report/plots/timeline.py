@@ -14,9 +14,9 @@ from homeward.drives.drive import Sightings
 from homeward.naming import natural
 from homeward.report import words
 from homeward.report.palette import INK, MOVED
-from homeward.report.plots import THEMED, add_hover, new_plot
-from homeward.report.probability import LEVELS, UNJUDGED, colour
-from homeward.report.thinning import runs, thin_dots
+from homeward.report.plots.look import THEMED, add_hover, new_plot
+from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+from homeward.report.plots.thinning import runs, thin_dots
 from homeward.track import Track
 
 MOST_ROWS = 40

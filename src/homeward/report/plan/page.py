@@ -12,8 +12,8 @@ from homeward.report import words
 from homeward.report.canvas import png, svg, svg_file
 from homeward.report.files import number
 from homeward.report.output import whole_folder
-from homeward.report.plan_figures import costliest, draw_accuracy, draw_begin, draw_hidden
-from homeward.report.plan_words import plan_summary, worst_pairs
+from homeward.report.plan.figures import costliest, draw_accuracy, draw_begin, draw_hidden
+from homeward.report.plan.words import plan_summary, worst_pairs
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.studies.planning.accuracy import Arcs

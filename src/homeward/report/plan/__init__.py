@@ -1,0 +1,1 @@
+"""What a plan leaves behind: a page, maps and sentences."""

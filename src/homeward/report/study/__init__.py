@@ -1,0 +1,1 @@
+"""What a study leaves behind: a page and figures."""

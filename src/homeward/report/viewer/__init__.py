@@ -1,0 +1,1 @@
+"""A run in Rerun's viewer."""
