@@ -32,9 +32,9 @@ from PIL import Image
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.container import Channel
-from homeward.drives.ros.decoding import Decoder
-from homeward.drives.ros.messages import DEFINITIONS, ODOMETRY
+from homeward.drives.ros.containers.container import Channel
+from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.definitions import DEFINITIONS, ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
 from homeward.drives.settings import read_settings, settings_yaml

@@ -12,7 +12,7 @@ from homeward.cli.options import progress
 from homeward.cli.terminal import say, table, warn
 
 if TYPE_CHECKING:
-    from homeward.drives.ros.survey import Topic
+    from homeward.drives.ros.topics.survey import Topic
 
 OF_LOGS = ("topic", "type", "messages", "rate", "longest gap", "received after header")
 OF_FOLDERS = ("file", "columns", "stamps", "rate", "longest gap", "")

@@ -7,7 +7,7 @@ import struct
 import lz4.frame
 from backports import zstd
 
-from homeward.drives.ros.messages import DEFINITIONS, ODOMETRY
+from homeward.drives.ros.messages.definitions import DEFINITIONS, ODOMETRY
 
 HEADER_TEXT = """\
 ================================================================================

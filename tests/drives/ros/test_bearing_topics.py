@@ -7,7 +7,7 @@ import pytest
 from drives.ros.build import EPOCH, SUFFIXES, point, pose, stamps
 from drives.ros.rig import NANO, bearings_message
 
-from homeward.drives.ros.camera import Intrinsics
+from homeward.drives.ros.measurements.camera import Intrinsics
 from homeward.errors import InputError
 
 

@@ -9,11 +9,12 @@ from drives.ros.crafted import bag, cdr_odometry, chunk, mcap, mcap_messages, re
 from drives.ros.test_hostile import FIVE_CDR, IN_BAG, refusal
 
 from homeward.drives.opening import open_drive
-from homeward.drives.ros import container, decoding
-from homeward.drives.ros.container import Channel
-from homeward.drives.ros.decoding import Decoder
-from homeward.drives.ros.messages import ODOMETRY
-from homeward.drives.ros.sqlite import _only_reading
+from homeward.drives.ros.containers import container
+from homeward.drives.ros.containers.container import Channel
+from homeward.drives.ros.containers.sqlite import _only_reading
+from homeward.drives.ros.messages import decoding
+from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.definitions import ODOMETRY
 from homeward.errors import InputError
 
 LINE = "=" * 80 + "\nMSG: "

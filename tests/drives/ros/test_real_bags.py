@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from homeward.cli.main import app
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.bag_folder import open_log
+from homeward.drives.ros.containers.bag_folder import open_log
 
 BAGS = {
     "rl_test1.bag": "/husky_velocity_controller/odom",

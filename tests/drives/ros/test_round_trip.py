@@ -21,7 +21,7 @@ from homeward.drives.drive import (
 )
 from homeward.drives.folder import read_folder, write_folder
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.stamps import NANO, epoch_of, seconds, split
+from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
 from homeward.drives.saving import save_drive
 from homeward.errors import InputError
 from homeward.frames import Pose

@@ -26,14 +26,14 @@ from homeward.drives.images import IMAGES, read_images
 from homeward.drives.mrclam import is_mrclam
 from homeward.drives.one_clock import on_one_clock
 from homeward.drives.opening import is_image_folder, located, reader_of
-from homeward.drives.ros.bag_folder import open_log
-from homeward.drives.ros.bearings import IN_IMAGE, POINT, READERS
-from homeward.drives.ros.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
+from homeward.drives.ros.containers.bag_folder import open_log
+from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
+from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
+from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_HOME, LogSettings
-from homeward.drives.ros.stamps import NANO
-from homeward.drives.ros.survey import Survey, Tell, Topic, survey
-from homeward.drives.ros.times import Clock
+from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
+from homeward.drives.ros.topics.survey import Survey, Tell, Topic, survey
+from homeward.drives.ros.topics.times import Clock
 from homeward.drives.settings import read_settings, settings_yaml
 from homeward.errors import InputError
 

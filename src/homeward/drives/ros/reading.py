@@ -10,17 +10,17 @@ import numpy as np
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
-from homeward.drives.ros.bag_folder import open_log
-from homeward.drives.ros.bearings import SightingRows
-from homeward.drives.ros.camera import CameraRows, Intrinsics
-from homeward.drives.ros.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.decoding import Decoder
-from homeward.drives.ros.home import home_during
-from homeward.drives.ros.odometry import OdometryRows, pose_of
-from homeward.drives.ros.rows import Remarks, clean_rows, in_order
+from homeward.drives.ros.containers.bag_folder import open_log
+from homeward.drives.ros.measurements.bearings import SightingRows
+from homeward.drives.ros.measurements.camera import CameraRows, Intrinsics
+from homeward.drives.ros.measurements.home import home_during
+from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
+from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
+from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.settings import BearingsTopic, LogSettings
-from homeward.drives.ros.survey import Survey, Tell, survey
-from homeward.drives.ros.times import Clock
+from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
+from homeward.drives.ros.topics.survey import Survey, Tell, survey
+from homeward.drives.ros.topics.times import Clock
 from homeward.drives.settings import parse_settings, read_settings
 from homeward.drives.table import Table, quoted
 from homeward.errors import InputError

@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 from pydantic import field_validator, model_validator
 
 from homeward.drives.drive import DriveSettings, Finite, NonNegative, Positive, Strict
-from homeward.drives.ros.camera import Intrinsics
+from homeward.drives.ros.measurements.camera import Intrinsics
 
 
 class OdometryTopic(Strict):

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.drives.ros.choosing import (
+from homeward.drives.ros.log_file import LogFile, writing
+from homeward.drives.ros.messages.definitions import BEARINGS, ODOMETRY, POSE
+from homeward.drives.ros.messages.stamps import split
+from homeward.drives.ros.topics.choosing import (
     OUR_BEARINGS,
     OUR_HOME,
     OUR_ODOMETRY,
     OUR_SETTINGS,
     OUR_TRUTH,
 )
-from homeward.drives.ros.log_file import LogFile, writing
-from homeward.drives.ros.messages import BEARINGS, ODOMETRY, POSE
-from homeward.drives.ros.stamps import split
-from homeward.drives.ros.survey import Tell
+from homeward.drives.ros.topics.survey import Tell
 from homeward.drives.settings import settings_yaml
 from homeward.drives.table import is_identifier, quoted
 from homeward.errors import InputError

@@ -18,7 +18,7 @@ from matplotlib.colors import to_rgb
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Drive
 from homeward.drives.ros.log_file import LogFile, writing
-from homeward.drives.ros.stamps import split
+from homeward.drives.ros.messages.stamps import split
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse
 from homeward.report.palette import BLUE, MOVED, MUTED

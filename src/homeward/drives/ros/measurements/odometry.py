@@ -10,8 +10,8 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
-from homeward.drives.ros.messages import ODOMETRY, POSE
-from homeward.drives.ros.rows import Remarks, clean_rows
+from homeward.drives.ros.measurements.rows import Remarks, clean_rows
+from homeward.drives.ros.messages.definitions import ODOMETRY, POSE
 from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.table import quoted
 from homeward.errors import InputError

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from homeward.drives.ros.bearings import IN_IMAGE, POINT, READERS
-from homeward.drives.ros.messages import BEARINGS, POSE
-from homeward.drives.ros.odometry import JOINT_STATE, POSES, TWISTS
+from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
+from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
+from homeward.drives.ros.messages.definitions import BEARINGS, POSE
 from homeward.drives.ros.settings import (
     BearingsTopic,
     HomeFrom,
@@ -12,7 +12,7 @@ from homeward.drives.ros.settings import (
     OdometryTopic,
     TruthTopic,
 )
-from homeward.drives.ros.survey import Survey, Topic
+from homeward.drives.ros.topics.survey import Survey, Topic
 from homeward.errors import InputError
 
 OUR_HOME = "/homeward/home"

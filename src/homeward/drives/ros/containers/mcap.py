@@ -6,7 +6,7 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 
-from homeward.drives.ros.container import (
+from homeward.drives.ros.containers.container import (
     Budget,
     Channel,
     Message,

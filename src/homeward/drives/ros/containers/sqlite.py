@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from homeward.drives.files import opened
-from homeward.drives.ros.container import (
+from homeward.drives.ros.containers.container import (
     LARGEST_BLOCK,
     Budget,
     Channel,

@@ -8,10 +8,10 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import require_overlap
-from homeward.drives.ros.container import Message
+from homeward.drives.ros.containers.container import Message
+from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.ros.stamps import NANO, epoch_of, seconds
-from homeward.drives.ros.survey import Survey, Topic
+from homeward.drives.ros.topics.survey import Survey, Topic
 from homeward.errors import InputError
 
 LATEST_S = 1.0

@@ -10,13 +10,21 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from homeward.drives.files import is_there, naming, opened
-from homeward.drives.ros.container import Budget, Log, Message, Unpacker, in_short, walking, zstd
-from homeward.drives.ros.mcap import MAGIC as MCAP_MAGIC
-from homeward.drives.ros.mcap import Mcap
-from homeward.drives.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC
-from homeward.drives.ros.rosbag1 import Rosbag1
-from homeward.drives.ros.sqlite import MAGIC as SQLITE_MAGIC
-from homeward.drives.ros.sqlite import Sqlite
+from homeward.drives.ros.containers.container import (
+    Budget,
+    Log,
+    Message,
+    Unpacker,
+    in_short,
+    walking,
+    zstd,
+)
+from homeward.drives.ros.containers.mcap import MAGIC as MCAP_MAGIC
+from homeward.drives.ros.containers.mcap import Mcap
+from homeward.drives.ros.containers.rosbag1 import MAGIC as ROSBAG1_MAGIC
+from homeward.drives.ros.containers.rosbag1 import Rosbag1
+from homeward.drives.ros.containers.sqlite import MAGIC as SQLITE_MAGIC
+from homeward.drives.ros.containers.sqlite import Sqlite
 from homeward.drives.settings import read_tree
 from homeward.drives.table import quoted
 from homeward.errors import InputError

@@ -18,8 +18,8 @@ from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.container import Channel, in_short
-from homeward.drives.ros.messages import typestore
+from homeward.drives.ros.containers.container import Channel, in_short
+from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.table import quoted
 from homeward.errors import InputError
 

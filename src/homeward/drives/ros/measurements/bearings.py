@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from homeward.drives.ros.camera import Intrinsics
-from homeward.drives.ros.messages import BEARINGS
-from homeward.drives.ros.rows import Remarks
+from homeward.drives.ros.measurements.camera import Intrinsics
+from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.messages.definitions import BEARINGS
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.table import is_identifier, quoted
 from homeward.errors import InputError

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.drives.ros.container import Channel, Log, Message
-from homeward.drives.ros.decoding import begins_with_header
-from homeward.drives.ros.stamps import NANO, ClockOffset, clock_offset, header_stamp
+from homeward.drives.ros.containers.container import Channel, Log, Message
+from homeward.drives.ros.messages.decoding import begins_with_header
+from homeward.drives.ros.messages.stamps import NANO, ClockOffset, clock_offset, header_stamp
 from homeward.errors import InputError
 
 TELL_EVERY = 2000

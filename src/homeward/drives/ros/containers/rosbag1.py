@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from homeward.drives.ros.container import (
+from homeward.drives.ros.containers.container import (
     Budget,
     Channel,
     Message,

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from homeward.drives.ros.container import Message
+from homeward.drives.ros.containers.container import Message
 
 NANO = 10**9
 EXACT = 2**52

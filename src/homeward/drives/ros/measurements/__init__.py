@@ -1,0 +1,1 @@
+"""Measurements out of decoded messages: odometry, bearings and home."""

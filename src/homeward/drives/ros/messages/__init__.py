@@ -1,0 +1,1 @@
+"""Messages: their definitions, their decoding, and their stamps."""
