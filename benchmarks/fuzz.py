@@ -43,7 +43,7 @@ from homeward.frames import Pose
 from homeward.registry import make_estimator
 from homeward.simulation.files import load_scenario, scenario_yaml
 from homeward.simulation.presets import PRESETS
-from homeward.simulation.render.rooms import load_room, room
+from homeward.simulation.render.room.presets import load_room, room
 from homeward.studies.blocks.store import BlockStore
 from homeward.studies.planning.settings import load_plan, plans_folder
 from homeward.studies.single_run import load_run

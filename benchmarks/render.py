@@ -1,6 +1,6 @@
 """Rendered sparse rooms: bearings, heading and direction from pairs; homing by images; speed.
 
-Every room of `homeward.simulation.render.rooms` in turn, furnished by the seed. Pairs: home against
+Every room that comes with homeward in turn, furnished by the seed. Pairs: home against
 a place up to 3 m off, nothing moved. Homings: from up to 4 m with unknown heading, three boxes
 moved since home, and someone walking through; in four of five the camera is tilted anew in each
 picture. All goals are those of the issue.
@@ -33,9 +33,9 @@ from homeward.scoring import errors
 from homeward.simulation.course import Ending
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageLoop, panorama_of, things_seen
-from homeward.simulation.render.raycast import points, trace
-from homeward.simulation.render.rooms import PLANS, room
-from homeward.simulation.render.settings import RenderScenario
+from homeward.simulation.render.rays.raycast import points, trace
+from homeward.simulation.render.room.presets import PLANS, room
+from homeward.simulation.render.room.settings import RenderScenario
 from homeward.track import track_of
 from homeward.vision.cameras.panoramic import unit_vectors
 from homeward.vision.comparison import compare

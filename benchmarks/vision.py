@@ -76,7 +76,7 @@ def speed(rounds: int = 15) -> None:
 
 def rooms(seeds: int) -> None:
     """Goals 1 and 5: rendered sparse rooms, three boxes moved since home."""
-    from homeward.simulation.render.rooms import PLANS
+    from homeward.simulation.render.room.presets import PLANS
 
     for width in (1024, 512):
         errors, sigmas, refused, total = [], [], 0, 0
@@ -110,7 +110,7 @@ def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused
 
 def strangers(seeds: int) -> None:
     """Goal 5: false accepts between rooms that have nothing in common but kinds of texture."""
-    from homeward.simulation.render.rooms import PLANS
+    from homeward.simulation.render.room.presets import PLANS
 
     views = [
         (name, seed, look(rendered(name, seed, 512)[0], Equirectangular()))
@@ -139,7 +139,7 @@ def rendered(name: str, seed: int, width: int) -> tuple[np.ndarray, np.ndarray, 
     """Return a room's home image, one from up to 3 m away, and true direction and heading."""
     from homeward.frames import Polar, from_polar
     from homeward.simulation.render.eye import Eye
-    from homeward.simulation.render.rooms import room
+    from homeward.simulation.render.room.presets import room
 
     scenario = room(name, seed, distance=(0.3, 3.0))
     camera = scenario.camera.model_copy(

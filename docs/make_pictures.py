@@ -24,7 +24,7 @@ from homeward.report.run.folder import write_run
 from homeward.report.viewer.blueprint import TIMELINE
 from homeward.report.viewer.recording import write_recording
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rooms import load_room
+from homeward.simulation.render.room.presets import load_room
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import SAMPLE, RunSettings, execute

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from homeward.cli.main import app
 from homeward.drives.folder import read_folder
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 SMALL = ("camera.width=128", "camera.height=32", "trajectory.duration=2", "rates.bearings=2")

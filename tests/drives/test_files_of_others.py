@@ -19,7 +19,7 @@ from homeward.drives.yaml_text import DEEPEST
 from homeward.errors import HomewardError, InputError, printable
 from homeward.frames import Pose
 from homeward.simulation.files import load_scenario
-from homeward.simulation.render.rooms import load_room
+from homeward.simulation.render.room.presets import load_room
 from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import load_run
 from homeward.studies.study.settings import load_study

@@ -1,7 +1,7 @@
 """Rooms that tests of the renderer share."""
 
 from homeward.drives.settings import validated
-from homeward.simulation.render.settings import RenderScenario
+from homeward.simulation.render.room.settings import RenderScenario
 
 
 def scenario(**changes):

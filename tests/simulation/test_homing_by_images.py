@@ -10,7 +10,7 @@ from homeward.simulation.course import Ending
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageLoop, panorama_of
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 from homeward.vision.features.detection import look
 from homeward.vision.front_end import FrontEnd
 

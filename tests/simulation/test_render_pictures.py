@@ -14,14 +14,21 @@ from homeward.drives.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.furnish import furnished
-from homeward.simulation.render.outline import inside
-from homeward.simulation.render.raycast import viewpoint
-from homeward.simulation.render.rooms import PLANS, load_room, room
+from homeward.simulation.render.rays.raycast import viewpoint
+from homeward.simulation.render.rays.surfaces import footprint
+from homeward.simulation.render.room.furnish import furnished
+from homeward.simulation.render.room.outline import inside
+from homeward.simulation.render.room.presets import PLANS, load_room, room
+from homeward.simulation.render.room.settings import Mover, RenderScenario
 from homeward.simulation.render.scene import build_scene, place_on_path
-from homeward.simulation.render.settings import Mover, RenderScenario
-from homeward.simulation.render.surfaces import footprint
-from homeward.simulation.render.textures import KINDS, LEVELS, PAD, Texture, build_atlas, paint
+from homeward.simulation.render.shading.textures import (
+    KINDS,
+    LEVELS,
+    PAD,
+    Texture,
+    build_atlas,
+    paint,
+)
 from homeward.simulation.trajectories import SEARCH_RADIUS, advance
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")

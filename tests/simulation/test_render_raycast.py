@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from homeward.simulation.render.compiled import compiled
-from homeward.simulation.render.raycast import cast, directions, points, trace, viewpoint
-from homeward.simulation.render.surfaces import Skin, Surfaces, block, rectangle, upright
+from homeward.simulation.render.rays.compiled import compiled
+from homeward.simulation.render.rays.raycast import cast, directions, points, trace, viewpoint
+from homeward.simulation.render.rays.surfaces import Skin, Surfaces, block, rectangle, upright
 
 SKIN = Skin(0, 1.0)
 ROOM = np.array([[0, 0], [6, 0], [6, 4], [0, 4]], float)

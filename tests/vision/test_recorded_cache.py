@@ -14,7 +14,7 @@ from homeward.engine.native.cache import Cache
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.recorded import cache as kept
 from homeward.vision.recorded.folder import see_folder

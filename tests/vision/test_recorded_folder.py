@@ -26,7 +26,7 @@ from homeward.scoring import errors
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 from homeward.track import run
 from homeward.vision.recorded.estimator import WAYS, RecordedVisualHoming
 

@@ -14,7 +14,7 @@ from vision_scene import make_room
 
 from homeward.angles import wrap
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.features.match_propagation import thinned
 from homeward.vision.features.self_similarity import self_similar

@@ -9,7 +9,7 @@ from homeward.angles import wrap
 from homeward.frames import Pose
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of
-from homeward.simulation.render.rooms import room
+from homeward.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
 from homeward.vision.front_end import PROVEN, FrontEnd

@@ -15,7 +15,7 @@ from homeward.cli.terminal import say
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
     from homeward.estimator import Estimator
-    from homeward.simulation.render.settings import RenderScenario
+    from homeward.simulation.render.room.settings import RenderScenario
 
 
 def render(
@@ -50,7 +50,7 @@ def render(
     from homeward.simulation.render.dataset import write_rendered
     from homeward.simulation.render.eye import Eye
     from homeward.simulation.render.loop import moved_boxes
-    from homeward.simulation.render.rooms import load_room
+    from homeward.simulation.render.room.presets import load_room
 
     given = key_values(changes or []) | ({"estimator": estimator} if estimator else {})
     scenario = load_room(room, seed, given)

@@ -42,7 +42,7 @@ def _models() -> dict[str, tuple[str, type[Strict]]]:
     from homeward.drives.drive import DriveSettings
     from homeward.drives.ros.settings import LogSettings
     from homeward.registry import ESTIMATORS
-    from homeward.simulation.render.settings import RenderScenario
+    from homeward.simulation.render.room.settings import RenderScenario
     from homeward.simulation.scenario import Scenario
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.planning.settings import Plan

@@ -18,8 +18,8 @@ from homeward.frames import Pose
 from homeward.simulation.files import SCENARIO, scenario_yaml
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageDrive, ImageLoop, panorama_of
-from homeward.simulation.render.picture import PixelTruth, png
 from homeward.simulation.render.scene import Scene
+from homeward.simulation.render.shading.picture import PixelTruth, png
 
 IMAGES, HOME_IMAGE, THINGS = "images.csv", "home.png", "things.csv"
 IMAGE_SETTINGS = "images.yaml"

@@ -6,11 +6,11 @@ import numpy as np
 
 from homeward.errors import InputError
 from homeward.frames import Pose, compose
-from homeward.simulation.render.furnish import furnished
-from homeward.simulation.render.picture import PixelTruth, picture, pixel_truth
-from homeward.simulation.render.raycast import Viewpoint, viewpoint
+from homeward.simulation.render.rays.raycast import Viewpoint, viewpoint
+from homeward.simulation.render.room.furnish import furnished
+from homeward.simulation.render.room.settings import RenderScenario
 from homeward.simulation.render.scene import build_scene
-from homeward.simulation.render.settings import RenderScenario
+from homeward.simulation.render.shading.picture import PixelTruth, picture, pixel_truth
 from homeward.simulation.world import Stream
 
 ROBOT_RADIUS = 0.15

@@ -8,11 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.simulation.render.lighting import bake, shine
-from homeward.simulation.render.outline import inside
-from homeward.simulation.render.raycast import Viewpoint
-from homeward.simulation.render.settings import Light, Mover, RenderScenario
-from homeward.simulation.render.surfaces import (
+from homeward.simulation.render.rays.raycast import Viewpoint
+from homeward.simulation.render.rays.surfaces import (
     Skin,
     Surfaces,
     block,
@@ -20,7 +17,10 @@ from homeward.simulation.render.surfaces import (
     rectangle,
     upright,
 )
-from homeward.simulation.render.textures import Atlas, Texture, build_atlas
+from homeward.simulation.render.room.outline import inside
+from homeward.simulation.render.room.settings import Light, Mover, RenderScenario
+from homeward.simulation.render.shading.lighting import bake, shine
+from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas
 
 POSTER_GAP = 0.002
 """A poster hangs so far before its wall [m]."""

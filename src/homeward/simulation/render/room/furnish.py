@@ -10,9 +10,16 @@ import numpy as np
 from homeward.drives.drive import Strict
 from homeward.errors import InputError
 from homeward.frames import Pose, compose
-from homeward.simulation.render.outline import distance_to, inside
-from homeward.simulation.render.settings import Box, Mover, Place, Poster, RenderScenario, Stand
-from homeward.simulation.render.surfaces import footprint
+from homeward.simulation.render.rays.surfaces import footprint
+from homeward.simulation.render.room.outline import distance_to, inside
+from homeward.simulation.render.room.settings import (
+    Box,
+    Mover,
+    Place,
+    Poster,
+    RenderScenario,
+    Stand,
+)
 from homeward.simulation.trajectories import SEARCH_RADIUS
 from homeward.simulation.world import Stream, generator
 

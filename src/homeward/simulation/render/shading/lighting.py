@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from homeward.simulation.render.raycast import Viewpoint, trace
-from homeward.simulation.render.settings import Light
-from homeward.simulation.render.surfaces import Surfaces
+from homeward.simulation.render.rays.raycast import Viewpoint, trace
+from homeward.simulation.render.rays.surfaces import Surfaces
+from homeward.simulation.render.room.settings import Light
 
 GRID = 16
 """Light is known at so many places along each side of a surface, and smooth between them."""

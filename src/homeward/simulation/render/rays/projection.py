@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.simulation.render.surfaces import Surfaces
+from homeward.simulation.render.rays.surfaces import Surfaces
 
 SLACK = 1e-6
 """Rectangles reach so far beyond their edges, in tiles, lest a ray slips through where two meet."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.simulation.render.lighting import GRID
-from homeward.simulation.render.raycast import Viewpoint, cast, directions, points
+from homeward.simulation.render.rays.raycast import Viewpoint, cast, directions, points
+from homeward.simulation.render.rays.surfaces import Surfaces
+from homeward.simulation.render.room.settings import PanoramaCamera
 from homeward.simulation.render.scene import Scene
-from homeward.simulation.render.settings import PanoramaCamera
-from homeward.simulation.render.surfaces import Surfaces
-from homeward.simulation.render.textures import LEVELS, SIZE, Atlas
+from homeward.simulation.render.shading.lighting import GRID
+from homeward.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
 
 SHEET = 1024

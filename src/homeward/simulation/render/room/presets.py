@@ -15,8 +15,8 @@ from homeward.drives.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose, between
 from homeward.simulation.files import changed_scenario
-from homeward.simulation.render.outline import distance_to, inside
-from homeward.simulation.render.settings import Furnish, RenderScenario, Walls
+from homeward.simulation.render.room.outline import distance_to, inside
+from homeward.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
 
 TRIES = 2000

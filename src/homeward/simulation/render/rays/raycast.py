@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.simulation.render.compiled import compiled
-from homeward.simulation.render.projection import Projected, Window, project, windows
-from homeward.simulation.render.surfaces import Surfaces
+from homeward.simulation.render.rays.compiled import compiled
+from homeward.simulation.render.rays.projection import Projected, Window, project, windows
+from homeward.simulation.render.rays.surfaces import Surfaces
 
 TINY = 1e-30
 """No ray is seen to go so far as the inverse of this [m]."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from homeward.engine.native.program import Program
 
 compiled = Program(
-    "homeward.simulation.render",
+    "homeward.simulation.render.rays",
     ("cast.c",),
     {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"},
     may_fail=("cast",),

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.simulation.render.outline import crosses_itself, inside, is_clockwise
+from homeward.simulation.render.room.outline import crosses_itself, inside, is_clockwise
 from homeward.simulation.scenario import (
     Course,
     Interval,

@@ -1,0 +1,1 @@
+"""The room and what is in it, as settings."""

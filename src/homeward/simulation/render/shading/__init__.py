@@ -1,0 +1,1 @@
+"""Textures, light and the sensor: from what rays meet to a picture."""
