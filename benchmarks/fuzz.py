@@ -37,7 +37,7 @@ from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.definitions import DEFINITIONS, ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
-from homeward.drives.settings import read_settings, settings_yaml
+from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import HomewardError
 from homeward.frames import Pose
 from homeward.registry import make_estimator

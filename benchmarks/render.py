@@ -24,7 +24,7 @@ from multiprocessing import Pool
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.frames import to_polar

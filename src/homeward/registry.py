@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from homeward.drives.drive import Drive, Strict
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.engine.online import OnlineFilter
 from homeward.engine.paper import a_ekf, ekf, pi_ekf
 from homeward.errors import InputError

@@ -23,8 +23,8 @@ from homeward.cli import terminal
 from homeward.cli.main import COMMANDS, app
 from homeward.cli.settings import _models
 from homeward.drives.drive import Sightings
-from homeward.drives.keys import ANY, keys
-from homeward.drives.settings import nested, validated
+from homeward.drives.text.keys import ANY, keys
+from homeward.drives.text.settings import nested, validated
 from homeward.errors import InputError, needs_extra
 from homeward.registry import ESTIMATORS
 from homeward.studies import single_run

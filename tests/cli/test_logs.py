@@ -10,7 +10,7 @@ from commands import call, refused
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.settings import read_settings
+from homeward.drives.text.settings import read_settings
 from homeward.studies.single_run import sample_drive
 
 

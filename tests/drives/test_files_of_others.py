@@ -8,14 +8,14 @@ from drives.valid_drive import put
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
-from homeward.drives import yaml_text
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_folder
 from homeward.drives.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
-from homeward.drives.yaml_text import DEEPEST
+from homeward.drives.text import yaml_text
+from homeward.drives.text.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
+from homeward.drives.text.yaml_text import DEEPEST
 from homeward.errors import HomewardError, InputError, printable
 from homeward.frames import Pose
 from homeward.simulation.files import load_scenario

@@ -24,7 +24,7 @@ from homeward.drives.folder import (
     read_folder,
     write_folder,
 )
-from homeward.drives.table import is_identifier
+from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

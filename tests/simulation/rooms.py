@@ -1,6 +1,6 @@
 """Rooms that tests of the renderer share."""
 
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.simulation.render.room.settings import RenderScenario
 
 

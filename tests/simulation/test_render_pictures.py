@@ -10,7 +10,7 @@ import yaml
 from rooms import scenario
 
 from homeward.control import Twist
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
 from homeward.simulation.render.eye import Eye

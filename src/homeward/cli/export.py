@@ -44,7 +44,7 @@ def export(
     The folder is laid out for Arduino and PlatformIO: src/ holds one .c and one .h, which need
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
-    from homeward.drives.settings import validated
+    from homeward.drives.text.settings import validated
     from homeward.engine.export.project import MARKER, project
     from homeward.engine.export.work import most_work
     from homeward.filters.settings import FilterSettings

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from homeward.cli.terminal import INTERRUPTED, refuse
-from homeward.drives.yaml_text import parse_yaml
+from homeward.drives.text.yaml_text import parse_yaml
 from homeward.errors import InputError, printable
 
 PIPED_S = 30.0

@@ -72,7 +72,7 @@ def reproduce(
     --study it gets layouts.html with the verdict, figures and layouts.csv. Either keeps finished
     blocks in it, from which a stopped command goes on.
     """
-    from homeward.drives.settings import nested
+    from homeward.drives.text.settings import nested
 
     values = nested(key_values(changes or []))
     imaged = measurements is Measurements.IMAGES
@@ -89,7 +89,7 @@ def reproduce(
 
 
 def _cases(out: Path, places: tuple[str | None, int | None], values: dict[str, Any]) -> None:
-    from homeward.drives.settings import validated
+    from homeward.drives.text.settings import validated
     from homeward.report.output import check_output
     from homeward.report.paper.page import (
         PAGE,

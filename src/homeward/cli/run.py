@@ -19,7 +19,7 @@ from homeward.cli.options import (
     three_numbers,
 )
 from homeward.cli.terminal import no_answer, say, warn
-from homeward.drives.files import is_there
+from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def run(
     report.html and run.yaml, from which the run repeats. Where no pose was found, the exit status
     is 1.
     """
-    from homeward.drives.settings import nested
+    from homeward.drives.text.settings import nested
     from homeward.registry import NEED_START
 
     own = nested(key_values(changes or []))
@@ -107,7 +107,7 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
         What options say, by name; must be empty with a run.yaml.
     """
     from homeward.drives.opening import SAMPLE
-    from homeward.drives.settings import validated
+    from homeward.drives.text.settings import validated
     from homeward.studies.single_run import RunSettings, load_run
 
     file = Path(drive)

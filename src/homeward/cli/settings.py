@@ -24,7 +24,7 @@ def settings(
     What an estimator or a command takes is given as --set KEY=VALUE; in a YAML file each dot is one
     level more. A * stands for the name or number of one of several.
     """
-    from homeward.drives.keys import keys
+    from homeward.drives.text.keys import keys
 
     there = _models()
     if of is None:

@@ -19,10 +19,10 @@ from homeward.drives.drive import (
     Sightings,
     Truth,
 )
-from homeward.drives.files import is_there, naming, require_folder
 from homeward.drives.one_clock import remark_other_units
-from homeward.drives.settings import read_settings, settings_yaml
-from homeward.drives.table import (
+from homeward.drives.text.files import is_there, naming, require_folder
+from homeward.drives.text.settings import read_settings, settings_yaml
+from homeward.drives.text.table import (
     Table,
     identifiers,
     is_identifier,

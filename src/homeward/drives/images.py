@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.files import is_there
-from homeward.drives.table import identifiers, numbers, quoted, read_csv
+from homeward.drives.text.files import is_there
+from homeward.drives.text.table import identifiers, numbers, quoted, read_csv
 from homeward.errors import InputError
 
 IMAGES = "images.csv"

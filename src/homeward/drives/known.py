@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from homeward.drives.drive import DriveSettings, HomeBearing, Robot
-from homeward.drives.settings import Model, validated
+from homeward.drives.text.settings import Model, validated
 from homeward.errors import InputError
 from homeward.estimator import real
 

@@ -22,7 +22,6 @@ from homeward.drives.drive import (
     Sightings,
     Truth,
 )
-from homeward.drives.files import is_there, require_folder
 from homeward.drives.folder import (
     REPEATED_ODOMETRY,
     REPEATED_TRUTH,
@@ -30,7 +29,8 @@ from homeward.drives.folder import (
     without_repeats,
     wrapped,
 )
-from homeward.drives.table import Table, read_columns
+from homeward.drives.text.files import is_there, require_folder
+from homeward.drives.text.table import Table, read_columns
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, between
 

@@ -9,12 +9,12 @@ from importlib.resources import files
 from pathlib import Path
 
 from homeward.drives.drive import Drive
-from homeward.drives.files import is_there
 from homeward.drives.folder import BEARINGS, is_drive_folder, read_folder
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
 from homeward.drives.one_clock import on_one_clock
 from homeward.drives.ros.containers.bag_folder import is_log
+from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.frames import Pose
 

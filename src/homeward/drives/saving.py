@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from homeward.drives.drive import Drive
-from homeward.drives.files import is_there
 from homeward.drives.folder import write_folder
+from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 
 LOG_SUFFIXES = (".bag", ".mcap", ".db3")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from homeward.drives.files import is_there
+from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.studies.blocks.store import SCRATCH
 

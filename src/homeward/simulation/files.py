@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import yaml
 
-from homeward.drives.files import is_there
 from homeward.drives.folder import write_folder
-from homeward.drives.settings import key_parts, read_settings, validated
+from homeward.drives.text.files import is_there
+from homeward.drives.text.settings import key_parts, read_settings, validated
 from homeward.errors import InputError
 from homeward.simulation.presets import PRESETS
 from homeward.simulation.scenario import Course, Scenario

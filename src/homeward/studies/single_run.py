@@ -15,7 +15,7 @@ from homeward.drives.folder import HOME
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.containers.bag_folder import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
-from homeward.drives.settings import read_tree, validated
+from homeward.drives.text.settings import read_tree, validated
 from homeward.engine.online import OnlineFilter
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator

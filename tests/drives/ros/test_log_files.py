@@ -12,7 +12,7 @@ from homeward.drives.opening import open_drive
 from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.messages.definitions import DEFINITIONS, typestore
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.settings import parse_settings
+from homeward.drives.text.settings import parse_settings
 from homeward.errors import InputError
 
 

@@ -34,7 +34,7 @@ from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, Topic, survey
 from homeward.drives.ros.topics.times import Clock
-from homeward.drives.settings import read_settings, settings_yaml
+from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import InputError
 
 REFUSED = "homeward run refuses it: {}."

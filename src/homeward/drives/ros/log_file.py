@@ -12,9 +12,9 @@ from typing import Any
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
-from homeward.drives.files import is_there, naming
 from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.text.files import is_there, naming
 from homeward.errors import InputError
 
 _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}

@@ -21,8 +21,8 @@ from homeward.drives.ros.settings import BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, survey
 from homeward.drives.ros.topics.times import Clock
-from homeward.drives.settings import parse_settings, read_settings
-from homeward.drives.table import Table, quoted
+from homeward.drives.text.settings import parse_settings, read_settings
+from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError
 from homeward.frames import Pose, between
 

@@ -21,8 +21,8 @@ from homeward.drives.ros.topics.choosing import (
     OUR_TRUTH,
 )
 from homeward.drives.ros.topics.survey import Tell
-from homeward.drives.settings import settings_yaml
-from homeward.drives.table import is_identifier, quoted
+from homeward.drives.text.settings import settings_yaml
+from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError
 
 BASE, CAMERA, HOME = "base_link", "camera", "home"

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from homeward.drives.files import is_there, naming, opened, read_small
+from homeward.drives.text.files import is_there, naming, opened, read_small
 from homeward.errors import InputError
 
 Arrays = dict[str, np.ndarray]

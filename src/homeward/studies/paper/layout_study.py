@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.studies.blocks.finish import Where
 from homeward.studies.blocks.store import BlockStore
 from homeward.studies.paper.layouts import (

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from homeward.drives.drive import NonNegative, Positive, Strict
-from homeward.drives.settings import validated
+from homeward.drives.text.settings import validated
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import Arrays, BlockStore
 from homeward.studies.paper.cases import FILTERS, draw, run_filter

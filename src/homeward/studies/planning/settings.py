@@ -10,8 +10,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.drives.files import is_there
-from homeward.drives.settings import read_settings
+from homeward.drives.text.files import is_there
+from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.simulation.scenario import Interval, Point

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Strict
-from homeward.drives.settings import nested, validated
+from homeward.drives.text.settings import nested, validated
 from homeward.errors import InputError
 from homeward.registry import estimator_settings
 from homeward.simulation.files import changed_scenario

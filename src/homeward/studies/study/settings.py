@@ -10,8 +10,8 @@ from pydantic import Field, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
-from homeward.drives.files import is_there
-from homeward.drives.settings import read_tree, validated
+from homeward.drives.text.files import is_there
+from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
 from homeward.registry import ESTIMATORS
 from homeward.simulation.files import load_scenario

@@ -13,7 +13,7 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from homeward.drives.files import naming, opened
+from homeward.drives.text.files import naming, opened
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask

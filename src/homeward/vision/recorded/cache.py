@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import HomeBearing, Sightings
-from homeward.drives.files import naming, opened
+from homeward.drives.text.files import naming, opened
 from homeward.engine.native.cache import Cache, default_folder, key_of
 from homeward.engine.native.compiler import find_compiler, processor
 from homeward.vision.comparison import Comparison

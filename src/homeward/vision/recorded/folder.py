@@ -11,7 +11,6 @@ import numpy as np
 
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Sightings
-from homeward.drives.files import is_there, require_folder
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
@@ -22,6 +21,7 @@ from homeward.drives.folder import (
 )
 from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
+from homeward.drives.text.files import is_there, require_folder
 from homeward.errors import InputError
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey

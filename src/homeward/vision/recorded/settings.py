@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
-from homeward.drives.settings import read_settings
+from homeward.drives.text.settings import read_settings
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular
 from homeward.vision.cameras.ring import Ring
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
-from homeward.drives.files import is_there, naming, opened
 from homeward.drives.ros.containers.container import (
     Budget,
     Log,
@@ -25,8 +24,9 @@ from homeward.drives.ros.containers.rosbag1 import MAGIC as ROSBAG1_MAGIC
 from homeward.drives.ros.containers.rosbag1 import Rosbag1
 from homeward.drives.ros.containers.sqlite import MAGIC as SQLITE_MAGIC
 from homeward.drives.ros.containers.sqlite import Sqlite
-from homeward.drives.settings import read_tree
-from homeward.drives.table import quoted
+from homeward.drives.text.files import is_there, naming, opened
+from homeward.drives.text.settings import read_tree
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
 METADATA = "metadata.yaml"

@@ -20,8 +20,8 @@ from typing import IO, NamedTuple, Protocol
 
 import lz4.frame
 
-from homeward.drives.files import naming, opened
-from homeward.drives.table import quoted
+from homeward.drives.text.files import naming, opened
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
 if sys.version_info >= (3, 14):

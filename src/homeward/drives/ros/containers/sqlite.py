@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from homeward.drives.files import opened
 from homeward.drives.ros.containers.container import (
     LARGEST_BLOCK,
     Budget,
@@ -21,6 +20,7 @@ from homeward.drives.ros.containers.container import (
     ros2_type,
     walking,
 )
+from homeward.drives.text.files import opened
 from homeward.errors import InputError
 
 MAGIC = b"SQLite format 3\x00"

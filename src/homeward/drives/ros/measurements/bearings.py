@@ -12,7 +12,7 @@ from homeward.drives.ros.measurements.camera import Intrinsics
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.definitions import BEARINGS
 from homeward.drives.ros.settings import BearingsTopic
-from homeward.drives.table import is_identifier, quoted
+from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"

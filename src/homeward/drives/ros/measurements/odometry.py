@@ -13,7 +13,7 @@ from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.messages.definitions import ODOMETRY, POSE
 from homeward.drives.ros.settings import OdometryTopic
-from homeward.drives.table import quoted
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
 NAV_ODOMETRY = "nav_msgs/msg/Odometry"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.folder import without_repeats
-from homeward.drives.table import Table
+from homeward.drives.text.table import Table
 from homeward.errors import InputError
 
 NOT_FINITE = "{} with a number that is not finite, left out"

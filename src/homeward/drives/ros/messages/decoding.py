@@ -20,7 +20,7 @@ from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.containers.container import Channel, in_short
 from homeward.drives.ros.messages.definitions import typestore
-from homeward.drives.table import quoted
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
 LARGEST_DEFINITION = 2**16

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.files import is_there
-from homeward.drives.settings import read_settings
+from homeward.drives.text.files import is_there
+from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose, between
 from homeward.simulation.files import changed_scenario

@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from homeward.drives.complaints import complaint
 from homeward.drives.drive import Strict
-from homeward.drives.files import read_small
-from homeward.drives.table import quoted
-from homeward.drives.yaml_text import DEEPEST, parse_yaml
+from homeward.drives.text.complaints import complaint
+from homeward.drives.text.files import read_small
+from homeward.drives.text.table import quoted
+from homeward.drives.text.yaml_text import DEEPEST, parse_yaml
 from homeward.errors import InputError
 
 Model = TypeVar("Model", bound=Strict)

@@ -18,7 +18,7 @@ from typing import IO
 
 import numpy as np
 
-from homeward.drives.files import naming, opened
+from homeward.drives.text.files import naming, opened
 from homeward.errors import InputError
 
 CHUNK = 1024

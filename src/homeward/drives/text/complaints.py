@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from homeward.drives.drive import Strict
-from homeward.drives.keys import closest
-from homeward.drives.table import quoted
+from homeward.drives.text.keys import closest
+from homeward.drives.text.table import quoted
 
 LONGEST = 60
 """Longer keys and values are cut [characters]."""

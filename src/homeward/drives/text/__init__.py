@@ -1,0 +1,1 @@
+"""Text that others wrote, read in bounded time and memory: tables, YAML, and settings from it."""
