@@ -8,21 +8,21 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from homeward.cli.compare import compare
-from homeward.cli.convert import convert
+from homeward.cli.drives.convert import convert
+from homeward.cli.drives.info import info
+from homeward.cli.drives.run import run
+from homeward.cli.drives.simulate import simulate
+from homeward.cli.drives.view import view
 from homeward.cli.export import export
-from homeward.cli.info import info
-from homeward.cli.observe import observe
-from homeward.cli.plan import plan
-from homeward.cli.render import render
-from homeward.cli.reproduce import reproduce
-from homeward.cli.run import run
-from homeward.cli.see import see
+from homeward.cli.images.compare import compare
+from homeward.cli.images.render import render
+from homeward.cli.images.see import see
 from homeward.cli.settings import settings
-from homeward.cli.simulate import simulate
-from homeward.cli.study import study
+from homeward.cli.studies.observe import observe
+from homeward.cli.studies.plan import plan
+from homeward.cli.studies.reproduce import reproduce
+from homeward.cli.studies.study import study
 from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
-from homeward.cli.view import view
 from homeward.errors import HomewardError, InputError
 
 

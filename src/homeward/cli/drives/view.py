@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from homeward.cli.drives.run import run_settings
 from homeward.cli.options import progress
-from homeward.cli.run import run_settings
 from homeward.cli.terminal import say, warn
 from homeward.errors import needs_extra
 

@@ -1,0 +1,1 @@
+"""Commands for studies, plans, observability and the paper."""
