@@ -62,7 +62,10 @@ def test_a_drive_that_tells_nothing_is_drawn_too():
     )
     assert np.isinf(view.whole.position_sigma)
     assert "circle" in drive_summary(view)
-    draw_drive_view(view)
+    figure = draw_drive_view(view)
+    figure.draw_without_rendering()
+    above = figure.bbox.y1 - figure.axes[0].get_window_extent().y1
+    assert above < 0.3 * figure.dpi, "room is left above the map"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from homeward.observability.study import ModelView
 from homeward.observability.trace import Trace
-from homeward.report.canvas import WIDTH_IN, new_figure, style
+from homeward.report.canvas import new_figure, style
 from homeward.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.report.words import name
 from homeward.studies.observing import DriveView
@@ -20,6 +20,8 @@ GHOSTS = 7
 WORST_M = 3.0
 """The colours of a map end at this error [m]."""
 BEST_M = 0.03
+MAP_IN = 5.3
+"""Width of the map of a drive, which its scale and the colour bar leave it [inch]."""
 COLOURS = "viridis_r"
 
 
@@ -115,11 +117,15 @@ def draw_drive_view(view: DriveView) -> Figure:
     """Draw the path coloured by how well each window tells the position, and that over time."""
     drawn = np.vstack([np.zeros((1, 2)), view.poses[:, :2], _near(view)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
-    aspect = float(np.clip((high - low)[1] / max((high - low)[0], 1e-9), 0.4, 1.1))
+    extent = float((high - low).max())
+    margin = 0.05 * extent + 0.2
+    low, high = low - margin, high + margin
+    # As high as the map needs: no room is left above it.
+    height = MAP_IN * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 1.2))
     norm = LogNorm(BEST_M, WORST_M, clip=True)
     with style():
-        figure = new_figure(WIDTH_IN * aspect + 2.6)
-        top, bottom = figure.subplots(2, 1, height_ratios=[WIDTH_IN * aspect, 1.7])
+        figure = new_figure(height + 2.6)
+        top, bottom = figure.subplots(2, 1, height_ratios=[height, 1.7])
         top.set_aspect("equal")
         middles = np.array([(w.begin + w.end) / 2 for w in view.windows])
         sigmas = np.array([w.position_sigma for w in view.windows])
@@ -135,11 +141,11 @@ def draw_drive_view(view: DriveView) -> Figure:
         for text, place, stored in zip(view.names, view.places, view.stored, strict=True):
             top.plot(*place, "*", ms=9, color=INK if stored else MUTED, mec="white", zorder=5)
             _label(top, text, place)
-        _draw_home(top, np.zeros(3), 0.5 * float((high - low).max()))
-        margin = 0.05 * float((high - low).max()) + 0.2
-        top.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-        top.set(xlabel="x [m]", ylabel="y [m]")
-        figure.colorbar(lines, ax=top, label="position from home at best [m]", shrink=0.8, pad=0.02)
+        _draw_home(top, np.zeros(3), 0.5 * extent)
+        top.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+        figure.colorbar(
+            lines, ax=top, label="position from home\nat best [m]", shrink=0.8, pad=0.02
+        )
         _draw_time(bottom, view, middles, sigmas)
     return figure
 
