@@ -50,8 +50,8 @@ def test_only_what_nobody_told_is_named():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0})
     rig.drive(60)
     (note,) = (n for n in rig.localizer.notes if "camera" in n)
-    assert "camera's yaw would be 0" in note
-    found = note.partition("drive.yaml: ")[2]
+    assert "camera (yaw) was taken to be 0" in note
+    found = note.partition("would be ")[2]
     assert float(found.removeprefix("yaw: ").removesuffix(".")) == pytest.approx(0.3, abs=0.03)
 
 

@@ -15,8 +15,8 @@ from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 
 DENIAL = (
-    "The bearings deny that the camera's {} would be 0, as it was taken to be since nobody told; "
-    "about right would be, under sensor in drive.yaml: {}."
+    "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
+    "under sensor in drive.yaml, about right would be {}."
 )
 LEAST_RAD, CENTRE_M = 1e-6, 1e-3
 """It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
@@ -64,7 +64,7 @@ class Extrinsics:
         names = [part for part in ("x", "y", "yaw") if part not in self._said.model_fields_set]
         values = {"x": found.x, "y": found.y, "yaw": found.heading}
         right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
-        return (DENIAL.format(" or ".join(names), right),)
+        return (DENIAL.format(", ".join(names), right),)
 
     def denies(self, calibration: np.ndarray, variances: np.ndarray) -> bool:
         """Return whether the map denies for the first time what was taken for granted.
