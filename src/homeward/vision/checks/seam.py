@@ -32,7 +32,7 @@ FLAT = 16.0
 """Grey values outside a fisheye's disc differ by no more than this."""
 DISC_CONTRAST = 0.8
 """Least share of a disc's edge that has a picture within and nothing without."""
-INSIST = "to use it anyway: --force, or force: true in images.yaml"
+INSIST = "force: true in images.yaml uses it anyway; see and compare have --force, too"
 
 
 def require_panoramas(pictures: Sequence[np.ndarray], camera: Panorama) -> None:
