@@ -154,6 +154,19 @@ def test_without_out_a_run_goes_where_its_drive_is_named(short, tmp_path, monkey
     assert not Path("out", "drive", "run.yaml").exists()
 
 
+def test_a_drive_of_the_same_name_gets_a_folder_of_its_own(short, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    other = shutil.copytree(short, tmp_path / "other" / "short")
+    for _ in range(2):  # the second time each finds its own
+        assert "Report: out/short/report.html" in call("run", short).stdout
+        assert "Report: out/short-run/report.html" in call("run", other).stdout
+    third = shutil.copytree(short, tmp_path / "third" / "short")
+    assert "Report: out/short-2/report.html" in call("run", third).stdout
+    Path("out").rename("elsewhere")
+    Path("out").touch()
+    assert "not a folder" in call("run", short).stderr
+
+
 BAD_INPUTS = [
     (["run", "nowhere"], "no such file"),
     (["run", "bad"], "bearings.csv, row 3"),

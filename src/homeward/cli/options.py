@@ -1,4 +1,4 @@
-"""What the commands share: values from text, where output goes, and a progress bar."""
+"""What the commands share: values from text, and a progress bar."""
 
 from __future__ import annotations
 
@@ -60,37 +60,6 @@ def key_values(changes: list[str]) -> dict[str, Any]:
         except InputError as error:
             raise InputError(f"--set {key}: {error.what}") from None
     return chosen
-
-
-def output_folder(chosen: Path | None, name: str, marker: str) -> Path:
-    """Return the folder to write, once inputs have proved good.
-
-    Parameters
-    ----------
-    chosen : Path, optional
-        By the user; None: out/NAME, or out/NAME-run where out/NAME holds something else, as the
-        drive itself.
-    name : str
-        Of the input.
-    marker : str
-        As in `homeward.report.output.check_output`.
-
-    Raises
-    ------
-    InputError
-        When it holds something other than earlier output.
-    """
-    from homeward.report.output import check_output
-
-    folder = chosen or Path("out") / name
-    try:
-        check_output(folder, marker)
-    except InputError:
-        if chosen is not None:
-            raise
-        folder = folder.with_name(f"{folder.name}-run")
-        check_output(folder, marker)
-    return folder
 
 
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,6 @@ from homeward.cli.options import (
     Robot,
     Topics,
     key_values,
-    output_folder,
     progress,
     three_numbers,
 )
@@ -121,13 +121,40 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     return validated(RunSettings, {"drive": drive, **given})
 
 
+def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
+    """Return the folder to write: `chosen`, or out/NAME where that is free or has a run of `drive`.
+
+    Else NAME-run, NAME-2, NAME-3, ...: out/NAME may hold the drive itself, or a run of another
+    drive of that name.
+    """
+    from homeward.drives.text.settings import read_tree
+    from homeward.report.output import check_output
+    from homeward.report.run.folder import SETTINGS_FILE
+
+    if chosen is not None:
+        check_output(chosen, SETTINGS_FILE)
+        return chosen
+    ends = chain(("", "-run"), (f"-{number}" for number in count(2)))
+    for folder in (Path("out") / f"{name}{end}" for end in ends):
+        try:
+            check_output(folder, SETTINGS_FILE)
+        except InputError:
+            if is_there(folder):
+                continue
+            raise  # no other name would be any better
+        run = folder / SETTINGS_FILE
+        if not is_there(run) or read_tree(run).get("drive") == drive:
+            break
+    return folder
+
+
 def _run(settings: RunSettings, out: Path | None) -> None:
-    from homeward.report.run.folder import SETTINGS_FILE, write_run
+    from homeward.report.run.folder import write_run
     from homeward.studies.single_run import finish, prepare
 
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
-        folder = output_folder(out, drive.name, SETTINGS_FILE)
+        folder = _output_folder(out, drive.name, settings.drive)
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
     say(summary)
