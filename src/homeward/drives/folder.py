@@ -119,16 +119,9 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
 
 
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
-    """Check a table with times `t`, keep the last of equal stamps and count the others.
+    """Check a table with times `t` [s], keep the last of equal stamps and count the others.
 
-    Parameters
-    ----------
-    table : Table
-        With a column `t` [s]; must have rows, in order of time.
-    remarks : dict of str to int
-        Where they are counted, under `reason`.
-    reason : str
-        In words.
+    They are counted in `remarks` under a `reason` in words.
     """
     table.require_rows()
     table.require_order()

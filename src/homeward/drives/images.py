@@ -30,12 +30,7 @@ class Images:
 def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     """Return the images that a drive folder names; none when it has no images.csv.
 
-    Parameters
-    ----------
-    folder : Path
-        The drive folder.
-    remarks : dict of str to int
-        Where rows with the stamp of the row before are counted, which are left out.
+    Of equal stamps the first counts; `remarks` counts the others.
 
     Raises
     ------
@@ -57,18 +52,7 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
 
 
 def file_within(folder: Path, name: str | Path, what: str, told_in: Path) -> Path:
-    """Return a file that something in a folder names.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it must be.
-    name : str or Path
-        As it is named, seen from the folder.
-    what : str
-        Whose file it is, for messages.
-    told_in : Path
-        Where it is named, for messages.
+    """Return a file that must lie in `folder`; to messages it is `what`, named in file `told_in`.
 
     Raises
     ------

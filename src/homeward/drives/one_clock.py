@@ -37,14 +37,8 @@ def require_overlap(
 ) -> None:
     """Refuse things of which one begins long after another ended.
 
-    Parameters
-    ----------
-    spans : mapping of str to (float, float)
-        First and last time of each [s], by its name.
-    advice : str
-        What may be the matter, for the message.
-    path : Path, optional
-        Where they were read, for the message.
+    `spans` are first and last time of each [s], by name; messages speak of `path` and end with
+    `advice`.
 
     Raises
     ------
@@ -62,15 +56,7 @@ def require_overlap(
 
 
 def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
-    """Remark odometry whose stamps seem to be in a smaller unit than seconds.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Its stamps as they stand there, increasing.
-    remarks : dict of str to int
-        Where it is said.
-    """
+    """Remark odometry whose stamps `t`, (n,), seem to be in a smaller unit than seconds."""
     if t.size < FEWEST_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")

@@ -35,17 +35,7 @@ class FilterKernels(NamedTuple):
 def filter_kernels(
     kind: ExtendedKalmanFilter, engine: Engine = "auto", steps: int = 0
 ) -> FilterKernels:
-    """Return the kernels of a filter.
-
-    Parameters
-    ----------
-    kind : ExtendedKalmanFilter
-        The filter.
-    engine : {"auto", "interpreter", "native"}
-        See `homeward.filters.settings.Engine`.
-    steps : int
-        How many steps are coming, as far as that is known.
-    """
+    """Return the kernels of a filter; so many `steps` are coming, as far as that is known."""
 
     def native() -> NativeProgram:
         return NativeProgram(filter_program(kind))

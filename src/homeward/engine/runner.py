@@ -74,16 +74,7 @@ class Tuning:
 class FilterRunner:
     """Carries beliefs over intervals and through updates, and keeps them finite.
 
-    Parameters
-    ----------
-    kind : ExtendedKalmanFilter
-        The filter's symbolic steps.
-    tuning : Tuning
-        All its numbers.
-    engine : {"auto", "interpreter", "native"}
-        See `homeward.filters.settings.Engine`.
-    steps : int
-        How many steps are coming, as far as that is known.
+    So many `steps` are coming, as far as that is known.
     """
 
     def __init__(

@@ -63,20 +63,13 @@ def emit_split(
 
 
 def split_step(kind: ExtendedKalmanFilter, place: Place) -> Split:
-    """Return the propagation of the state and its Jacobians, for landmark ``i``.
+    """Return the propagation of the state and its Jacobians, for landmark ``i`` of any number.
 
     It reads ``x[3]``, ``control[2]``, ``BETA(i)``, ``STORED(i)`` (where home bearings are states,
-    `STORED_STATE`) and ``ACTIVE(i)``, and writes ``ahead[3]``, ``BETA(i)``, ``by_state[9]`` and
-    ``by_input[6]``, column-major; of the landmark's row ``G(i, 0)`` to ``G(i, 2)`` by the pose,
-    ``OWN(i)`` by its bearing, ``BY_STORED(i)`` by its home bearing, ``U(i, 0)`` and ``U(i, 1)`` by
-    the input.
-
-    Parameters
-    ----------
-    kind : ExtendedKalmanFilter
-        Of any number of landmarks.
-    place : callable
-        Where other inputs are read.
+    `STORED_STATE`), ``ACTIVE(i)`` and other inputs at their `place`, and writes ``ahead[3]``,
+    ``BETA(i)``, ``by_state[9]`` and ``by_input[6]``, column-major; of the landmark's row
+    ``G(i, 0)`` to ``G(i, 2)`` by the pose, ``OWN(i)`` by its bearing, ``BY_STORED(i)`` by its home
+    bearing, ``U(i, 0)`` and ``U(i, 1)`` by the input.
     """
     model = kind.model
     one = PolarModel(1, (0,) if model.estimated else (), model.guard)

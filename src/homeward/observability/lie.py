@@ -51,14 +51,7 @@ class ModelRank:
 def observe_model(landmarks: int, compass: bool = False, distances: bool = False) -> ModelRank:
     """Return the rank of the codistribution of the paper's model, and its null space.
 
-    Parameters
-    ----------
-    landmarks : int
-        q, from 1 to `MOST_LANDMARKS`.
-    compass : bool
-        Whether the heading alpha is measured too.
-    distances : bool
-        Whether the landmarks' distances from home are known.
+    A compass measures the heading, too; `distances` are those of the landmarks from home, known.
     """
     points = [model_point(landmarks, seed) for seed in range(POINTS)]
     order, found = 0, _ranks(landmarks, compass, distances, 0, points)

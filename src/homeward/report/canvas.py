@@ -104,12 +104,7 @@ def drawn(folder: Path, name: str, caption: str, figure: Figure) -> tuple[str, M
 def svg(figure: Figure, label: str) -> str:
     """Return a figure as an SVG element on no ground, to stand in a page, with nothing to fetch.
 
-    Parameters
-    ----------
-    figure : Figure
-        What to draw.
-    label : str
-        What it shows, for those who hear the page; plain words of ours.
+    `label`, plain words of ours, says what it shows to those who hear the page.
     """
     out = io.StringIO()
     with style(label):

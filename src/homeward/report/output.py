@@ -15,14 +15,9 @@ from homeward.studies.blocks.store import SCRATCH
 
 
 def check_output(directory: Path, marker: str) -> None:
-    """Refuse an output folder that holds something other than earlier output of ours.
+    """Refuse an output folder that holds something other than earlier output, told by a `marker`.
 
-    Parameters
-    ----------
-    directory : Path
-        May not exist yet.
-    marker : str
-        The file that tells earlier output.
+    The folder may not exist yet.
 
     Raises
     ------

@@ -82,14 +82,7 @@ def course_settings(
 ) -> DriveSettings:
     """Return what drive.yaml may tell of a course: never an error drawn, only its sigma.
 
-    Parameters
-    ----------
-    scenario : Course
-        What is driven.
-    bearing_sigma : float or None
-        Of the camera [rad], where known.
-    field_of_view : float
-        Of the camera [rad].
+    Sigma, where known, and field of view are those of the camera [rad].
     """
     errors, mount = scenario.odometry, scenario.sensor
     return DriveSettings(

@@ -58,12 +58,8 @@ class Camera:
     def look(self, robot: Pose) -> dict[str, float]:
         """Return id to bearing from the camera's axis [rad], as a log would hold it.
 
-        Each call draws the same amount from each stream, whatever is in view.
-
-        Parameters
-        ----------
-        robot : Pose
-            True pose of the robot's centre in the home frame.
+        `robot` is the true pose of its centre in the home frame. Each call draws the same amount
+        from each stream, whatever is in view.
         """
         world, sigma = self._world, self._scenario.noise.bearing_sigma
         camera = compose(world.home, compose(robot, self._scenario.sensor.pose))

@@ -58,13 +58,7 @@ def make_control(scenario: Course, start: Pose) -> Control:
 
 
 class Search:
-    """Circles through one point, wider and wider: far landmarks need a wide base.
-
-    Parameters
-    ----------
-    speed : float
-        [m/s]
-    """
+    """Circles through one point, wider and wider: far landmarks need a wide base."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
@@ -200,16 +194,9 @@ def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
 
 
 def advance(pose: Pose, twist: Twist, dt: float) -> Pose:
-    """Return where a unicycle gets to in `dt` [s]: exactly, on an arc.
+    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
 
-    Parameters
-    ----------
-    pose : Pose
-        Where it begins; heading [rad] is not wrapped here.
-    twist : Twist
-        Constant v [m/s] and omega [rad/s].
-    dt : float
-        [s]
+    Headings [rad] are not wrapped here.
     """
     half = 0.5 * twist.omega * dt
     # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.

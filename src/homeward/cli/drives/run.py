@@ -97,14 +97,9 @@ def _start(text: str | None) -> str | tuple[float, float, float] | None:
 
 
 def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
-    """Return the settings of a new run, or those of an earlier one.
+    """Return the settings of a new run of a drive, or, of a run.yaml, those of that run.
 
-    Parameters
-    ----------
-    drive : str
-        A drive, or the run.yaml of an earlier run.
-    given : dict
-        What options say, by name; must be empty with a run.yaml.
+    `given` is what options say, by name; there must be none with a run.yaml.
     """
     from homeward.drives.opening import SAMPLE
     from homeward.drives.text.settings import validated

@@ -56,16 +56,9 @@ class LogInfo:
 
 
 def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
-    """Look into a log, or a folder that holds a drive.
+    """Look into a log, or a folder that holds a drive, complete or not.
 
-    Parameters
-    ----------
-    path : Path
-        Whatever `homeward.drives.opening.open_drive` opens, or would, were it complete.
-    topics : Path, optional
-        A topics file to be tried.
-    tell : callable, optional
-        Told the fraction done.
+    `topics` is a topics file to be tried.
 
     Raises
     ------

@@ -67,10 +67,7 @@ def _naming_sqlite(path: Path) -> Iterator[None]:
 def writing(path: Path) -> Iterator[LogFile]:
     """Lend a log that becomes the file `path` when the block ends without an error.
 
-    Parameters
-    ----------
-    path : Path
-        Its suffix is .bag, .mcap or .db3; must not exist. Missing parents are made.
+    Its suffix is .bag, .mcap or .db3. Missing parents are made.
 
     Raises
     ------

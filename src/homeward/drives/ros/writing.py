@@ -30,16 +30,9 @@ BASE, CAMERA, HOME = "base_link", "camera", "home"
 
 
 def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
-    """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file.
+    """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file: .bag, .mcap or .db3.
 
-    Parameters
-    ----------
-    drive : Drive
-        What to write; its name and remarks are not part of the format.
-    path : Path
-        The file; its suffix .bag, .mcap or .db3 says which. It must not exist.
-    tell : callable, optional
-        Told the fraction done.
+    Its name and remarks are not part of the format.
 
     Raises
     ------

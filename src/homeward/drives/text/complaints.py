@@ -44,17 +44,7 @@ _WITHOUT_VALUE = (
 
 
 def complaint(error: ValidationError, model: type[Strict], values: Any) -> str:
-    """Return in one line what is wrong first of all, with the key in front.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What pydantic says.
-    model : type
-        Of the settings, for the key that a wrong one was meant to be.
-    values : Any
-        What was validated.
-    """
+    """Return in one line what is wrong first of all, with the key in front."""
     details = error.errors(include_url=False)
     # A key that is not known explains another that is missing.
     first = next((e for e in details if e["type"] == "extra_forbidden"), details[0])

@@ -35,16 +35,9 @@ class Key:
 
 
 def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key]:
-    """Yield the keys of a model, of the models within it too, each name once.
+    """Yield the keys of a model, of models within it too, each name once, with `head` before it.
 
-    Parameters
-    ----------
-    model : type
-        Whose keys.
-    head : str
-        Before each name.
-    given : Any
-        A model whose values are the defaults; of anything else, those of its fields are.
+    Defaults are the values of `given` where that is such a model, else those of the fields.
     """
     meanings, seen = _meanings(model), set[str]()
     for name, field in model.model_fields.items():

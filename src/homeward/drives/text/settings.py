@@ -21,14 +21,9 @@ LARGEST_SETTINGS = 2**20
 
 
 def read_settings(path: Path, model: type[Model]) -> Model:
-    """Read a settings model from a YAML file; a key without a value counts as absent.
+    """Read a settings model from a YAML file, UTF-8; a key without a value counts as absent.
 
-    Parameters
-    ----------
-    path : Path
-        The file, UTF-8.
-    model : type
-        A subclass of `Strict`, at most two levels of keys deep.
+    Its keys are at most two levels deep.
 
     Raises
     ------

@@ -97,14 +97,8 @@ def read_csv(
 ) -> Table:
     """Read the named columns of a CSV file with a header, in whatever order they stand.
 
-    Other columns, blank lines, a byte order mark and any line ending are accepted.
-
-    Parameters
-    ----------
-    path : Path
-        The file, UTF-8.
-    required, optional : mapping of str to Parser
-        Columns wanted; an optional one that the file lacks is not in the table.
+    Other columns, blank lines, a byte order mark and any line ending are accepted; an optional
+    column that the file lacks is not in the table.
 
     Raises
     ------
@@ -124,12 +118,7 @@ def read_csv(
 def read_columns(path: Path, names: Sequence[str]) -> Table:
     """Read a headerless file of numbers parted by white space; ``#`` begins a comment line.
 
-    Parameters
-    ----------
-    path : Path
-        The file, UTF-8.
-    names : sequence of str
-        The columns, in the order in which they stand in the file.
+    Its columns are called `names`, in their order.
 
     Raises
     ------

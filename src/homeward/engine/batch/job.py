@@ -122,16 +122,7 @@ def shaped(job: Job, result: Result) -> Result:
 def start_value(name: str, value: ArrayLike, shape: tuple[int, ...], runs: int) -> Given:
     """Return a variable's values at the start, for all runs at once or for each.
 
-    Parameters
-    ----------
-    name : str
-        Of the variable.
-    value : array_like
-        Of the variable's shape or broadcast to it; or with a leading axis of runs.
-    shape : tuple of int
-        Of the variable; (1,) for a number.
-    runs : int
-        In the batch.
+    They are of its `shape`, (1,) for a number, or broadcast to it; or with a leading axis of runs.
 
     Raises
     ------

@@ -17,14 +17,7 @@ _32 = np.uint64(32)
 
 
 def philox(counter: np.ndarray, seed: int) -> np.ndarray:
-    """Return 4 words of 32 random bits for each counter.
-
-    Parameters
-    ----------
-    counter : ndarray of uint64, shape (4, ...)
-        Words of 32 bits.
-    seed : int
-        In [0, 2^64).
+    """Return 4 words of 32 random bits for each counter, shape (4, ...), of such words.
 
     Returns
     -------

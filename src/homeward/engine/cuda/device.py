@@ -39,14 +39,7 @@ def bindings() -> tuple[ModuleType, ModuleType]:
 
 
 def compiled(text: str, architecture: str) -> bytes:
-    """Return the machine code of a CUDA C++ source; no GPU is needed.
-
-    Parameters
-    ----------
-    text : str
-        The source.
-    architecture : str
-        As ``sm_90``.
+    """Return the machine code of a CUDA C++ source for an architecture as ``sm_90``, without a GPU.
 
     Raises
     ------
@@ -147,15 +140,7 @@ class Gpu:
         return int(_checked(self._driver.cuMemGetInfo())[0])
 
     def kernel(self, text: str, threads: int, shared: int) -> Kernel:
-        """Compile and load ``homeward_batch``.
-
-        Parameters
-        ----------
-        text : str
-            Its CUDA C++.
-        threads, shared : int
-            Of a block: its threads, and the bytes of memory that they share.
-        """
+        """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
         return _kernel(self, text, threads, shared)
 
     @contextmanager
@@ -170,14 +155,7 @@ class Gpu:
     def launch(self, kernel: Kernel, argument: ctypes.Structure, groups: int) -> float:
         """Run a kernel on one argument, and return the seconds that it took.
 
-        Parameters
-        ----------
-        kernel : Kernel
-            Its threads fetch their work themselves.
-        argument : ctypes.Structure
-            What it takes.
-        groups : int
-            More blocks than this would have nothing to do.
+        Its threads fetch their work themselves; more blocks than `groups` would have nothing to do.
         """
         driver = self._driver
         pointers = (ctypes.c_void_p * 1)(ctypes.addressof(argument))

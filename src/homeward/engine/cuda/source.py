@@ -52,16 +52,10 @@ _KEPT = ("landmarks", "stored")
 
 
 def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
-    """Return the CUDA C++ of a job.
+    """Return the CUDA C++ of a job of a program that knows its filter.
 
-    Parameters
-    ----------
-    job : Job
-        Of a program that knows its filter.
-    single : bool
-        In floats, else in doubles.
-    group : int, optional
-        Threads a run, a power of two up to 32; None: what suits the size of the state.
+    Numbers are floats (`single`) or doubles. `group` is how many threads carry a run, a power of
+    two up to 32; None: what suits the state.
 
     Raises
     ------

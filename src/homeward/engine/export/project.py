@@ -23,16 +23,9 @@ _FILES = {
 
 
 def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
-    """Return all files of an exported EKF, by their place in the folder.
+    """Return all files of an exported EKF of q landmarks, by their place in the folder.
 
-    Parameters
-    ----------
-    q : int
-        Landmarks.
-    settings : FilterSettings
-        Its defaults; `engine` says nothing here.
-    single : bool
-        In floats, else in doubles.
+    Its defaults are the settings; numbers are floats (`single`) or doubles.
 
     Raises
     ------

@@ -43,16 +43,10 @@ def filled(name: str, values: Mapping[str, object]) -> str:
 
 
 def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
-    """Return the header and the source of an EKF, by file name.
+    """Return the header and the source of an EKF of q landmarks, by file name.
 
-    Parameters
-    ----------
-    q : int
-        Landmarks.
-    settings : FilterSettings
-        Guard and integration are compiled in, the others are defaults of the C.
-    single : bool
-        In floats, else in doubles.
+    Of the settings guard and integration are compiled in, the others are defaults of the C. Numbers
+    are floats (`single`) or doubles.
     """
     kind = ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
     step = step_lines(kind)

@@ -51,13 +51,6 @@ def of_lines(lines: Iterable[str]) -> Work:
 def most_work(q: int, settings: FilterSettings) -> dict[str, Work]:
     """Return what the functions of an exported EKF of `q` landmarks compute at most.
 
-    Parameters
-    ----------
-    q : int
-        Landmarks.
-    settings : FilterSettings
-        Of the export.
-
     Returns
     -------
     dict of str to Work

@@ -18,12 +18,7 @@ from pathlib import Path
 class Cache:
     """A folder of files of one kind: compiled code, or what was found in pictures.
 
-    Parameters
-    ----------
-    folder : Path
-        Made when something is first kept.
-    suffix : str
-        Of its files' names.
+    It is made when something is first kept; its files' names end in `suffix`.
     """
 
     def __init__(self, folder: Path, suffix: str = ".so") -> None:
@@ -61,15 +56,7 @@ class Cache:
         return None
 
     def keep(self, key: str, file: Path) -> Path:
-        """Move a file into the folder, in one step, and return where it is.
-
-        Parameters
-        ----------
-        key : str
-            What it is kept under.
-        file : Path
-            On the same file system, as one in `workshop` is.
-        """
+        """Move a file of the same file system into the folder, in one step; return where it is."""
         place = self.folder / f"{key}-{_checksum(file)}{self._suffix}"
         os.replace(file, place)
         return place

@@ -52,12 +52,7 @@ _COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL)
 
 
 class Code:
-    """The values of a symbolic function, none of them twice.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX.
+    """The values of a symbolic function of SX, none of them twice.
 
     Raises
     ------

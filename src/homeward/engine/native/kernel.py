@@ -15,11 +15,6 @@ from homeward.engine.stages import Program
 class NativeProgram:
     """A compiled program for one run, and the memory of its variables.
 
-    Parameters
-    ----------
-    program : Program
-        What to compute.
-
     Raises
     ------
     NativeError

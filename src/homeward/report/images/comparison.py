@@ -49,14 +49,7 @@ def write_comparison(
 ) -> None:
     """Write comparison.json, matches.csv and comparison.png, all or none.
 
-    Parameters
-    ----------
-    directory : Path
-        The folder; made when it is not there.
-    seen : Comparison
-        What came out.
-    images, views : Images, Views
-        The panoramas at home and now, and their features.
+    Of both `images` and `views`, home's comes first.
 
     Raises
     ------

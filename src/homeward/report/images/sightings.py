@@ -23,10 +23,7 @@ def describe_sightings(drive: Drive) -> str:
 def describe_moved(boxes: Mapping[str, bool]) -> str:
     """Say what was moved since home was stored, and how much of that a run can find out.
 
-    Parameters
-    ----------
-    boxes : mapping of str to bool
-        Each box that was moved, and whether home's picture shows it.
+    `boxes` are those that were moved; True where home's picture shows one.
     """
     if not boxes:
         return "Nothing was moved since home."

@@ -67,12 +67,7 @@ def rivals(M: float | str) -> dict[str, str]:
 def verdict(readings: Readings, M: float | str) -> list[str]:
     """Say in three sentences what holds, under which reading, and why.
 
-    Parameters
-    ----------
-    readings : mapping of (case, Reading) to Outcome
-        One or more readings of Cases 2 and 4; the first of them is that of the settings.
-    M : float or str
-        Of the row "PI-EKF".
+    `readings` are one or more of Cases 2 and 4, that of the settings first; `M` that of "PI-EKF".
     """
     called = rivals(M)
     moved = {reading: o for (case, reading), o in readings.items() if case == "2"}

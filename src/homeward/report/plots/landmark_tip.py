@@ -14,14 +14,7 @@ from homeward.track import Track
 def landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
     """Return lines on a landmark: whether it moved, its sightings, its residuals, its place.
 
-    Parameters
-    ----------
-    m : LandmarkEstimate
-        Of the track.
-    track : Track
-        What came out of the drive.
-    rows : ndarray of int
-        The landmark's entries among the track's innovations.
+    `rows` are its entries among the track's innovations.
     """
     lines = [_verdict(m, track), _sightings(m, track, rows), _residual(track, rows), _place(m)]
     return [line for line in lines if line]

@@ -36,16 +36,9 @@ CURSOR = "cursor"
 
 
 def new_plot(height: int, y_label: str, **options: Any) -> figure:
-    """Return an empty plot over the time of a drive, to be zoomed along it.
+    """Return an empty plot over the time of a drive, to be zoomed along it, `height` in px.
 
-    Parameters
-    ----------
-    height : int
-        [px]; the width is the page's.
-    y_label : str
-        Of the y-axis.
-    options
-        As for `bokeh.plotting.figure`.
+    `options` are those of `bokeh.plotting.figure`.
     """
     drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width")
     wheel.modifiers = {"ctrl": True}

@@ -42,13 +42,6 @@ def map_plot(track: Track, truth: Truth | None) -> figure:
 
     What the page's slider moves is named ``robot``, ``ellipse``, ``rays``, ``true-robot`` and
     ``landmarks``; the script fills these data sources.
-
-    Parameters
-    ----------
-    track : Track
-        Path, covariances and landmarks.
-    truth : Truth or None
-        Drawn as a thin line where there is any.
     """
     limits = map_limits(track, truth)
     plot = _empty()

@@ -25,13 +25,6 @@ USED, REJECTED, NEW = 0, 1, 2
 def moments(drive: Drive, track: Track) -> dict[str, Any]:
     """Return plain data for the page's script; lengths [m], angles [rad], times [s of the drive].
 
-    Parameters
-    ----------
-    drive : Drive
-        For its bearings, the camera's place and the truth.
-    track : Track
-        What came out.
-
     Returns
     -------
     dict
@@ -86,16 +79,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
 
 
 def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
-    """Return the bearings at each of some rows of a track, and what became of them.
-
-    Parameters
-    ----------
-    drive : Drive
-        Whose bearings.
-    track : Track
-        What became of them.
-    rows : ndarray of int, shape (m,)
-        Of the track.
+    """Return the bearings at each of some rows (m,) of a track, and what became of them.
 
     Returns
     -------

@@ -11,14 +11,9 @@ Label = TypeVar("Label")
 
 
 def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
-    """Return the rows that draw a line like `values`: its extremes and its breaks (NaN) stay.
+    """Return the rows that draw a line like `values`, (n,): its extremes and its breaks (NaN) stay.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        What is drawn.
-    most : int
-        How many rows may stay, roughly.
+    There are `most` of them, roughly.
     """
     if values.size <= most:
         return np.arange(values.size)
@@ -34,15 +29,7 @@ def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
 
 
 def thin_dots(size: np.ndarray, most: int) -> np.ndarray:
-    """Return rows of dots to draw: the tenth of `most` of greatest size, and evenly of the rest.
-
-    Parameters
-    ----------
-    size : ndarray, shape (n,)
-        What must not be lost where it is great.
-    most : int
-        How many rows may stay.
-    """
+    """Return rows of dots to draw: the tenth of `most` of greatest size, and evenly of the rest."""
     if size.size <= most:
         return np.arange(size.size)
     greatest = np.argsort(-size, kind="stable")[: most // 10]

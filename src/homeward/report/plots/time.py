@@ -32,17 +32,7 @@ def time_range(track: Track) -> Range1d:
 
 
 def error_plots(track: Track, truth: Truth, span: Range1d) -> Column:
-    """Return the errors of x, y and heading, with the 3-sigma bands claimed for them.
-
-    Parameters
-    ----------
-    track : Track
-        Estimates and covariances.
-    truth : Truth
-        True poses.
-    span : Range1d
-        Of time [s].
-    """
+    """Return the errors of x, y and heading, with the 3-sigma bands claimed for them."""
     judged = errors(track, truth)
     rows = np.searchsorted(track.t, judged.t)
     plots = [_status_strip(track, span)]
@@ -91,11 +81,6 @@ def chi_square_interval(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the 95 % interval of the mean of n squared unit normals.
 
     Wilson and Hilferty (1931), to 1 % for n of ten and more.
-
-    Parameters
-    ----------
-    n : ndarray of int
-        How many.
     """
     spread = 2.0 / (9.0 * n)
     low, high = ((1.0 - spread + z * np.sqrt(spread)) ** 3 for z in (-NORMAL_95, NORMAL_95))

@@ -28,17 +28,7 @@ BINS = 800
 
 
 def timeline(track: Track, sightings: Sightings, span: Range1d) -> figure:
-    """Return who was seen when; moved ones first, then the most seen.
-
-    Parameters
-    ----------
-    track : Track
-        What was made of them.
-    sightings : Sightings
-        All that were fed.
-    span : Range1d
-        Of time [s].
-    """
+    """Return who was seen when; moved ones first, then the most seen."""
     shown = _shown(track, sightings)
     plot = new_plot(60 + 19 * len(shown), "", x_range=span, y_range=Range1d(len(shown) - 0.4, -0.6))
     plot.ygrid.visible = False

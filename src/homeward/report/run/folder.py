@@ -34,18 +34,8 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
 
     The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap, report.html
     and run.yaml. They replace those of an earlier run; nothing else in the folder is touched.
-
-    Parameters
-    ----------
-    directory : Path
-        The output folder; made when it is not there.
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    settings : mapping
-        Every setting used, as plain data (str, numbers, bool, None, lists and dicts of them);
-        run.yaml holds them, and the versions of everything under ``versions``.
+    `settings` is every setting used, as plain data; run.yaml holds it, and the versions of
+    everything under ``versions``.
 
     Returns
     -------
@@ -73,15 +63,7 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
 
 
 def is_written_as(directory: Path, track: Track) -> bool:
-    """Return whether a run folder holds just the estimates of a track.
-
-    Parameters
-    ----------
-    directory : Path
-        What `write_run` wrote.
-    track : Track
-        Perhaps the same run, repeated.
-    """
+    """Return whether a run folder holds just the estimates of a track."""
     with tempfile.TemporaryDirectory() as scratch:
         write_estimate(Path(scratch) / ESTIMATE, track)
         again = (Path(scratch) / ESTIMATE).read_bytes()

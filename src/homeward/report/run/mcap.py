@@ -54,15 +54,6 @@ def write_recording(file: Path, drive: Drive, track: Track) -> None:
     (visualization_msgs/MarkerArray, as known at the end of the run, from its start on),
     /diagnostics (the status), and /homeward/truth (geometry_msgs/PoseStamped) where there is one.
 
-    Parameters
-    ----------
-    file : Path
-        Must end in .mcap, and not exist.
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-
     Raises
     ------
     InputError

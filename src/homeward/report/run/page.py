@@ -30,21 +30,7 @@ from homeward.track import Track
 def write_page(
     file: Path, drive: Drive, track: Track, metrics: Metrics, run: Mapping[str, Any]
 ) -> None:
-    """Write the page of a run.
-
-    Parameters
-    ----------
-    file : Path
-        Where to.
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    metrics : Metrics
-        `score` of that track.
-    run : mapping
-        What run.yaml holds: every setting, and the versions.
-    """
+    """Write the page of a run; `run` is what run.yaml holds: every setting, and the versions."""
     plots = _plots(drive, track)
     html = render(
         "report.html.j2",

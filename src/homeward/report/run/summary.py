@@ -15,15 +15,7 @@ OUTSIDE_3_SIGMA = 0.05
 
 
 def sentence(track: Track, metrics: Metrics) -> str:
-    """Say in one sentence what happened on a run.
-
-    Parameters
-    ----------
-    track : Track
-        What came out.
-    metrics : Metrics
-        `score` of that track.
-    """
+    """Say in one sentence what happened on a run."""
     if not track.t.size:
         return "Nothing happened: the drive holds no samples."
     duration = quantity(metrics.duration_s, "s")
@@ -48,15 +40,6 @@ def sentence(track: Track, metrics: Metrics) -> str:
 
 def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
     """Say how long the robot was localised, how far off it was, and what had moved.
-
-    Parameters
-    ----------
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    metrics : Metrics
-        `score` of that track.
 
     Returns
     -------

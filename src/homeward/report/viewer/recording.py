@@ -51,18 +51,7 @@ def check_display() -> None:
 
 
 def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> None:
-    """Write a recording, whole or not at all.
-
-    Parameters
-    ----------
-    file : Path
-        A recording there is replaced; missing folders are made.
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    images : Images
-        What the camera saw.
+    """Write a recording, whole or not at all; one that is there is replaced.
 
     Raises
     ------
@@ -84,17 +73,7 @@ def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> N
 
 
 def show(drive: Drive, track: Track, images: Images) -> None:
-    """Open Rerun's viewer, and stream a run to it; the viewer stays when this returns.
-
-    Parameters
-    ----------
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    images : Images
-        What the camera saw.
-    """
+    """Open Rerun's viewer, and stream a run to it; the viewer stays when this returns."""
     stream = rr.RecordingStream("homeward")
     stream.spawn(default_blueprint=blueprint(drive, track, images), hide_welcome_screen=True)
     log_run(stream, drive, track, images)

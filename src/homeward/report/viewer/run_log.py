@@ -26,19 +26,7 @@ PALE = (225, 230, 235)
 
 
 def log_run(stream: rr.RecordingStream, drive: Drive, track: Track, images: Images) -> None:
-    """Log everything that a run has.
-
-    Parameters
-    ----------
-    stream : RecordingStream
-        Where to.
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    images : Images
-        What the camera saw.
-    """
+    """Log everything that a run has."""
     stream.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_home(stream, drive)
     if not track.t.size:

@@ -54,12 +54,7 @@ class ImageDrive:
 class ImageLoop:
     """A robot at the start, with a camera, and with a front-end if its images are to steer it.
 
-    Parameters
-    ----------
-    eye : Eye
-        Its camera, in its room.
-    blind : bool
-        Whether images are only taken, and nothing made of them.
+    A `blind` one only takes them.
     """
 
     def __init__(self, eye: Eye, blind: bool = False) -> None:

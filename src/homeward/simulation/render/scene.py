@@ -88,15 +88,7 @@ class Scene:
 
 
 def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
-    """Return the scene of a furnished scenario.
-
-    Parameters
-    ----------
-    scenario : RenderScenario
-        See `furnished`.
-    at_home : bool
-        Whether boxes stand where they stood when home was stored.
-    """
+    """Return the scene of a `furnished` scenario: as when home was stored, or as it is now."""
     room = scenario.room
     names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(room.outline)))]
     names += [*scenario.boxes, *scenario.posters, *scenario.movers]

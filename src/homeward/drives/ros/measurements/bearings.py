@@ -42,15 +42,7 @@ class Sighting(NamedTuple):
 
 
 def sightings_of(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    """Return what a message of any of `READERS` tells.
-
-    Parameters
-    ----------
-    message : object
-        As rosbags decodes it.
-    told : BearingsTopic
-        How to understand it.
-    """
+    """Return what a message of any of `READERS`, as rosbags decodes it, tells."""
     return READERS[message.__msgtype__](message, told)
 
 

@@ -31,10 +31,7 @@ class Intrinsics(Strict):
     def bearings(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return bearings [rad] from the axis, anti-clockwise seen from above, shape (n,).
 
-        Parameters
-        ----------
-        u, v : ndarray, shape (n,)
-            Column and row of points in the raw image [pixel].
+        `u` and `v`, (n,), are column and row of points in the raw image [pixel].
         """
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         if not any(self.distortion):
@@ -74,14 +71,7 @@ class CameraRows:
 
 
 def from_camera_info(message: Any, rectified: bool) -> Intrinsics:
-    """Return the model that a CameraInfo message tells.
-
-    Parameters
-    ----------
-    message : object
-        As rosbags decodes it; ROS 1 has its matrices in capitals.
-    rectified : bool
-        Whether the points come from the rectified image, which has no distortion.
+    """Return the model that a CameraInfo message tells; in rectified images it has no distortion.
 
     Raises
     ------

@@ -19,12 +19,7 @@ def home_during(
 ) -> dict[str, HomeBearing]:
     """Return the mean direction of each landmark while the robot stood at home.
 
-    Parameters
-    ----------
-    interval : (float, float)
-        From and until, counted from the first sample of the drive [s].
-    odometry, seen
-        The drive.
+    The interval counts from the first sample of the drive [s].
 
     Raises
     ------

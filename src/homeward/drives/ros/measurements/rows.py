@@ -39,16 +39,8 @@ def clean_rows(
 ) -> np.ndarray:
     """Return rows in order of time, finite, and of equal stamps the last.
 
-    Parameters
-    ----------
-    rows : list or ndarray, shape (n, k)
-        At least one; the first column is the time [s].
-    topic : str
-        Where they are from.
-    what, repeats : str
-        What they are, and the reason under which equal stamps are counted.
-    remarks : Remarks
-        Where everything that is left out is counted.
+    They have shape (n, k), the time [s] first. `remarks` counts what is left out of `what`, and
+    equal stamps under `repeats`.
 
     Raises
     ------

@@ -40,14 +40,7 @@ def header_stamp(message: Message) -> int:
 def seconds(stamp: int, epoch: int, residue: float = 0.0) -> float:
     """Return the time [s] of a stamp [ns], counted from `epoch` [s]: the double nearest to it.
 
-    Parameters
-    ----------
-    stamp : int
-        [ns]
-    epoch : int
-        Whole seconds.
-    residue : float
-        What the stamp could not hold [s]; see `split`.
+    `residue` is what the stamp could not hold [s]; see `split`.
     """
     whole = stamp - epoch * NANO
     if residue == 0.0:
@@ -59,14 +52,7 @@ def split(t: float, epoch: int) -> tuple[int, float]:
     """Return stamp [ns] and residue [s] of a time, of which `seconds` makes the same double again.
 
     Stamps stay within what ROS can hold; the residue of a time before 0 or after January 2038 is
-    large.
-
-    Parameters
-    ----------
-    t : float
-        [s], from `epoch` on.
-    epoch : int
-        Whole seconds.
+    large. The time [s] counts from `epoch`, a whole second.
     """
     numerator, denominator = t.as_integer_ratio()
     nearest = (2 * NANO * numerator + denominator) // (2 * denominator)

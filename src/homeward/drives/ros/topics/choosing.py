@@ -26,13 +26,6 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 def choose(survey: Survey, told: LogSettings) -> LogSettings:
     """Return what was told, with guesses where nothing was.
 
-    Parameters
-    ----------
-    survey : Survey
-        What the log has.
-    told : LogSettings
-        What the user says.
-
     Raises
     ------
     InputError

@@ -106,14 +106,7 @@ class _Record:
 def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Survey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
-    Parameters
-    ----------
-    log : Log
-        What to walk.
-    keep : tuple of str
-        Topics of which the first message is kept.
-    tell : callable, optional
-        Told the fraction done.
+    Of the topics in `keep` the first message is kept.
 
     Raises
     ------

@@ -103,20 +103,9 @@ def upright(
 def prism(
     base: np.ndarray, bottom: float, top: float, skin: Skin, thing: int, seed: int
 ) -> list[Surfaces]:
-    """Return the sides of a prism over a polygon; each shows another part of the texture.
+    """Return the sides of a prism over an anti-clockwise polygon, (m, 2) [m], between two heights.
 
-    Parameters
-    ----------
-    base : ndarray, shape (m, 2)
-        Corners, anti-clockwise [m].
-    bottom, top : float
-        Heights [m].
-    skin : Skin
-        Its cover; the offset of each side is drawn.
-    thing : int
-        What it belongs to.
-    seed : int
-        Of the offsets.
+    Each shows another part of the texture, drawn by a seed.
     """
     rng, sides = np.random.default_rng(seed), []
     for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
@@ -134,20 +123,10 @@ def block(
     thing: int,
     seed: int,
 ) -> list[Surfaces]:
-    """Return the six faces of a box that stands on its base.
+    """Return the six faces of a box that stands on its base, at the height `bottom` [m].
 
-    Parameters
-    ----------
-    centre : tuple
-        x, y of its middle [m].
-    yaw : float
-        Of its first side [rad].
-    size : tuple
-        Length, width, height [m].
-    bottom : float
-        Height of its base [m].
-    skin, thing, seed
-        As for `prism`.
+    Its centre is (x, y) [m], its size length, width and height [m], its length at `yaw` [rad];
+    otherwise as `prism`.
     """
     base = footprint(centre, yaw, size[:2])
     top = bottom + size[2]

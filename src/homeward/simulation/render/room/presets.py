@@ -70,18 +70,10 @@ PLANS = {
 def room(
     name: str, seed: int = 0, distance: tuple[float, float] = (1.0, 4.0), moved: int = 3
 ) -> RenderScenario:
-    """Return a room with a homing drive through it; home, start and furniture follow the seed.
+    """Return a room of `PLANS` with a homing drive through it; all that is drawn follows the seed.
 
-    Parameters
-    ----------
-    name : str
-        A key of `PLANS`.
-    seed : int
-        Of everything in it.
-    distance : tuple of float
-        Least and greatest distance of the start from home [m], as far as the room lets.
-    moved : int
-        So many boxes stood elsewhere when home was stored.
+    The start is at a distance from home [m], least to greatest, as far as the room lets; so many
+    boxes stood elsewhere when home was stored.
 
     Raises
     ------
@@ -117,14 +109,7 @@ def load_room(
 ) -> RenderScenario:
     """Return a room by the name of a plan or from a YAML file, perhaps changed.
 
-    Parameters
-    ----------
-    source : str
-        A key of `PLANS`, or the path of a file.
-    seed : int, optional
-        Another than the file's, or than 0.
-    changes : mapping of str to value, optional
-        Keys in dots ("camera.width") to what they become.
+    A seed stands for the file's; changes are keys in dots ("camera.width") to values.
 
     Raises
     ------

@@ -41,14 +41,8 @@ def paint(texture: Texture) -> np.ndarray:
 def noise(rng: np.random.Generator, slope: float, coarsest: float = 1.0) -> np.ndarray:
     """Return seamless noise with mean 0 and deviation 1, shape (SIZE, SIZE).
 
-    Parameters
-    ----------
-    rng : Generator
-        Where chance comes from.
-    slope : float
-        The amplitude falls with this power of the frequency; 0 is white.
-    coarsest : float
-        Frequencies below so many cycles a tile are left out.
+    The amplitude falls with the power `slope` of the frequency; 0 is white. Frequencies below
+    `coarsest` cycles a tile are left out.
     """
     f = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)) * SIZE
     f[0, 0] = 1.0
