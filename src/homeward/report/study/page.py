@@ -57,7 +57,7 @@ def headline(results: Results) -> str:
 
 
 def _page(results: Results, pictures: list[tuple[str, str, Markup]]) -> str:
-    plan, rows = results.plan, table(results)
+    plan = results.plan
     names = [name for name, _, _ in pictures]
     cut = []
     if OVER_TIME in names and len(plan.cases) > MOST_PANELS:
@@ -71,9 +71,8 @@ def _page(results: Results, pictures: list[tuple[str, str, Markup]]) -> str:
         headline=headline(results),
         closed=plan.study.loop == "closed",
         home_radius=plan.study.home_radius,
-        head=rows[0],
-        rows=rows[1:],
-        figures=pictures,
+        rows=table(results),
+        figures=[picture for _, *picture in pictures],
         over_time=OVER_TIME in names,
         cut=listing(cut) if cut else "",
         below=note_below(below(results)),
