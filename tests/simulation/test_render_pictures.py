@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from rooms import scenario
+from shapely import Polygon, contains_xy
 
 from homeward.control import Twist
 from homeward.drives.text.settings import validated
@@ -17,7 +18,6 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import viewpoint
 from homeward.simulation.render.rays.surfaces import footprint
 from homeward.simulation.render.room.furnish import furnished
-from homeward.simulation.render.room.outline import inside
 from homeward.simulation.render.room.presets import PLANS, load_room, room
 from homeward.simulation.render.room.settings import Mover, RenderScenario
 from homeward.simulation.render.scene import build_scene, place_on_path
@@ -167,7 +167,6 @@ def test_shadows_fall_behind_a_box():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rooms_hold_what_they_say_and_leave_the_way_free(name, seed):
     made = furnished(room(name, seed))
-    corners = np.array(made.room.outline)
     assert len(made.boxes) == PLANS[name].boxes
     assert len(made.posters) == PLANS[name].posters
     assert sum(box.stood is not None for box in made.boxes.values()) == 3
@@ -175,16 +174,18 @@ def test_rooms_hold_what_they_say_and_leave_the_way_free(name, seed):
     start = compose(home, made.start.in_home_frame(home))
     for share in np.linspace(0, 1, 11):
         x, y = home.x + share * (start.x - home.x), home.y + share * (start.y - home.y)
-        assert inside(corners, x, y)
+        assert contains_xy(made.room.polygon, x, y)
         for box in made.boxes.values():
             for stand in (box, box.stood or box):
-                assert not inside(footprint(stand.at, stand.yaw, box.size[:2]), x, y)
+                base = Polygon(footprint(stand.at, stand.yaw, box.size[:2]))
+                assert not contains_xy(base, x, y)
                 assert math.hypot(stand.at[0] - x, stand.at[1] - y) > 0.6
     for turned in np.linspace(0, 2 * math.pi, 30):
         on_arc = advance(start, Twist(0.1, 0.1 / SEARCH_RADIUS), turned * SEARCH_RADIUS / 0.1)
         for box in made.boxes.values():
             size = (box.size[0] + 0.3, box.size[1] + 0.3)
-            assert not inside(footprint(box.at, box.yaw, size), on_arc.x, on_arc.y)
+            base = Polygon(footprint(box.at, box.yaw, size))
+            assert not contains_xy(base, on_arc.x, on_arc.y)
 
 
 def test_furnishing_twice_changes_nothing():

@@ -7,6 +7,7 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from shapely import Polygon, contains_xy
 
 from homeward.simulation.render.rays.raycast import Viewpoint
 from homeward.simulation.render.rays.surfaces import (
@@ -17,7 +18,6 @@ from homeward.simulation.render.rays.surfaces import (
     rectangle,
     upright,
 )
-from homeward.simulation.render.room.outline import inside
 from homeward.simulation.render.room.settings import Light, Mover, RenderScenario
 from homeward.simulation.render.shading.lighting import bake, shine
 from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas
@@ -60,7 +60,7 @@ class Scene:
 
     def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
         """Return what a robot at (x, y) [m] would stand in or outside of; None: it stands free."""
-        if not inside(np.array(self.scenario.room.outline), x, y):
+        if not contains_xy(self.scenario.room.polygon, x, y):
             return "a wall"
         for name, box in self.scenario.boxes.items():
             stand = box.where(self.at_home)
@@ -68,7 +68,7 @@ class Scene:
             if math.dist(stand.at, (x, y)) > 0.5 * math.hypot(*size):
                 continue
             below = box.base < self.scenario.camera.above_floor + margin
-            if below and inside(footprint(stand.at, stand.yaw, size), x, y):
+            if below and contains_xy(Polygon(footprint(stand.at, stand.yaw, size)), x, y):
                 return name
         return None
 
@@ -214,6 +214,6 @@ def _lamp(scenario: RenderScenario) -> Light:
     """Return a lamp under the ceiling, over home if the room's middle is outside of it."""
     corners = np.array(scenario.room.outline, float)
     x, y = corners.mean(axis=0).tolist()
-    if not inside(corners, x, y):
+    if not contains_xy(scenario.room.polygon, x, y):
         x, y = scenario.home.x, scenario.home.y
     return Light(at=(x, y, 0.92 * scenario.room.height))

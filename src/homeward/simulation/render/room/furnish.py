@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from shapely import LineString, Point, contains_xy
 
 from homeward.drives.drive import Strict
 from homeward.errors import InputError
 from homeward.frames import Pose, compose
 from homeward.simulation.render.rays.surfaces import footprint
-from homeward.simulation.render.room.outline import distance_to, inside
 from homeward.simulation.render.room.settings import (
     Box,
     Mover,
@@ -67,6 +67,7 @@ class _Room:
     """What chance must respect."""
 
     def __init__(self, scenario: RenderScenario) -> None:
+        self.floor = scenario.room.polygon
         self.corners = np.array(scenario.room.outline, float)
         self.height = scenario.room.height
         sides = np.roll(self.corners, -1, axis=0) - self.corners
@@ -76,7 +77,7 @@ class _Room:
         home = scenario.home.pose
         start = compose(home, scenario.start.in_home_frame(home))
         points = scenario.trajectory.points if scenario.trajectory.kind == "waypoints" else ()
-        self.way = np.array([(start.x, start.y), *points, (home.x, home.y)], float)
+        self.way = LineString([(start.x, start.y), *points, (home.x, home.y)])
         self.arc = compose(start, Pose(0.0, SEARCH_RADIUS, 0.0))
 
     def wall(self, rng: np.random.Generator) -> int:
@@ -86,7 +87,7 @@ class _Room:
     def holds(self, base: np.ndarray) -> bool:
         """Say whether a footprint (4, 2) stands within the walls."""
         fine = np.concatenate([base + f * (np.roll(base, -1, 0) - base) for f in (0, 0.25, 0.5)])
-        return all(inside(self.corners, x, y) for x, y in fine)
+        return bool(contains_xy(self.floor, fine).all())
 
     def clear_of_arc(self, at: Place, radius: float) -> bool:
         """Say whether a disc [m] leaves the first arc free."""
@@ -94,12 +95,7 @@ class _Room:
 
     def clear_of_way(self, at: Place, radius: float) -> bool:
         """Say whether a disc [m] leaves the way free."""
-        if len(self.way) > 1 and np.ptp(self.way, axis=0).max() > 1e-6:
-            # There and back: a line, taken as a polygon without an inside.
-            line = np.concatenate([self.way, self.way[-2:0:-1]])
-            keep = np.hypot(*(line - np.roll(line, -1, axis=0)).T) > 1e-9
-            return distance_to(line[keep], *at) > radius + CLEAR
-        return math.hypot(at[0] - self.way[0, 0], at[1] - self.way[0, 1]) > radius + CLEAR
+        return bool(self.way.distance(Point(at)) > radius + CLEAR)
 
 
 def _names(kind: str, count: int, taken: Mapping[str, Strict]) -> list[str]:
@@ -169,7 +165,8 @@ def _mover(rng: np.random.Generator, room: _Room) -> Mover:
         at = room.corners[wall] + rng.uniform(0.1, 0.9) * room.lengths[wall] * room.along[wall]
         x, y = (at + 0.5 * room.inward[wall]).tolist()
         near = path and math.hypot(x - path[0][0], y - path[0][1]) < 0.4 * room.lengths.max()
-        if inside(room.corners, x, y) and distance_to(room.corners, x, y) > 0.3 and not near:
+        free = contains_xy(room.floor, x, y) and room.floor.exterior.distance(Point(x, y)) > 0.3
+        if free and not near:
             path.append((round(x, 3), round(y, 3)))
         if len(path) == 2:
             height = min(round(rng.uniform(1.55, 1.9), 3), 0.9 * room.height)

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shapely import Polygon, contains_xy, points
+from shapely import distance as distance_between
 
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
 from homeward.frames import Pose, between
 from homeward.simulation.files import changed_scenario
-from homeward.simulation.render.room.outline import distance_to, inside
 from homeward.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
 
@@ -133,13 +134,16 @@ def _poses(
     """Draw home and start, the way between them free of walls."""
     corners = np.array(plan.outline, float)
     low, high = corners.min(axis=0), corners.max(axis=0)
+    floor = Polygon(corners)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), -1).reshape(-1, 2)
+    # As far from all walls as one can be, roughly.
+    free = min(FREE, float(_from_walls(floor, grid).max()) - 0.05)
     best: tuple[float, Pose, Pose] | None = None
     for _ in range(TRIES):
         (hx, hy), (sx, sy) = rng.uniform(low, high, (2, 2)).round(3).tolist()
         headings = rng.uniform(-math.pi, math.pi, 2).round(3).tolist()
-        steps = np.linspace([hx, hy], [sx, sy], 9)
-        far = [distance_to(corners, *at) if inside(corners, *at) else 0.0 for at in steps.tolist()]
-        if min(far) < HOME_FREE or far[-1] < min(FREE, _widest(corners) - 0.05):
+        far = _from_walls(floor, np.linspace([hx, hy], [sx, sy], 9))
+        if far.min() < HOME_FREE or far[-1] < free:
             continue
         way = math.hypot(sx - hx, sy - hy)
         home, start = Pose(hx, hy, headings[0]), Pose(sx, sy, headings[1])
@@ -153,8 +157,7 @@ def _poses(
     return best[1:]
 
 
-def _widest(corners: np.ndarray) -> float:
-    """Return how far from all walls one can be, roughly [m]."""
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), -1).reshape(-1, 2).tolist()
-    return max(distance_to(corners, *at) for at in grid if inside(corners, *at))
+def _from_walls(floor: Polygon, places: np.ndarray) -> np.ndarray:
+    """Return how far places (n, 2) are from all walls [m]; 0 for those outside of them."""
+    far = distance_between(floor.exterior, points(places))
+    return np.where(contains_xy(floor, places), far, 0.0)

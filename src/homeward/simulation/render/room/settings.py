@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
+from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.simulation.render.room.outline import crosses_itself, inside, is_clockwise
 from homeward.simulation.scenario import (
     Course,
     Interval,
@@ -30,9 +30,10 @@ def _simple(outline: tuple[Point, ...]) -> tuple[Point, ...]:
     corners = np.array(outline, float)
     if np.any(np.hypot(*(corners - np.roll(corners, -1, axis=0)).T) < 0.01):
         raise ValueError("two corners in a row are the same")
-    if crosses_itself(corners):
+    ring = LinearRing(corners)
+    if not ring.is_simple:
         raise ValueError("the walls cross each other")
-    return tuple(reversed(outline)) if is_clockwise(corners) else outline
+    return outline if ring.is_ccw else tuple(reversed(outline))
 
 
 Outline = Annotated[tuple[Place, ...], Field(min_length=3, max_length=200), AfterValidator(_simple)]
@@ -49,6 +50,11 @@ class Walls(Strict):
     walls: TextureName = "plaster"
     floor: TextureName = "carpet"
     ceiling: TextureName = "plaster"
+
+    @property
+    def polygon(self) -> Polygon:
+        """The floor."""
+        return Polygon(self.outline)
 
 
 class Stand(Strict):
@@ -172,14 +178,14 @@ class RenderScenario(Course):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        outline = np.array(self.room.outline, float)
-        if not inside(outline, self.home.x, self.home.y):
+        outline, floor = np.array(self.room.outline, float), self.room.polygon
+        if not contains_xy(floor, self.home.x, self.home.y):
             raise ValueError("home: outside the room")
         if self.camera.above_floor >= self.room.height:
             raise ValueError("camera.above_floor: through the ceiling")
         points = self.trajectory.points if self.trajectory.kind == "waypoints" else ()
         for i, (x, y) in enumerate(points):
-            if not inside(outline, x, y):
+            if not contains_xy(floor, x, y):
                 raise ValueError(f"trajectory.points.{i}: outside the room")
         names = [*self.boxes, *self.posters, *self.movers, "floor", "ceiling"]
         names += [f"wall {i}" for i in range(len(outline))]
@@ -195,9 +201,9 @@ class RenderScenario(Course):
             if not half_height <= poster.height <= self.room.height - half_height:
                 raise ValueError(f"posters.{name}: higher than the wall, or through the floor")
         for name, mover in self.movers.items():
-            if not all(inside(outline, x, y) for x, y in mover.path):
+            if not contains_xy(floor, mover.path).all():
                 raise ValueError(f"movers.{name}: outside the room")
         for i, light in enumerate(self.lights):
-            if not inside(outline, *light.at[:2]) or not 0 < light.at[2] < self.room.height:
+            if not contains_xy(floor, *light.at[:2]) or not 0 < light.at[2] < self.room.height:
                 raise ValueError(f"lights.{i}: outside the room")
         return self
