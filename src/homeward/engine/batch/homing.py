@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
@@ -112,40 +111,46 @@ def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
     return Program(parts, one)
 
 
-@dataclass
-class HomingResult:
+class HomingResult(Result):
     """What came out of many closed loops; arrays run over the runs. Samples include the start."""
 
-    samples: np.ndarray
-    """(runs,), int: samples observed before the run ended or diverged."""
-    reached: np.ndarray
-    """(runs,), bool: the estimated R came below the stop radius."""
-    diverged: np.ndarray
-    """(runs,), bool: the belief became too large or no number; its last good sample is kept."""
-    rmse: np.ndarray
-    """(runs, 3), of R [m], theta, alpha [rad] over a run's samples; infinite where diverged."""
-    nees: np.ndarray
-    """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged, NaN
-    where the covariance was singular at some sample."""
-    pose: np.ndarray
-    """(runs, 3), true x [m], y [m], heading [rad] at the last sample."""
-    state: np.ndarray
-    """(runs, n), the estimate at the last sample."""
-    history: dict[str, np.ndarray]
-    """(runs, steps + 1, *shape) of the variables asked for, NaN after a run's last sample."""
-    engine: str
-    """What executed it: native, interpreter or cuda."""
-    notes: tuple[str, ...]
-    """What the user must know of that, each a sentence."""
-    seconds: float
-    """Of a GPU's time [s]."""
-    again: int
-    """Runs that a GPU computed again in doubles."""
+    @property
+    def reached(self) -> np.ndarray:
+        """(runs,), bool: the estimated R came below the stop radius."""
+        return self.stopped
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """(runs, 3), of R [m], theta, alpha [rad] over a run's samples; infinite where diverged."""
+        return np.asarray(np.sqrt(self._mean("squared_error")))
+
+    @property
+    def nees(self) -> np.ndarray:
+        """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged.
+
+        NaN where the covariance was singular at some sample.
+        """
+        return self._mean("nees")[:, 0]
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(runs, 3), true x [m], y [m], heading [rad] at the last sample."""
+        return self.final["pose"]
+
+    @property
+    def state(self) -> np.ndarray:
+        """(runs, n), the estimate at the last sample."""
+        return self.final["state"]
 
     @property
     def final_distance(self) -> np.ndarray:
         """True distance from home at the last sample [m], (runs,)."""
         return np.asarray(np.hypot(self.pose[:, 0], self.pose[:, 1]))
+
+    def _mean(self, name: str) -> np.ndarray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.sums[name] / self.samples[:, None]
+        return np.where(self.diverged[:, None], np.inf, mean)
 
 
 def run_homing(
@@ -230,7 +235,7 @@ def run_homing(
         history=tuple(history),
         stop="arrived",
     )
-    return _scored(execute(job, engine, threads, precision))
+    return HomingResult(**vars(execute(job, engine, threads, precision)))
 
 
 def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
@@ -238,25 +243,4 @@ def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Dr
     scales = {g.name: g.values for g in start}
     return tuple(
         d for d in DRAWS if d.name not in series and np.any(scales.get(d.scale, np.zeros(1)))
-    )
-
-
-def _scored(result: Result) -> HomingResult:
-    """Return means for sums."""
-    lost = result.diverged
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = {k: v / result.samples[:, None] for k, v in result.sums.items()}
-    return HomingResult(
-        samples=result.samples,
-        reached=result.stopped,
-        diverged=lost,
-        rmse=np.where(lost[:, None], np.inf, np.sqrt(mean["squared_error"])),
-        nees=np.where(lost, np.inf, mean["nees"][:, 0]),
-        pose=result.final["pose"],
-        state=result.final["state"],
-        history=result.history,
-        engine=result.engine,
-        notes=result.notes,
-        seconds=result.seconds,
-        again=result.again,
     )

@@ -79,7 +79,7 @@ class Result:
     stopped: np.ndarray
     """(runs,), bool: ended by the program's own word."""
     diverged: np.ndarray
-    """(runs,), bool."""
+    """(runs,), bool: the belief became too large or no number; its last good sample is kept."""
     sums: dict[str, np.ndarray]
     """(runs, entries), over a run's samples."""
     final: dict[str, np.ndarray]
