@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -12,31 +11,14 @@ from homeward.cli.options import Changes, key_values
 from homeward.cli.terminal import say, table
 
 
-class Filter(StrEnum):
-    """What can be exported."""
-
-    EKF = "ekf"
-
-
-class Target(StrEnum):
-    """Languages."""
-
-    C = "c"
-
-
-class Precision(StrEnum):
-    """Numbers."""
-
-    FLOAT = "float"
-    DOUBLE = "double"
-
-
 def export(
-    estimator: Annotated[Filter, typer.Argument(help="Which filter.")],
+    estimator: Annotated[Literal["ekf"], typer.Argument(help="Which filter.")],
     landmarks: Annotated[int, typer.Option(help="How many home saw, 1 to 32.")],
     out: Annotated[Path, typer.Option(help="The folder to write.")],
-    target: Annotated[Target, typer.Option(help="The language.")] = Target.C,
-    precision: Annotated[Precision, typer.Option(help="Of its numbers.")] = Precision.FLOAT,
+    target: Annotated[Literal["c"], typer.Option(help="The language.")] = "c",
+    precision: Annotated[
+        Literal["float", "double"], typer.Option(help="Of its numbers.")
+    ] = "float",
     changes: Changes = None,
 ) -> None:
     """Write a filter as a C library for microcontrollers.
@@ -51,13 +33,13 @@ def export(
     from homeward.report.output import check_output, whole_folder
 
     settings = validated(FilterSettings, key_values(changes or []))
-    files = project(landmarks, settings, precision is Precision.FLOAT)
+    files = project(landmarks, settings, precision == "float")
     check_output(out, MARKER)
     with whole_folder(out, MARKER) as scratch:
         for name, text in files.items():
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_text(text, encoding="utf-8")
-    say(f"{estimator.value} of {landmarks} landmarks in {precision.value}s: {out / 'src'}")
+    say(f"{estimator} of {landmarks} landmarks in {precision}s: {out / 'src'}")
     rows = [
         (k, f"{w.arithmetic:,}", f"{w.functions:,}")
         for k, w in most_work(landmarks, settings).items()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,14 +14,6 @@ if TYPE_CHECKING:
     from homeward.simulation.simulate import Simulation
 
 
-class Kind(StrEnum):
-    """Trajectories."""
-
-    HOMING = "homing"
-    CIRCLE = "circle"
-    WAYPOINTS = "waypoints"
-
-
 def simulate(
     scenario: Annotated[
         str, typer.Argument(help="A preset (warehouse, paper-homing, circle) or a YAML file.")
@@ -30,7 +21,8 @@ def simulate(
     out: Annotated[Path, typer.Option(help="The drive folder to write.")],
     seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
     trajectory: Annotated[
-        Kind | None, typer.Option(help="Another trajectory than the scenario's.")
+        Literal["homing", "circle", "waypoints"] | None,
+        typer.Option(help="Another trajectory than the scenario's."),
     ] = None,
     estimator: Annotated[
         str | None, typer.Option(help="Whose pose steers: truth, robust, ekf, a-ekf, pi-ekf.")
@@ -50,7 +42,7 @@ def simulate(
 
     options = {
         "seed": seed,
-        "trajectory.kind": trajectory and trajectory.value,
+        "trajectory.kind": trajectory,
         "estimator": estimator,
     }
     given = {key: value for key, value in options.items() if value is not None}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -26,21 +25,14 @@ IMAGE_RUNS = 10
 """Layouts per case when every sample must be rendered."""
 
 
-class Measurements(StrEnum):
-    """Where bearings come from."""
-
-    MODEL = "model"
-    IMAGES = "images"
-
-
 def reproduce(
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/paper, or out/paper-study].")
     ] = None,
     measurements: Annotated[
-        Measurements,
+        Literal["model", "images"],
         typer.Option(help="Bearings from the model's equations, or from rendered panoramas."),
-    ] = Measurements.MODEL,
+    ] = "model",
     runs: Annotated[
         int | None, typer.Option(help="Random layouts per case [100; images: 10; study: 10000].")
     ] = None,
@@ -75,7 +67,7 @@ def reproduce(
     from homeward.drives.text.settings import nested
 
     values = nested(key_values(changes or []))
-    imaged = measurements is Measurements.IMAGES
+    imaged = measurements == "images"
     if study:
         if imaged:
             raise InputError("--study has no images: leave out --measurements images")
@@ -83,7 +75,7 @@ def reproduce(
         return
     if imaged:
         values = {"runs": IMAGE_RUNS} | values
-    values["measurements"] = measurements.value
+    values["measurements"] = measurements
     values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
     _cases(out or Path("out/paper"), (scheduler, workers), values)
 
