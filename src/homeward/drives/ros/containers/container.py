@@ -120,7 +120,10 @@ class Source:
 
 
 class RecordFile(ABC):
-    """A `Log` that is one file of records behind a line that says what it is."""
+    """A `Log` that is one file of records behind a line that says what it is.
+
+    At the end of a walk the file's index must tell of what was met.
+    """
 
     kind: str
     magic: bytes
@@ -132,12 +135,17 @@ class RecordFile(ABC):
     def messages(self) -> Iterator[Message]:
         """Walk the messages; see `Log`."""
         with walking(self.path), opened(self.path) as stream:
-            source = Source(self.path, stream)
-            source.take(len(self.magic), "the first line")
-            yield from self.walk(source)
+            self._source, self._budget = Source(self.path, stream), Budget(self.path)
+            self._unpacker = Unpacker(self._budget)
+            self._channels: dict[int, Channel] = {}
+            self._chunks: set[int] = set()
+            self._indexed: set[int] = set()
+            self._met = 0
+            self._source.take(len(self.magic), "the first line")
+            yield from self._walk()
 
     @abstractmethod
-    def walk(self, source: Source) -> Iterator[Message]:
+    def _walk(self) -> Iterator[Message]:
         """Walk the messages behind the first line."""
 
 

@@ -7,12 +7,9 @@ from binascii import crc32
 from collections.abc import Iterator
 
 from homeward.drives.ros.containers.container import (
-    Budget,
     Channel,
     Message,
     RecordFile,
-    Source,
-    Unpacker,
     ros2_type,
 )
 from homeward.errors import InputError
@@ -29,26 +26,9 @@ class Mcap(RecordFile):
 
     kind, magic = "MCAP", MAGIC
 
-    def walk(self, source: Source) -> Iterator[Message]:
-        """Walk the messages behind the first line."""
-        return _Walk(self, source).messages()
-
-
-class _Walk:
-    """One walk through a file; at its end its index must tell of what was met."""
-
-    def __init__(self, log: Mcap, source: Source) -> None:
-        self._log, self._source = log, source
-        self._budget = Budget(log.path)
-        self._unpacker = Unpacker(self._budget)
+    def _walk(self) -> Iterator[Message]:
         self._schemas: dict[int, tuple[str, str, str]] = {}
-        self._channels: dict[int, Channel] = {}
-        self._chunks: set[int] = set()
-        self._indexed: set[int] = set()
-        self._met = 0
         self._counted: int | None = None
-
-    def messages(self) -> Iterator[Message]:
         source, op = self._source, 0
         while op != _FOOTER:
             start = source.at
@@ -58,7 +38,7 @@ class _Walk:
                 source.skip(size, "a record")
                 continue
             record = memoryview(source.take(size, "a record"))
-            self._log.done = source.done
+            self.done = source.done
             if op == _CHUNK:
                 self._chunks.add(start)
                 for inner, content in _records(self._chunk(record)):

@@ -7,12 +7,9 @@ from collections.abc import Iterator
 from typing import TypeAlias
 
 from homeward.drives.ros.containers.container import (
-    Budget,
     Channel,
     Message,
     RecordFile,
-    Source,
-    Unpacker,
     ros2_type,
 )
 from homeward.errors import InputError
@@ -30,25 +27,9 @@ class Rosbag1(RecordFile):
 
     kind, magic = "ROS 1 bag", MAGIC
 
-    def walk(self, source: Source) -> Iterator[Message]:
-        """Walk the messages behind the first line."""
-        return _Walk(self, source).messages()
-
-
-class _Walk:
-    """One walk through a bag; at its end the bag's index must tell of what was met."""
-
-    def __init__(self, log: Rosbag1, source: Source) -> None:
-        self._log, self._source = log, source
-        self._budget = Budget(log.path)
-        self._unpacker = Unpacker(self._budget)
-        self._channels: dict[int, Channel] = {}
-        self._chunks: set[int] = set()
-        self._indexed: set[int] = set()
-        self._met = self._counted = 0
+    def _walk(self) -> Iterator[Message]:
+        self._counted = 0
         self._declared: tuple[int, int] | None = None
-
-    def messages(self) -> Iterator[Message]:
         source = self._source
         while source.at < source.size:
             start = source.at
@@ -57,7 +38,7 @@ class _Walk:
             if op == _CHUNK:
                 self._chunks.add(start)
                 chunk = source.take(size, "a chunk")
-                self._log.done = source.done
+                self.done = source.done
                 yield from self._chunk(fields, chunk)
             elif op in (_CONNECTION, _CHUNK_INFO, _HEADER, _MESSAGE):
                 record = memoryview(source.take(size, "a record"))
