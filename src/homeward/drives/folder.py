@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import tempfile
@@ -30,6 +29,7 @@ from homeward.drives.text.table import (
     numbers_or_nothing,
     quoted,
     read_csv,
+    write_csv,
 )
 from homeward.errors import InputError
 
@@ -214,11 +214,8 @@ def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
     if not drive.odometry.t.size:
         raise InputError("no rows", folder / ODOMETRY)
     for name, columns in _columns(drive).items():
-        with (staging / name).open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(columns)
-            cells = [_cells(column, values, folder / name) for column, values in columns.items()]
-            writer.writerows(zip(*cells, strict=True))
+        cells = [_cells(column, values, folder / name) for column, values in columns.items()]
+        write_csv(staging / name, columns, zip(*cells, strict=True))
     if text := settings_yaml(drive.settings):
         (staging / SETTINGS).write_text(text, encoding="utf-8")
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from decimal import Decimal
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
+from homeward.drives.text.table import write_csv
 from homeward.estimator import LandmarkEstimate
 from homeward.scoring import Metrics
 from homeward.track import Track
@@ -34,7 +33,7 @@ def write_estimate(file: Path, track: Track) -> None:
         [repr(t), *map(number, pose), status.value]
         for t, pose, status in zip(track.t.tolist(), poses.tolist(), track.status, strict=True)
     )
-    _write_csv(file, ESTIMATE_HEADER, rows)
+    write_csv(file, ESTIMATE_HEADER.split(","), rows)
 
 
 def write_trajectory(file: Path, track: Track, epoch: int = 0) -> None:
@@ -75,7 +74,7 @@ def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
         ]
         for landmark in landmarks
     )
-    _write_csv(file, LANDMARKS_HEADER, rows)
+    write_csv(file, LANDMARKS_HEADER.split(","), rows)
 
 
 def write_metrics(file: Path, metrics: Metrics) -> None:
@@ -87,22 +86,3 @@ def write_metrics(file: Path, metrics: Metrics) -> None:
 def number(value: float) -> str:
     """Return a number to nine significant digits, or nothing where there is none."""
     return f"{value:.9g}" if math.isfinite(value) else ""
-
-
-def _write_csv(file: Path, header: str, rows: Iterable[Sequence[object]]) -> None:
-    """Write a CSV file as RFC 4180 has it, but with plain line ends."""
-    with file.open("w", encoding="utf-8", newline="") as out:
-        writer = csv.writer(_PlainEnds(out))
-        writer.writerow(header.split(","))
-        writer.writerows(rows)
-
-
-class _PlainEnds:
-    """Turns the line end of each row; with its own, csv quotes a carriage return in a name."""
-
-    def __init__(self, out: TextIO) -> None:
-        self.out = out
-
-    def write(self, row: str) -> int:
-        """Take one whole row."""
-        return self.out.write(row.removesuffix("\r\n") + "\n")

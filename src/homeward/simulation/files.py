@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +11,7 @@ import yaml
 from homeward.drives.folder import write_folder
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import key_parts, read_settings, validated
+from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
 from homeward.simulation.presets import PRESETS
 from homeward.simulation.scenario import Course, Scenario
@@ -100,11 +100,9 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> None:
 
 
 def _write_world(world: World, path: Path) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["landmark", "x", "y", "moved", "fault"])
-        for landmark, (x, y), fault in zip(
-            world.ids, world.in_home_frame, world.fault, strict=True
-        ):
-            moved = int(fault != 0.0)
-            writer.writerow([landmark, quantise(x, 4), quantise(y, 4), moved, quantise(fault, 5)])
+    columns = zip(world.ids, world.in_home_frame, world.fault, strict=True)
+    rows = (
+        (landmark, quantise(x, 4), quantise(y, 4), int(fault != 0.0), quantise(fault, 5))
+        for landmark, (x, y), fault in columns
+    )
+    write_csv(path, ("landmark", "x", "y", "moved", "fault"), rows)

@@ -10,11 +10,11 @@ import itertools
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, TextIO
 
 import numpy as np
 
@@ -134,6 +134,25 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
         return _collect(
             records, len(names), {name: (i, numbers) for i, name in enumerate(names)}, path
         )
+
+
+def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a CSV file as RFC 4180 has it, but with plain line ends."""
+    with path.open("w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(_PlainEnds(out))
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+class _PlainEnds:
+    """Turns the line end of each row; with its own, csv quotes a carriage return in a name."""
+
+    def __init__(self, out: TextIO) -> None:
+        self.out = out
+
+    def write(self, row: str) -> int:
+        """Take one whole row."""
+        return self.out.write(row.removesuffix("\r\n") + "\n")
 
 
 def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from homeward.drives.text.table import write_csv
 from homeward.report.canvas import WIDTH_IN, bare, new_figure, png, style
 from homeward.report.files import number
 from homeward.report.output import whole_folder
@@ -163,10 +163,11 @@ def _write_matches(file: Path, seen: Comparison) -> None:
         verdicts.tolist(),
         strict=True,
     )
-    with file.open("w", encoding="utf-8", newline="") as out:
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["landmark", "home_bearing", "bearing", "sigma", "verdict"])
-        writer.writerows([f"h{i}", *map(number, values), verdict] for i, *values, verdict in rows)
+    write_csv(
+        file,
+        ("landmark", "home_bearing", "bearing", "sigma", "verdict"),
+        ((f"h{i}", *map(number, values), verdict) for i, *values, verdict in rows),
+    )
 
 
 def _turn(angle: float) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import yaml
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import ODOMETRY, SETTINGS, TRUTH, write_folder
+from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose
@@ -83,8 +83,8 @@ def write_rendered(
         if estimator is not None:
             write_folder(made.drive, folder / DRIVE)
         _write_logs(made.drive, folder)
-        _write_rows(folder / IMAGES, ("t", "file"), rows)
-        _write_rows(folder / THINGS, *_things(eye.now))
+        write_csv(folder / IMAGES, ("t", "file"), rows)
+        write_csv(folder / THINGS, *_things(eye.now))
         (folder / IMAGE_SETTINGS).write_text(_image_settings(eye), encoding="utf-8")
         (folder / SCENARIO).write_text(scenario_yaml(eye.scenario), encoding="utf-8")
     except OSError as error:
@@ -112,13 +112,6 @@ def _write_logs(drive: Drive, folder: Path) -> None:
     for rest in (folder / ".logs").iterdir():
         rest.unlink()
     (folder / ".logs").rmdir()
-
-
-def _write_rows(path: Path, header: tuple[str, ...], rows: Sequence[tuple[object, ...]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
 
 
 def _write_points(path: Path, eye: Eye, truth: PixelTruth) -> None:
