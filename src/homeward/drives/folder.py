@@ -10,14 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    Sightings,
-    Truth,
-)
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.drives.text.settings import read_settings, settings_yaml

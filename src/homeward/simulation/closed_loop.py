@@ -8,12 +8,7 @@ from functools import lru_cache
 import casadi as ca
 
 from homeward.engine.batch.homing import Law, world_function
-from homeward.filters.belief import (
-    as_dict,
-    belief_symbols,
-    measurement_symbols,
-    prediction_symbols,
-)
+from homeward.filters.belief import as_dict, belief_symbols, measurement_symbols, prediction_symbols
 from homeward.filters.ekf import ExtendedKalmanFilter
 
 WORLD = ("pose", "landmarks", "speed", "disturbance", "noise")

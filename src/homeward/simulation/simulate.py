@@ -14,11 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from homeward.drives.drive import (
-    Drive,
-    Odometry,
-    Sightings,
-)
+from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Estimate, Estimator
 from homeward.frames import Pose
@@ -26,11 +22,7 @@ from homeward.simulation.course import Ending, course_settings, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera
-from homeward.simulation.world import (
-    World,
-    build_world,
-    home_bearings,
-)
+from homeward.simulation.world import World, build_world, home_bearings
 
 
 @dataclass(frozen=True)

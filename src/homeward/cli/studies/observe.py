@@ -126,12 +126,7 @@ def _numbers(view: ModelView) -> str:
 def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     from homeward.drives.opening import open_drive
     from homeward.frames import Pose
-    from homeward.report.observe.page import (
-        PAGE,
-        SETTINGS_FILE,
-        drive_summary,
-        write_drive_view,
-    )
+    from homeward.report.observe.page import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
     from homeward.report.output import check_output
     from homeward.studies.observing import WINDOW_S, check_window, observe_drive
 

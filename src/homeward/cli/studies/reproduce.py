@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from homeward.cli.options import (
-    Scheduler,
-    Workers,
-    key_values,
-    progress,
-    resumable,
-)
+from homeward.cli.options import Scheduler, Workers, key_values, progress, resumable
 from homeward.cli.terminal import say
 from homeward.cli.terminal import table as print_rows
 from homeward.errors import InputError

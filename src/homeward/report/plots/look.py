@@ -11,15 +11,7 @@ from typing import Any
 
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
-from bokeh.models import (
-    BoxZoomTool,
-    HoverTool,
-    PanTool,
-    ResetTool,
-    Span,
-    UIElement,
-    WheelZoomTool,
-)
+from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, Span, UIElement, WheelZoomTool
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2.utils import htmlsafe_json_dumps

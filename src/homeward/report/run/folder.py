@@ -10,12 +10,7 @@ from typing import Any
 import yaml
 
 from homeward.drives.drive import Drive
-from homeward.report.files import (
-    write_estimate,
-    write_landmarks,
-    write_metrics,
-    write_trajectory,
-)
+from homeward.report.files import write_estimate, write_landmarks, write_metrics, write_trajectory
 from homeward.report.output import whole_folder
 from homeward.report.run.mcap import write_recording
 from homeward.report.run.page import write_page

@@ -6,12 +6,7 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 
-from homeward.drives.ros.containers.container import (
-    Channel,
-    Message,
-    RecordFile,
-    ros2_type,
-)
+from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type
 from homeward.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -6,12 +6,7 @@ import struct
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from homeward.drives.ros.containers.container import (
-    Channel,
-    Message,
-    RecordFile,
-    ros2_type,
-)
+from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type
 from homeward.errors import InputError
 
 MAGIC = b"#ROSBAG V2.0\n"

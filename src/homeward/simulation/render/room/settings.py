@@ -9,12 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.simulation.scenario import (
-    Course,
-    Interval,
-    Point,
-    Rates,
-)
+from homeward.simulation.scenario import Course, Interval, Point, Rates
 
 TextureName = Literal[
     "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
