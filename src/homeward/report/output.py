@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from homeward.drives.text.files import is_there
+from homeward.drives.text.files import is_there, naming
 from homeward.errors import InputError
 from homeward.studies.blocks.store import SCRATCH
 
@@ -52,7 +52,7 @@ def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
     InputError
         When `check_output` refuses the folder, or it cannot be written.
     """
-    try:
+    with naming(directory, "cannot be written"):
         check_output(directory, marker)
         new = not is_there(directory)
         directory.mkdir(parents=True, exist_ok=True)
@@ -70,5 +70,3 @@ def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
                 with suppress(OSError):
                     directory.rmdir()
             raise
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", directory) from error

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import yaml
 
 from homeward.drives.folder import write_folder
-from homeward.drives.text.files import is_there
+from homeward.drives.text.files import is_there, naming
 from homeward.drives.text.settings import key_parts, read_settings, validated
 from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
@@ -70,11 +70,9 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
         When the folder cannot be written.
     """
     write_folder(simulation.drive, folder)
-    try:
+    with naming(folder, "cannot be written"):
         (folder / SCENARIO).write_text(scenario_yaml(simulation.scenario), encoding="utf-8")
         _write_world(simulation.world, folder / WORLD)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", folder) from error
 
 
 def _existing(source: str) -> Path:

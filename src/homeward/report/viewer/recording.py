@@ -15,6 +15,7 @@ import rerun as rr
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
+from homeward.drives.text.files import naming
 from homeward.errors import InputError
 from homeward.report.viewer.blueprint import blueprint
 from homeward.report.viewer.run_log import log_run
@@ -59,7 +60,7 @@ def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> N
         When `check_recording` refuses the file, or it cannot be written.
     """
     check_recording(file)
-    try:
+    with naming(file, "cannot be written"):
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".writing-", dir=file.parent) as scratch:
             whole = Path(scratch) / file.name
@@ -68,8 +69,6 @@ def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> N
             log_run(stream, drive, track, images)
             stream.disconnect()
             os.replace(whole, file)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file) from error
 
 
 def show(drive: Drive, track: Track, images: Images) -> None:

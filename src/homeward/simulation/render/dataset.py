@@ -11,8 +11,8 @@ import yaml
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import ODOMETRY, SETTINGS, TRUTH, write_folder
+from homeward.drives.text.files import naming
 from homeward.drives.text.table import write_csv
-from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose
 from homeward.simulation.files import SCENARIO, scenario_yaml
@@ -71,7 +71,7 @@ def write_rendered(
             truth = eye.truth(t, robot, len(rows))
             _write_points(folder / POINTS / f"{name}.npz", eye, truth)
 
-    try:
+    with naming(folder, "cannot be written"):
         (folder / PICTURES).mkdir()
         (folder / HOME_IMAGE).write_bytes(png(eye.home_picture()))
         if points:
@@ -87,8 +87,6 @@ def write_rendered(
         write_csv(folder / THINGS, *_things(eye.now))
         (folder / IMAGE_SETTINGS).write_text(_image_settings(eye), encoding="utf-8")
         (folder / SCENARIO).write_text(scenario_yaml(eye.scenario), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", folder) from error
     return made
 
 
