@@ -9,7 +9,16 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist
-from homeward.drives.drive import DriveSettings, OdometryNoise, Sensor, Start
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Odometry,
+    OdometryNoise,
+    Sensor,
+    Sightings,
+    Start,
+)
 from homeward.frames import Polar, Pose, from_polar, to_polar
 from homeward.simulation.log import Clock, Log
 from homeward.simulation.scenario import Course
@@ -77,31 +86,33 @@ def drive_course(
     return Ending.DONE if twist is None else Ending.TIME_UP, pose
 
 
-def course_settings(
-    scenario: Course, bearing_sigma: float | None, field_of_view: float
-) -> DriveSettings:
-    """Return what drive.yaml may tell of a course: never an error drawn, only its sigma.
+def before(
+    course: Course,
+    home: dict[str, HomeBearing],
+    bearing_sigma: float | None,
+    field_of_view: float,
+) -> Drive:
+    """Return the drive of a course before it begins: home and settings, no samples.
 
-    Sigma, where known, and field of view are those of the camera [rad].
+    Of errors that were drawn it tells the sigmas alone. Sigma, where known, and field of view are
+    those of the camera [rad].
     """
-    errors, mount = scenario.odometry, scenario.sensor
-    return DriveSettings(
-        sensor=Sensor(
-            x=mount.x,
-            y=mount.y,
-            yaw=mount.yaw,
-            bearing_sigma=bearing_sigma,
-            field_of_view=field_of_view,
+    nothing, told = np.empty(0), set(OdometryNoise.model_fields)
+    return Drive(
+        name=course.name,
+        odometry=Odometry(nothing, nothing, nothing),
+        sightings=Sightings(nothing, np.empty(0, object), nothing, nothing),
+        home=home,
+        settings=DriveSettings(
+            sensor=Sensor(
+                **course.sensor.model_dump(),
+                bearing_sigma=bearing_sigma,
+                field_of_view=field_of_view,
+            ),
+            home_sensor=course.home_sensor,
+            odometry=OdometryNoise(**course.odometry.model_dump(include=told)),
+            start=_draw_prior(course) if course.start.prior else None,
         ),
-        home_sensor=scenario.home_sensor,
-        odometry=OdometryNoise(
-            speed_sigma=errors.speed_sigma,
-            turn_sigma=errors.turn_sigma,
-            speed_scale_sigma=errors.speed_scale_sigma,
-            turn_scale_sigma=errors.turn_scale_sigma,
-            turn_bias_sigma=errors.turn_bias_sigma,
-        ),
-        start=_draw_prior(scenario) if scenario.start.prior else None,
     )
 
 

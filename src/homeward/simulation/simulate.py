@@ -12,13 +12,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from homeward.drives.drive import Drive, Odometry, Sightings
+from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Estimate, Estimator
 from homeward.frames import Pose
-from homeward.simulation.course import Ending, course_settings, drive_course
+from homeward.simulation.course import Ending, before, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera
@@ -94,13 +92,5 @@ def simulate(
 
 
 def _prepare(scenario: Scenario, world: World) -> Drive:
-    nothing = np.empty(0)
-    return Drive(
-        name=scenario.name,
-        odometry=Odometry(nothing, nothing, nothing),
-        sightings=Sightings(nothing, np.empty(0, object), nothing, nothing),
-        home=home_bearings(world, scenario),
-        settings=course_settings(
-            scenario, scenario.noise.bearing_sigma or None, scenario.visibility.field_of_view
-        ),
-    )
+    sigma, view = scenario.noise.bearing_sigma or None, scenario.visibility.field_of_view
+    return before(scenario, home_bearings(world, scenario), sigma, view)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.drives.drive import Drive, Odometry, Sightings
+from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate
 from homeward.frames import Pose
 from homeward.one_thread import one_thread
-from homeward.simulation.course import Ending, course_settings, drive_course
+from homeward.simulation.course import Ending, before, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
@@ -67,14 +67,8 @@ class ImageLoop:
     @property
     def drive(self) -> Drive:
         """The drive before it begins: home and settings, for making an estimator."""
-        none = np.empty(0)
-        return Drive(
-            name=self.eye.scenario.name,
-            odometry=Odometry(none, none, none),
-            sightings=Sightings(none, np.empty(0, object), none, none),
-            home={} if self.front_end is None else self.front_end.all_home_bearings(),
-            settings=course_settings(self.eye.scenario, None, 2 * math.pi),
-        )
+        home = {} if self.front_end is None else self.front_end.all_home_bearings()
+        return before(self.eye.scenario, home, None, 2 * math.pi)
 
     @one_thread()
     def run(
