@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -24,30 +24,25 @@ OBSERVE = "observe"
 """The part of a program that looks at a sample and changes nothing."""
 
 
-class Stage(Protocol):
+class Stage(ABC):
     """One function on named variables, which it reads and writes."""
 
     @property
     def shapes(self) -> Shapes:
         """Its variables; matrices are column-major."""
+        kernel = self.kernel()
+        return {k: a.shape for k, a in (kernel.inputs | kernel.outputs).items()}
 
+    @abstractmethod
     def kernel(self) -> Kernel:
         """Return it interpreted."""
 
 
 @dataclass(frozen=True)
-class Symbolic:
+class Symbolic(Stage):
     """A CasADi function, dense, with named inputs and outputs (a suffix ``_out`` is dropped)."""
 
     function: ca.Function
-
-    @property
-    def shapes(self) -> Shapes:
-        """Its variables."""
-        f = self.function
-        names = [(f.name_in(i), f.size_in(i)) for i in range(f.n_in())]
-        names += [(f.name_out(i).removesuffix("_out"), f.size_out(i)) for i in range(f.n_out())]
-        return {k: size[:1] if size[1] == 1 else tuple(size) for k, size in names}
 
     def kernel(self) -> Kernel:
         """Return it interpreted."""
@@ -55,18 +50,12 @@ class Symbolic:
 
 
 @dataclass(frozen=True)
-class Generic:
+class Generic(Stage):
     """A step of a filter with many landmarks, whose matrices are loops rather than symbols."""
 
     kind: ExtendedKalmanFilter
     predicts: bool
     """Else it updates."""
-
-    @property
-    def shapes(self) -> Shapes:
-        """Its variables, as those of the symbolic step."""
-        kernel = self.kernel()
-        return {k: a.shape for k, a in (kernel.inputs | kernel.outputs).items()}
 
     @property
     def propagate(self) -> ca.Function:
