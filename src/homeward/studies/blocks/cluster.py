@@ -21,18 +21,11 @@ def on_cluster(
     arguments: Mapping[str, Argument],
     scheduler: str,
 ) -> Generator[tuple[str, Arrays]]:
-    """Yield (name, result) of each block as it finishes, computed by Dask workers.
+    """Yield (name, result) of each block as it finishes, computed by a Dask scheduler's workers.
 
-    A block whose worker is lost goes to another one; each name is yielded once.
-
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that workers can import it.
-    arguments : mapping of name to argument
-        What can be pickled.
-    scheduler : str
-        Address of a running scheduler, whose workers have the same homeward installed.
+    They have the same homeward installed; the function is of a module, so that they can import it,
+    and arguments can be pickled. A block whose worker is lost goes to another one; each name is
+    yielded once.
 
     Raises
     ------

@@ -39,18 +39,8 @@ def finish(
 ) -> None:
     """Compute every block that the store does not hold yet, and keep it there.
 
-    Parameters
-    ----------
-    store : BlockStore
-        Gets the blocks.
-    function : callable
-        From an argument to what its block leaves; of a module, so that workers can import it.
-    arguments : mapping of name to argument
-        All blocks of the study.
-    where : Where
-        Which workers.
-    progress : callable, optional
-        Told the fraction done, in [0, 1], at the beginning and after each block.
+    The function makes of an argument what its block leaves; it is of a module, so that workers can
+    import it. Progress is told at the beginning and after each block.
 
     Raises
     ------

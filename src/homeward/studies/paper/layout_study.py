@@ -72,19 +72,7 @@ def study_layouts(
     where: Where,
     progress: Callable[[float], None] | None = None,
 ) -> LayoutStudy:
-    """Compute what the store does not hold yet, and return all of it.
-
-    Parameters
-    ----------
-    settings : LayoutSettings
-        How much.
-    store : BlockStore
-        Of `homeward.studies.paper.layouts.open_store`.
-    where : Where
-        Which workers.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-    """
+    """Compute what the store does not hold yet, and return all of it."""
 
     def part(begin: float, end: float) -> Callable[[float], None]:
         def tell(fraction: float) -> None:

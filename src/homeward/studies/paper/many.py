@@ -42,12 +42,8 @@ class Errors:
 def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
     """Return what is kept of one run, with a leading axis of one.
 
-    Parameters
-    ----------
-    error : ndarray, shape (k, 3)
-        Of R [m], theta, alpha [rad] at each sample; no number where the filter diverged.
-    pose : ndarray, shape (k, 3)
-        The true one.
+    Errors (k, 3) are of R [m], theta, alpha [rad] at each sample, no numbers where the filter
+    diverged; poses (k, 3) are true.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         square = np.square(error)
@@ -73,14 +69,7 @@ def run_many(
 ) -> Errors:
     """Run one of `homeward.studies.paper.cases.FILTERS` through worlds, each as `run_filter` does.
 
-    Parameters
-    ----------
-    name, case, settings
-        As for `run_filter`.
-    worlds : sequence of World
-        Of as many samples each.
-    engine : {"auto", "interpreter", "native"}
-        See `homeward.filters.settings.Engine`.
+    They have as many samples each.
     """
     # The first wrong landmark comes first everywhere, so that one compiled filter serves all.
     worlds = [_rolled(world) for world in worlds]

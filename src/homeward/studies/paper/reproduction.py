@@ -43,19 +43,7 @@ def reproduce(
     where: Where | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Reproduction:
-    """Run the paper's Cases 1 to 4 with its filters over random layouts.
-
-    Parameters
-    ----------
-    settings : PaperSettings
-        Printed parameters, assumptions, runs, seed.
-    store : BlockStore
-        Of `homeward.studies.paper.layouts.open_store`; what it holds is not computed again.
-    where : Where, optional
-        Which workers.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-    """
+    """Run the paper's Cases 1 to 4 with its filters over random layouts."""
     asked = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
     outcomes = ask(store, asked, where or Where(), progress)
     shown = {case: _shown(case, settings, outcomes[case]) for case in CASES}

@@ -97,14 +97,8 @@ def printed_order(case: CaseName, column: int) -> tuple[str, ...]:
 def order_share(outcome: Outcome, order: tuple[str, ...], a_ekf: str) -> np.ndarray:
     """Return the shares of layouts in which errors have an order: R, theta, alpha, and all three.
 
-    Parameters
-    ----------
-    outcome : Outcome
-        Of one case.
-    order : tuple of str
-        Three of the paper's names, least error first.
-    a_ekf : str
-        Which of `FILTERS` stands for the A-EKF, of which the paper has one.
+    The order is three of the paper's names, least error first; `a_ekf` is which of `FILTERS` stands
+    for the A-EKF, of which the paper has one.
     """
     ours = {"A-EKF": a_ekf}
     least, middle, most = (outcome.of(ours.get(name, name)) for name in order)

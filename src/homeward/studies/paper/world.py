@@ -69,17 +69,7 @@ def duration(case: CaseName, settings: PaperSettings) -> float:
 
 
 def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
-    """Draw run number `run` of a case; its layout and noise do not depend on the case.
-
-    Parameters
-    ----------
-    case : one of `CASES`
-        Decides faults and visibility.
-    settings : PaperSettings
-        What is drawn from.
-    run : int
-        From 0 on.
-    """
+    """Draw run number `run` (from 0) of a case; its layout and noise do not depend on the case."""
     printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
     steps = round(duration(case, settings) / printed.sample_time)
     layout, wrong, sight, noise, prior = (

@@ -88,13 +88,6 @@ class PlanView:
 def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     """Return what can be known where on a plan.
 
-    Parameters
-    ----------
-    plan : Plan
-        As from `load_plan`.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-
     Raises
     ------
     InputError
