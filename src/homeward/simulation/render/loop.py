@@ -79,14 +79,8 @@ class ImageLoop:
     ) -> ImageDrive:
         """Drive to the end; the loop and the estimator are used up.
 
-        Parameters
-        ----------
-        estimator : Estimator, optional
-            Made for `drive`, whose pose steers; None: the truth steers.
-        keep : callable, optional
-            Given each picture.
-        progress : callable, optional
-            Told now and then the share of the longest duration that is done.
+        The estimator, made for `drive`, steers by its pose; None: the truth steers. `keep` is given
+        each picture.
 
         Raises
         ------

@@ -21,14 +21,7 @@ LATEST_S = 1.0
 class Clock:
     """Turns messages into times [s] of the drive.
 
-    Parameters
-    ----------
-    known : Survey
-        What the log has.
-    plan : LogSettings
-        Which topics are used, and by which clock.
-    epoch : int or None
-        Where the drive's time begins, in a log that homeward wrote [s]; None: to be chosen.
+    The drive's time begins at `epoch` [s], in a log that homeward wrote; None: to be chosen.
 
     Raises
     ------

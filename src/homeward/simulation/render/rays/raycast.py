@@ -66,16 +66,9 @@ class Hits:
 
 
 def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
-    """Find what any rays meet.
+    """Find what any rays meet, from where the view is.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-        Everything in the room.
-    view : Viewpoint
-        Where all rays begin.
-    directions : ndarray, shape (..., 3)
-        In the camera's frame, of any length but 0.
+    Directions (..., 3) are in the camera's frame, of any length but 0.
     """
     hits = _nothing(directions.shape[:-1], np.float64)
     projected = project(surfaces, *view)

@@ -82,18 +82,10 @@ def rectangle(
 def upright(
     a: np.ndarray, b: np.ndarray, bottom: float, top: float, skin: Skin, thing: int
 ) -> Surfaces:
-    """Return the vertical rectangle over the ground line from `a` to `b`, seen from its right.
+    """Return the vertical rectangle over the ground line from `a` to `b` (2,), seen from its right.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (2,)
-        From above, one looks at it from the right-hand side of the way from `a` to `b` [m].
-    bottom, top : float
-        Heights [m].
-    skin : Skin
-        Its cover.
-    thing : int
-        What it belongs to.
+    From above, one looks at it from the right-hand side of the way from `a` to `b`; it reaches from
+    one height to another [m].
     """
     along = np.array([b[0] - a[0], b[1] - a[1], 0.0])
     up = np.array([0.0, 0.0, top - bottom])
