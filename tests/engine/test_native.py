@@ -15,7 +15,7 @@ import pytest
 from test_steps import kinds, run
 
 from homeward.engine.batch.execution import execute
-from homeward.engine.batch.job import Job, start_value
+from homeward.engine.batch.job import Job, given_values
 from homeward.engine.choice import choose
 from homeward.engine.kernels import filter_kernels
 from homeward.engine.native import compiler, library, program
@@ -121,7 +121,7 @@ def test_every_operation_in_lanes_is_the_interpreters(width, monkeypatch):
     f, rows = every_operation()
     program, count = Program({OBSERVE: (Symbolic(f),)}), len(rows)
     start = [
-        start_value(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
+        given_values(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
     ]
     nothing = dict.fromkeys(("series", "draws", "guarded", "sums", "history"), ())
     job = Job(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from homeward.angles import wrap
 from homeward.control import Twist, homing
 from homeward.engine.batch.execution import BatchEngine, Precision, execute
-from homeward.engine.batch.job import Draw, Given, Job, Result, series_value, start_value
+from homeward.engine.batch.job import Draw, Given, Job, Result, given_values
 from homeward.engine.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.frames import Polar
@@ -218,7 +218,7 @@ def run_homing(
     for name in (*values, *series, *history):
         if name not in shapes:
             raise ValueError(f"{name}: the closed loop has no such variable")
-    start = tuple(start_value(k, v, shapes[k], runs) for k, v in values.items())
+    start = tuple(given_values(k, v, shapes[k], runs) for k, v in values.items())
     job = Job(
         program=program,
         extra=extra,
@@ -227,7 +227,7 @@ def run_homing(
         first_run=first_run,
         seed=seed,
         start=start,
-        series=tuple(series_value(k, v, shapes[k], runs, steps) for k, v in series.items()),
+        series=tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items()),
         draws=_needed(start, series),
         guarded=("state", "covariance"),
         sums=("squared_error", "nees"),

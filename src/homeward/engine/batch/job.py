@@ -119,31 +119,13 @@ def shaped(job: Job, result: Result) -> Result:
     return result
 
 
-def start_value(name: str, value: ArrayLike, shape: tuple[int, ...], runs: int) -> Given:
-    """Return a variable's values at the start, for all runs at once or for each.
-
-    They are of its `shape`, (1,) for a number, or broadcast to it; or with a leading axis of runs.
-
-    Raises
-    ------
-    ValueError
-        When the shape fits neither.
-    """
-    array = np.asarray(value, float)
-    inner = () if shape == (1,) else shape
-    if shape == (1,) and array.ndim and array.shape[-1] == 1:
-        array = array[..., 0]
-    if array.ndim <= len(inner):
-        array = _broadcast(name, array, inner)[None]
-    else:
-        array = _broadcast(name, array, (runs, *inner))
-    return Given(name, _flat(array, 1, len(inner))[:, None])
-
-
-def series_value(
-    name: str, value: ArrayLike, shape: tuple[int, ...], runs: int, steps: int
+def given_values(
+    name: str, value: ArrayLike, shape: tuple[int, ...], runs: int, steps: int | None = None
 ) -> Given:
-    """Return a variable's values at every step: (steps, *shape) or (runs, steps, *shape).
+    """Return a variable's values, for all runs at once or for each: at the start, or at every step.
+
+    They are of its `shape`, (1,) for a number, or broadcast to it, behind an axis of steps, if any;
+    or behind one of runs before that.
 
     Raises
     ------
@@ -152,11 +134,15 @@ def series_value(
     """
     array = np.asarray(value, float)
     inner = () if shape == (1,) else shape
-    if array.ndim <= len(inner) + 1:
-        array = _broadcast(name, array, (steps, *inner))[None]
+    each = () if steps is None else (steps,)
+    if steps is None and shape == (1,) and array.ndim and array.shape[-1] == 1:
+        array = array[..., 0]
+    if array.ndim <= len(each) + len(inner):
+        array = _broadcast(name, array, (*each, *inner))[None]
     else:
-        array = _broadcast(name, array, (runs, steps, *inner))
-    return Given(name, _flat(array, 2, len(inner)))
+        array = _broadcast(name, array, (runs, *each, *inner))
+    values = _flat(array, 1 + len(each), len(inner))
+    return Given(name, values if each else values[:, None])
 
 
 def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

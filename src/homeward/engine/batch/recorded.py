@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from homeward.engine.batch.execution import BatchEngine, Precision, execute
-from homeward.engine.batch.job import Job, Result, series_value, start_value
+from homeward.engine.batch.job import Job, Result, given_values
 from homeward.engine.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 
@@ -64,8 +64,8 @@ def run_recorded(
         steps=steps,
         first_run=0,
         seed=0,
-        start=tuple(start_value(k, v, known[k], runs) for k, v in given.items()),
-        series=tuple(series_value(k, v, known[k], runs, steps) for k, v in series.items()),
+        start=tuple(given_values(k, v, known[k], runs) for k, v in given.items()),
+        series=tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items()),
         draws=(),
         guarded=("state", "covariance"),
         sums=(),
