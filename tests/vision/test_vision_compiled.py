@@ -11,7 +11,6 @@ from homeward.vision.features.patch_alignment import align_features
 from homeward.vision.features.pyramid import Pyramid
 from homeward.vision.geometry.epipolar import Pairs, residuals
 from homeward.vision.geometry.refinement import irls
-from homeward.vision.geometry.two_point import msac_costs
 
 pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
 
@@ -93,16 +92,6 @@ def test_residuals_are_alike(both, m, n, looseness):
     assert np.allclose(native.jacobian, plain.jacobian, rtol=1e-9, atol=1e-9)
     assert np.array_equal(native.possible, plain.possible)
     assert n < 60 or 0.1 < native.possible.mean() < 0.9
-
-
-@pytest.mark.parametrize(("m", "n"), [(1, 1), (500, 60), (0, 5), (7, 0)])
-def test_motions_are_scored_alike(both, m, n):
-    rng = np.random.default_rng(m)
-    motions = rng.normal(0, 1, (m, 2)) * [3, 0.5]
-    native, plain = both(msac_costs, motions, matches(rng, n), 0.02, 9.0)
-    assert native.dtype == plain.dtype
-    # In single precision; of matches that fit, the equation is a difference.
-    assert np.allclose(native, plain, rtol=1e-4, atol=1e-3)
 
 
 def test_motions_are_fitted_alike(both):

@@ -10,13 +10,12 @@ from homeward.engine.native.program import Program
 
 _FUNCTIONS = {
     "align": "iii" + "aaf" + 2 * "ila" + 6 * "a",
-    "score": "iii" + "ffdff",
     "residuals": "iiiaadaaab",
     "irls": "iiii" + 5 * "a" + "dda",
 }
 compiled = Program(
     "homeward.vision",
-    ("shared.h", "align.c", "refine.c", "score.c"),
+    ("shared.h", "align.c", "refine.c"),
     _FUNCTIONS,
     may_fail=("align", "residuals", "irls"),
 )

@@ -15,7 +15,6 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import Pairs
 
 
@@ -101,12 +100,6 @@ def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float)
         coefficients(x1, by_azimuth * along + by_elevation * mixed),
         coefficients(x1, by_elevation * rest),
     ]
-    native = compiled()
-    if native is not None:
-        m, told = len(motions), np.stack(rows, axis=1).astype(np.float32)
-        scratch, total = np.empty(2 * m, np.float32), np.empty(m, np.float32)
-        native.score(m, len(pairs), len(rows), k, told, most, scratch, total)
-        return total
     value, *slopes = (row.astype(np.float32) @ k for row in rows)
     variance = sum(slope * slope for slope in slopes)
     return np.asarray(np.minimum(value * value / (variance + 1e-16), most).sum(axis=0))
