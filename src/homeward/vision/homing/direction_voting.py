@@ -12,16 +12,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.clock import LATE_S
-from homeward.estimator import HOLD_S
 from homeward.vision.comparison import Comparison
 from homeward.vision.geometry.a_contrario import too_narrow
 from homeward.vision.homing.fix import DIRECTION_HOLD_S
+from homeward.vision.homing.odometry import OdometryHistory
 from homeward.vision.homing.resection import Direction
 
 FEWEST_ALIKE, MOST = 5, 60
@@ -57,41 +55,21 @@ class Consensus:
     """How many."""
 
 
-class Twist(NamedTuple):
-    """A twist, and how far the robot had gone by then."""
-
-    t: float
-    """[s]"""
-    v: float
-    """[m/s]"""
-    omega: float
-    """[rad/s]"""
-    gone: np.ndarray
-    """(2,): way and turn [m, rad]."""
-
-
 class DirectionVoting:
     """Collects votes, turned on by odometry."""
 
-    def __init__(self) -> None:
-        self._twists: deque[Twist] = deque()
-        """The last one, and those since a picture may yet come late."""
+    def __init__(self, odometry: OdometryHistory) -> None:
+        self._odometry = odometry
         self._voted_at = -math.inf
         """Way at the last vote [m]."""
         self._votes: deque[Vote] = deque(maxlen=MOST)
         self._consensus: Consensus | None = None
         """Its heading is less what odometry has turned by."""
 
-    def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
-        self._twists.append(Twist(t, v, omega, self._gone_at(t)))
-        while len(self._twists) > 1 and self._twists[1].t <= t - LATE_S:
-            self._twists.popleft()
-
     def add(self, t: float, seen: Comparison) -> None:
         """Add the vote of a refused comparison of stamp `t` [s], which may be late by `LATE_S`."""
         motion, agrees = seen.motion, seen.agrees
-        way, turned = self._gone_at(t).tolist()
+        way, turned = self._odometry.gone(t).tolist()
         too_near = way < self._voted_at + ANOTHER_PLACE_M
         if motion is None or too_near or agrees.sum() < 3:
             return
@@ -112,16 +90,8 @@ class DirectionVoting:
         t, there = max(self._consensus.t, t), self._consensus.direction
         if t - self._consensus.t > DIRECTION_HOLD_S:
             return None
-        alpha = float(wrap(there.alpha + self._gone_at(t)[1]))
+        alpha = float(wrap(there.alpha + self._odometry.gone(t)[1]))
         return replace(self._consensus, direction=replace(there, alpha=alpha))
-
-    def _gone_at(self, t: float) -> np.ndarray:
-        """Return way and turn by odometry up to `t` [s], (2,) [m, rad]."""
-        if not self._twists:
-            return np.zeros(2)
-        held = next((twist for twist in reversed(self._twists) if twist.t <= t), self._twists[0])
-        rates = np.array([abs(held.v), held.omega])
-        return held.gone + rates * min(max(t - held.t, 0.0), HOLD_S)
 
     def _agreed(self, t: float) -> Consensus | None:
         """Return the mean of votes like the newest; None where they are too few or too narrow."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import threading
-from collections import deque
 from collections.abc import Mapping
 from typing import Unpack
 
@@ -18,13 +17,10 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.clock import LATE_S, Clock
-from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import Odometry, Robot
+from homeward.drives.drive import Robot
 from homeward.drives.known import known_robot
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import (
     FASTEST,
-    HOLD_S,
     Counts,
     Estimate,
     Estimator,
@@ -49,6 +45,7 @@ from homeward.vision.front_end import home_name
 from homeward.vision.homing.direction_voting import DirectionVoting
 from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S, Fix, fused
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
+from homeward.vision.homing.odometry import OdometryHistory
 from homeward.vision.homing.resection import NEAR_HOME, Direction, HomeLandmarks, resect
 
 FEWEST_MAPPED = 4
@@ -59,8 +56,6 @@ GUESSED = 4.0
 """Standard deviation of the distance of a landmark outside the map, as a multiple of the median."""
 UNKNOWN_DISTANCE = 3.0
 """Distance from home where only the direction is known, and its standard deviation [m]."""
-SLIP = 0.05
-"""Error of odometry between pictures, as a share of the way and of the turn, beside its noise."""
 CONTRADICTS = 4.0
 """Map and home's picture contradict each other from so many standard deviations on."""
 REFUSALS = 3
@@ -82,20 +77,14 @@ class VisualHoming:
         self._inner, self._turn = estimator, threading.RLock()
         self.name = estimator.name
         self._told = known_robot(robot)
-        self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
-        self._twists: deque[tuple[float, float, float]] = deque()
-        """(t, v, omega) since the last fix, and as long as a picture may be late; and the one that
-        held when that began."""
+        self._odometry = OdometryHistory(self._told)
         self._fix: Fix | None = None
         self._pictured = -math.inf
         """The newest stamp of a picture [s]."""
         self._refused = 0
         """How often in a row home's picture was not recognised."""
-        self._moved_filter, self._votes, self._clock = (
-            MovedLandmarkFilter(),
-            DirectionVoting(),
-            Clock(),
-        )
+        self._moved_filter, self._votes = MovedLandmarkFilter(), DirectionVoting(self._odometry)
+        self._clock = Clock()
 
     @property
     def counts(self) -> Counts:
@@ -114,11 +103,9 @@ class VisualHoming:
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
             return
-        if self._twists and t < self._twists[-1][0]:
-            return
-        self._votes.odometry(t, v, omega)
-        self._twists.append((t, v, omega))
-        self._forget_twists()
+        if t >= self._odometry.newest:
+            self._odometry.add(t, v, omega)
+            self._forget_odometry()
 
     @guarded
     def bearings(
@@ -139,8 +126,7 @@ class VisualHoming:
         said, t = t, self._clock.read(t)
         if seen is None:
             return
-        newest = self._twists[-1][0] if self._twists else -math.inf
-        if not math.isfinite(t) or t < max(self._pictured, newest - LATE_S):
+        if not math.isfinite(t) or t < max(self._pictured, self._odometry.newest - LATE_S):
             self.counts.reject(Rejection.LATE_PICTURE)
             return
         self._pictured = t
@@ -153,7 +139,7 @@ class VisualHoming:
         fix = self._pose(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
         if fix is not None:
             self._fix = fused(self._carried(t), fix)
-            self._forget_twists()
+            self._forget_odometry()
 
     @guarded
     def estimate(self, t: float) -> Estimate:
@@ -260,40 +246,15 @@ class VisualHoming:
         t = max(fix.t, t)
         if t - fix.t > (POSE_HOLD_S if fix.tells_distance else DIRECTION_HOLD_S):
             return None
-        if not self._twists:
-            return fix
-        times, v, omega = np.array(self._twists).T
-        ends = dead_reckoning(Odometry(times, v, omega), np.array([fix.t, t]))
-        start, end = (Pose(*(float(c[k]) for c in ends)) for k in (0, 1))
-        motion = between(start, end)
-        x, y, heading = compose(fix.pose, motion)
-        way = math.hypot(motion.x, motion.y)
-        jacobian = np.eye(3)
-        jacobian[:2, 2] = fix.pose.y - y, x - fix.pose.x
-        slip = SLIP * np.array([way, way, motion.heading])
-        held = np.minimum(np.append(times[1:], t), t) - np.maximum(times, fix.t)
-        held = np.clip(held, 0.0, HOLD_S)
-        noise = np.diag(slip**2 + self._white_noise(held, v, omega))
-        covariance = jacobian @ fix.covariance @ jacobian.T + noise
-        return dataclasses.replace(fix, pose=Pose(x, y, heading), covariance=covariance)
+        pose, covariance = self._odometry.propagate(fix.pose, fix.covariance, fix.t, t)
+        return dataclasses.replace(fix, pose=pose, covariance=covariance)
 
-    def _forget_twists(self) -> None:
-        """Drop the twists that no fix will need any more."""
-        if not self._twists:
-            return
-        newest = self._twists[-1][0]
-        since = newest - LATE_S
-        if self._fix is not None and newest - self._fix.t <= DIRECTION_HOLD_S:
+    def _forget_odometry(self) -> None:
+        """Drop the odometry that no picture and no fix will need any more."""
+        since = self._odometry.newest - LATE_S
+        if self._fix is not None and self._odometry.newest - self._fix.t <= DIRECTION_HOLD_S:
             since = min(since, self._fix.t)
-        while len(self._twists) > 1 and self._twists[1][0] <= since:
-            self._twists.popleft()
-
-    def _white_noise(self, held: np.ndarray, v: np.ndarray, omega: np.ndarray) -> np.ndarray:
-        """Return the variances, (3,), that odometry's noise adds over twists `held` so long [s]."""
-        moving = (v != 0.0) | (omega != 0.0)
-        done = np.array([held @ moving, held @ np.abs(v), held @ np.abs(omega)])
-        along, _, heading = self._noise_rates @ done
-        return np.array([along, along, heading])
+        self._odometry.forget(since)
 
 
 def _told(seen: Comparison) -> Direction:
