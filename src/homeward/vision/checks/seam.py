@@ -28,10 +28,6 @@ NOISE = 2.0
 """Standard deviation of noise [grey levels]: columns of less contrast tell nothing."""
 NARROWEST_KERNEL = 0.02
 """Least bandwidth of the kernel density of correlations (Fisher's z) [1]."""
-FLAT = 16.0
-"""Grey values outside a fisheye's disc differ by no more than this."""
-DISC_CONTRAST = 0.8
-"""Least share of a disc's edge that has a picture within and nothing without."""
 INSIST = "force: true in images.yaml uses it anyway; see and compare have --force, too"
 
 
@@ -121,10 +117,12 @@ def _two_discs(grey: np.ndarray) -> bool:
     out = np.hypot(across / (width / 4), (row + 0.5 - radius) / radius)
     beside = np.abs(row + 0.5 - radius) < 0.85 * radius
     without, within = beside & (out > 1.04), beside & (out > 0.75) & (out < 0.95)
-    nothing = np.abs(grey - np.median(grey[without])) < FLAT
+    nothing = np.abs(grey - np.median(grey[without])) < 16.0
     rows = without.any(axis=1)
     outside, inside = (
         (nothing & part).sum(axis=1)[rows] / np.maximum(part.sum(axis=1)[rows], 1)
         for part in (without, within)
     )
-    return bool(np.mean(outside - inside) >= DISC_CONTRAST)
+    return bool(
+        np.mean(outside - inside) >= 0.8
+    )  # of the edge has a picture within, nothing without

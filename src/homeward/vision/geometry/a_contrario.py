@@ -34,8 +34,6 @@ LEAST_LEVEL_SHARE = 0.25
 WITHIN = 0.6
 """Cameras are nearly upright: a feature is turned in the image by less than this [rad], and where
 the heading is given, it lies within this of where the turn alone takes it."""
-SHUFFLES = 8
-"""So many random matches are made of each match."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +163,7 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
 def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     """Return the probability that a random match fits the motion."""
     n, searched = len(pairs), math.pi if heading is None else WITHIN
-    shifts = np.unique(np.linspace(1, n - 1, round(SHUFFLES * math.pi / searched)).astype(int))
+    shifts = np.unique(np.linspace(1, n - 1, round(8 * math.pi / searched)).astype(int))
     order = np.argsort(pairs.now[:, 0], kind="stable")
     other = np.empty((shifts.size, n), int)
     for row, shift in zip(other, shifts, strict=True):

@@ -14,8 +14,6 @@ SAMPLES = 800
 CANDIDATES = 12
 """So many of the best are refined, each in both directions of travel. What else the matches may say
 is needed for the covariance."""
-TURNS = 50
-"""A turn without translation is tried from so many matches."""
 APART = 0.1
 """Motions are different that differ by this in theta or alpha [rad]."""
 
@@ -76,7 +74,7 @@ def _distinct(motions: np.ndarray) -> np.ndarray:
 
 def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
     """Return a turn without translation, (k, 2), from each of some matches: the motion at home."""
-    some = np.unique(rows)[:TURNS]
+    some = np.unique(rows)
     alpha = wrap(pairs.home[some, 0] - pairs.now[some, 0])
     return np.column_stack([np.zeros(some.size), alpha])
 

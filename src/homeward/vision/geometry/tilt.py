@@ -15,9 +15,6 @@ import numpy as np
 from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
 from homeward.vision.geometry.epipolar import Motion
 
-STEEPEST = 0.05
-"""Least distance from the vertical that is reckoned with [rad]: there, azimuth is undefined."""
-
 
 @dataclass(frozen=True)
 class Tilt:
@@ -60,7 +57,7 @@ class Tilt:
             How they change with a further roll and pitch [1].
         """
         x, y, z = self.rotation @ unit_vectors(*directions.T).T
-        out = np.maximum(np.hypot(x, y), STEEPEST)
+        out = np.maximum(np.hypot(x, y), 0.05)  # azimuth is undefined at the vertical
         return np.arctan2(y, x), -np.column_stack([x, y]) * (z / out**2)[:, None]
 
     def variance(self, lean: np.ndarray) -> np.ndarray:
