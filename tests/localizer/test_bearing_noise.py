@@ -67,11 +67,11 @@ class Left:
     def __init__(self, scale, count=100):
         self.sightings = np.zeros((count, COLUMNS))
         self.sightings[:, SIGMA] = self.sightings[:, OWN] = 0.01
-        self._off = 0.01 * scale * np.random.default_rng(0).normal(size=count)
+        self.off = 0.01 * scale * np.random.default_rng(0).normal(size=count)
 
     def told_to(self, noise):
         """Let the noise follow what is left."""
-        return noise.update(self._off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
+        return noise.update(self.off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
 
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
@@ -98,7 +98,7 @@ def test_a_camera_that_becomes_worse_on_the_way_is_doubted():
     noise, worse = BearingNoise(0.01, 0.02), Left(1.0, 3000)
     worse.told_to(noise)
     assert noise.scale == 1.0
-    worse._off[-400:] *= 4.0
+    worse.off[-400:] *= 4.0
     worse.told_to(noise)
     assert noise.scale == pytest.approx(4.0, rel=0.2)
 

@@ -6,15 +6,17 @@ import math
 import numpy as np
 import pytest
 from rig import Rig, ring
+from test_far_homes import FAR, divided
 from test_parts import problem
 
 from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import OdometryNoise
+from homeward.estimator import Status
 from homeward.frames import Pose, between
-from homeward.localizer.home import hypotheses
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds_for
 from homeward.localizer.home.outliers import log_inlier, log_odds, log_outlier
+from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
     NEAR,
@@ -70,6 +72,17 @@ def test_a_home_that_wanders_leaves_the_pose_unfixed_if_it_is_as_probable():
     assert now.unconverged_probability == pytest.approx(0.5)
     integrity.update(Hypotheses((small,), np.ones(1), (found,)), firm=True)
     assert not integrity.fixed
+
+
+def test_a_home_known_by_former_places_alone_is_not_verified():
+    home, known = problem({})
+    now = Hypotheses((fit(known, np.array(home), np.ones(8, bool)),), np.ones(1))
+    for stayed, status in ((8, Status.LOCALISED), (2, Status.UNVERIFIED)):
+        integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+        integrity.update(now, firm=True, stayed=np.arange(8) < stayed)
+        answer = integrity.estimate(0.0, None, coasting=False)
+        assert answer.status is status
+    assert answer.reason.startswith("only 2 of 8")
 
 
 def test_evidence_of_a_flip_is_what_the_odds_say_while_another_one_is_wrong():
@@ -172,21 +185,33 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
     assert beyond <= 0.075 * runs
 
 
-def test_an_iteration_that_did_not_come_to_rest_does_not_compete():
-    home, known = problem({})
-    rest = fit(known, np.array(home), np.ones(8, bool))
-    astray = dataclasses.replace(rest, inliers=np.arange(8) != 3, step=np.full(3, 0.9))
-    astray.__dict__["log_evidence"] = rest.log_evidence + 50.0
-    found = {f.inliers.tobytes(): f for f in (rest, astray)}
-    together = hypotheses._weigh(known, found)
-    assert together.best is rest
-    assert all(f.settled for f in together.fits)
-    assert hypotheses._weigh(known, {b"": astray}).best is astray  # better than nothing
+def on_a_circle(seed):
+    """A home on the circle through its landmarks: from all of it they look alike."""
+    rng = np.random.default_rng(seed)
+    way = rng.uniform(-math.pi, math.pi, 8)
+    marks = 2.0 * np.stack([1.0 + np.cos(way), np.sin(way)], axis=1)
+    stored = np.arctan2(marks[:, 1], marks[:, 0]) + 0.01 * rng.normal(size=8)
+    mean = np.r_[np.zeros(4), (marks + 0.02 * rng.normal(size=marks.shape)).ravel()]
+    spread = np.diag(np.r_[np.full(4, 1e-6), np.full(16, 0.02**2)])
+    return HomeProblem(mean, spread, stored, np.full(8, 0.01), np.zeros(3), True, 0.1)
 
 
-def test_what_was_known_of_home_is_known_still_when_a_landmark_comes(monkeypatch):
-    _, known = problem({1: 0.3, 6: -0.4})
-    first = [*range(4, 8), *range(3)]  # not yet landmark 3
+@pytest.mark.parametrize("seed", [0, 2, 7])
+def test_a_home_that_wanders_does_not_compete_however_well_it_fits(seed):
+    found = search(on_a_circle(seed))
+    assert all(f.settled for f in found.fits)
+    assert not any(f.settled for f in found.unconverged)
+    assert found.max_log_evidence > found.best.log_evidence + 1.0
+    assert found.unconverged_probability > 0.5  # and so the pose is not fixed
+
+
+def test_what_was_known_of_home_is_known_still_when_a_landmark_comes():
+    known, near = divided(seed=9)
+
+    def finds_the_far_one(also):
+        return (~near).tolist() in [f.inliers.tolist() for f in search(known, also).fits]
+
+    first = [*range(5, 8), *range(1, 5)]  # not yet landmark 0
     columns = np.r_[0:4, [4 + 2 * i + k for i in first for k in range(2)]]
     fewer = dataclasses.replace(
         known,
@@ -195,14 +220,12 @@ def test_what_was_known_of_home_is_known_still_when_a_landmark_comes(monkeypatch
         bearings=known.bearings[first],
         sigmas=known.sigmas[first],
     )
-    before = search(fewer)
-    assert set(np.array(first)[~before.best.inliers]) == {1, 6}
-    again = seeds_for(before, [str(i) for i in first], [str(i) for i in range(8)])
-    assert not again[0][1][3]
-    monkeypatch.setattr(hypotheses, "seeds", lambda problem: [])
-    assert search(known) is None
-    found = search(known, again)
-    assert set(np.flatnonzero(~found.best.inliers)) == {1, 6}
+    far = fit(fewer, np.array(FAR), np.arange(7) < 3, 20)
+    names = [str(i) for i in range(8)]
+    again = seeds_for(Hypotheses((far,), np.ones(1)), [names[i] for i in first], names)
+    assert again[0][1].tolist() == (~near).tolist()
+    assert finds_the_far_one(again)
+    assert not finds_the_far_one([])  # three landmarks alone do not suggest it
 
 
 def driven(rng, target, straight):

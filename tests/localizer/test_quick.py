@@ -11,7 +11,7 @@ from homeward.localizer.map.landmarks import MOST_FROM_HOME
 from homeward.localizer.map.sightings import LANDMARK, sighting_rows
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC, Motion, camera_on_robot
-from homeward.localizer.smoothing import _bridged
+from homeward.localizer.smoothing import bridged
 
 SIGMAS = np.array([0.02, 0.002, 0.02, 0.05])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])
@@ -107,10 +107,10 @@ def test_a_bridge_ends_where_it_must_and_is_sure_there():
     nothing = np.zeros(NC)
     half, end = odometry.motion(1.0, nothing), odometry.motion(2.0, nothing)
     off = np.array([-0.005, 0.015, 0.05])  # a turn on the way swings the end to the left
-    there, covariance = _bridged(end, end, off)
+    there, covariance = bridged(end, end, off)
     assert there == pytest.approx(end.delta + off, abs=1e-6)
     assert np.abs(covariance).max() < 1e-8
-    on_the_way, covariance = _bridged(half, end, off)
+    on_the_way, covariance = bridged(half, end, off)
     assert 0 < on_the_way[2] - half.delta[2] < off[2]
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert np.trace(covariance) < np.trace(half.covariance)

@@ -8,7 +8,7 @@ from rig import Rig, eight, ring, still
 
 from homeward.control import Twist
 from homeward.drives.drive import HomeBearing
-from homeward.localizer.inputs.sign_check import ENOUGH, SignCheck
+from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Reason
@@ -59,13 +59,13 @@ def test_bearings_that_run_clockwise_are_not(law):
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_noise_of_a_robot_that_stands_is_no_sign(sign):
-    sign_check = watched(still, FAR, noise=0.05, gyro=0.2, sign=sign)
-    assert len(sign_check._agrees) >= ENOUGH
-    assert not sign_check.reversed
+    assert not watched(still, FAR, noise=0.05, gyro=0.2, sign=sign).reversed
+    # As much noise hides no sign of one that turns.
+    assert watched(eight, FAR, noise=0.05, gyro=0.2, sign=sign).reversed is (sign < 0)
 
 
 def test_a_straight_way_tells_nothing():
-    assert not watched(lambda _: Twist(0.3, 0.0), FAR, sign=-1.0)._agrees
+    assert not watched(lambda _: Twist(0.3, 0.0), NEAR, 0.02, sign=-1.0).reversed
 
 
 @pytest.mark.parametrize("wrong", ["bearings", "turn rates"])

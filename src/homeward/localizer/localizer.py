@@ -110,9 +110,9 @@ class Localizer:
         if not self._twists and self._robot.start is None:
             self._chart.begin(t)  # what may have been driven before is of no interest
         self._twists.add(t, v, omega)
-        for chart in self._charts:
+        for chart in self.charts:
             chart.follow(t)
-        self._twists.forget(min(chart.odometry.needed for chart in self._charts))
+        self._twists.forget(min(chart.odometry.needed for chart in self.charts))
         self._process_due()
 
     @guarded
@@ -171,6 +171,11 @@ class Localizer:
             return self._beside
         return self._chart
 
+    @property
+    def charts(self) -> tuple[Chart, ...]:
+        """All there are, the older one first."""
+        return (self._chart,) if self._beside is None else (self._chart, self._beside)
+
     def keep_closed(self) -> None:
         """Keep everything that is said, for `conclude`; memory then grows with the drive."""
         self._keeps = True
@@ -200,19 +205,14 @@ class Localizer:
         """
         return self.chart.conclude(whole)
 
-    @property
-    def _charts(self) -> tuple[Chart, ...]:
-        """All there are, the older one first."""
-        return (self._chart,) if self._beside is None else (self._chart, self._beside)
-
     def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
-        for chart in self._charts:
+        for chart in self.charts:
             chart.counts.reject(why, number)
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can not be taken any more."""
-        return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self._charts)
+        return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self.charts)
 
     def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""

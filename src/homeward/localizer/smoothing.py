@@ -139,17 +139,28 @@ def _rows(
             end = odometry.advance(until, whole.calibration)
             off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
             off[2] = wrap(off[2])
-            moved = [_bridged(m, end, off) for m in motions]
+            moved = [bridged(m, end, off) for m in motions]
         # Bearings from later on count too, so that the robot coasts nowhere.
         rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
     return rows
 
 
-def _bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a motion on the way to where its end is known, and its covariance.
+def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Brownian bridge of a motion: its mean and covariance where its end is known.
 
-    Odometry ends at `end`, which is off by `off` (3,): what it was off on the way follows from how
-    its noise gathered (a Brownian bridge).
+    Parameters
+    ----------
+    motion : Motion
+        On the way, by odometry alone.
+    end : Motion
+        At the end, by odometry alone.
+    off : ndarray, shape (3,)
+        By how much the known end differs from that [m, m, rad].
+
+    Returns
+    -------
+    tuple of ndarray, shapes (3,) and (3, 3)
+        What odometry was off on the way follows from how its noise gathered.
     """
     swing = np.eye(3)
     swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]
