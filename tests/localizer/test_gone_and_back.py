@@ -9,7 +9,7 @@ from rig import Rig, another_room, eight, ring, still
 from homeward.control import Twist
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.reasons import Reason
+from homeward.reasons import Reason, Rejection
 
 
 def carried(pose, metres, way):
@@ -41,12 +41,13 @@ def test_odometry_gone_and_back():
 def test_odometry_that_begins_late_costs_its_delay_only(law):
     rig = Rig(ring(10))
     assert rig.drive(20, law, feel=False).pose is None
-    assert not rig.localizer.chart.odometry.has_twists
+    before = rig.localizer.counts.rejected[Rejection.NO_ODOMETRY]
+    assert before == 10 * len(rig.answers)
     assert rig.drive(6).status is Status.LOCALISED
     assert rig.error() < 0.1
     assert rig.drive(40).status is Status.LOCALISED
     assert rig.wrong_share() == 0
-    assert rig.localizer.chart.odometry.has_twists
+    assert rig.localizer.counts.rejected[Rejection.NO_ODOMETRY] == before
 
 
 def test_a_robot_without_a_map_is_not_lost_in_it():

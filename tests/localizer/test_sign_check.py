@@ -70,7 +70,7 @@ def test_a_straight_way_tells_nothing():
 
 @pytest.mark.parametrize("wrong", ["bearings", "turn rates"])
 def test_there_is_no_pose_in_the_mirror_and_the_reason_is_told(wrong):
-    rig = Rig(ring(10))
+    rig = Rig(ring(10), promise=None)
     if wrong == "bearings":
         home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
         rig.localizer = Localizer(home, **rig.settings.robot)
