@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -9,15 +10,17 @@ from homeward.drives.drive import Drive, Strict
 from homeward.drives.text.settings import validated
 from homeward.engine.online import OnlineFilter
 from homeward.engine.paper import a_ekf, ekf, pi_ekf
-from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
     FilterSettings,
     ProportionalIntegralSettings,
 )
+from homeward.guest import Guest
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
+from homeward.plugins import ESTIMATORS as GROUP
+from homeward.plugins import fault, installed, load
 
 _Maker = Callable[[Drive, Any], Estimator]
 
@@ -55,6 +58,15 @@ NEED_START = ("ekf", "a-ekf", "pi-ekf")
 """Those that cannot begin without a start prior."""
 
 
+class NoSettings(Strict):
+    """Of an estimator that takes none."""
+
+
+def estimator_names() -> tuple[str, ...]:
+    """Return the names of all estimators, those of installed packages last."""
+    return (*ESTIMATORS, *(name for name in installed(GROUP) if name not in ESTIMATORS))
+
+
 def make_estimator(
     name: str, drive: Drive, settings: Strict | dict[str, Any] | None = None
 ) -> Estimator:
@@ -63,7 +75,8 @@ def make_estimator(
     Parameters
     ----------
     name : str
-        A key of `ESTIMATORS`.
+        One of `estimator_names`, or ``package.module:make``: anything that makes an `Estimator`
+        when called with a drive, or with a drive and its settings.
     drive : Drive
         What it will run on; of sightings only their number is looked at, and of truth nothing.
     settings : Strict or dict, optional
@@ -72,18 +85,56 @@ def make_estimator(
     Raises
     ------
     InputError
-        For an unknown name, settings that cannot be used, or no start prior where one is needed.
+        For an unknown name, settings that cannot be used, no start prior where one is needed, or
+        an estimator of somebody else that does not keep the protocol.
     """
-    return ESTIMATORS[_known(name)][1](drive, estimator_settings(name, settings))
+    return _entry(name)[1](drive, estimator_settings(name, settings))
 
 
 def estimator_settings(name: str, settings: Strict | dict[str, Any] | None = None) -> Strict:
     """Return the settings of an estimator, spelt out; parameters and errors as `make_estimator`."""
-    model = ESTIMATORS[_known(name)][0]
+    model = _entry(name)[0]
     return settings if isinstance(settings, model) else validated(model, settings or {})
 
 
-def _known(name: str) -> str:
-    if name not in ESTIMATORS:
-        raise InputError(f"no estimator {name!r}: there are {', '.join(ESTIMATORS)}")
-    return name
+def settings_model(name: str) -> type[Strict]:
+    """Return the model of an estimator's settings; errors as `make_estimator`."""
+    return _entry(name)[0]
+
+
+def needs_start(name: str) -> bool:
+    """Return whether an estimator cannot begin without a start prior; errors as `make_estimator`.
+
+    One of somebody else says so by an attribute ``needs_start`` of what makes it.
+    """
+    if name in ESTIMATORS:
+        return name in NEED_START
+    return bool(getattr(load(GROUP, name, ESTIMATORS), "needs_start", False))
+
+
+def _entry(name: str) -> tuple[type[Strict], _Maker]:
+    """Return the model of an estimator's settings, and what makes it."""
+    if name in ESTIMATORS:
+        return ESTIMATORS[name]
+    make = load(GROUP, name, ESTIMATORS)
+    model = _second_model(name, make)
+
+    def guest(drive: Drive, settings: Strict) -> Estimator:
+        taken = (drive,) if model is NoSettings else (drive, settings)
+        return Guest(name, lambda: make(*taken))
+
+    return model, guest
+
+
+def _second_model(name: str, make: Callable[..., Any]) -> type[Strict]:
+    """Return the settings model that somebody's maker takes second, by its annotation."""
+    try:
+        parameters = list(inspect.signature(make, eval_str=True).parameters.values())
+    except ValueError:  # of some builtins nothing is known
+        parameters = []
+    except Exception as error:
+        raise fault(f"{name}: reading the types of its arguments", error) from error
+    kinds = [p.annotation for p in parameters[1:2]]
+    if kinds and isinstance(kinds[0], type) and issubclass(kinds[0], Strict):
+        return kinds[0]
+    return NoSettings

@@ -25,23 +25,30 @@ def settings(
     level more. A * stands for the name or number of one of several.
     """
     from homeward.drives.text.keys import keys
+    from homeward.registry import estimator_names, settings_model
 
-    there = _models()
+    models, estimators = _models(), estimator_names()
     if of is None:
-        for name, (where, _) in there.items():
+        for name in estimators:
+            say(f"homeward settings {name}  # homeward run --estimator {name} --set ...", "    ")
+        for name, (where, _) in models.items():
             say(f"homeward settings {name}  # {where}", indent="    ")
-    elif of in there:
-        for key in keys(there[of][1]):
-            say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
+        return
+    if of in estimators or ":" in of:
+        model = settings_model(of)
+    elif of in models:
+        model = models[of][1]
     else:
-        raise InputError(f"nothing called {of!r} has settings: there are {', '.join(there)}")
+        there = ", ".join((*estimators, *models))
+        raise InputError(f"nothing called {of!r} has settings: there are {there}")
+    for key in keys(model):
+        say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
 
 
 def _models() -> dict[str, tuple[str, type[Strict]]]:
-    """Return where settings are used, and their model, by the word for them."""
+    """Return where other settings are used, and their model, by the word for them."""
     from homeward.drives.drive import DriveSettings
     from homeward.drives.ros.settings import LogSettings
-    from homeward.registry import ESTIMATORS
     from homeward.simulation.render.room.settings import RenderScenario
     from homeward.simulation.scenario import Scenario
     from homeward.studies.paper.settings import PaperSettings
@@ -50,10 +57,6 @@ def _models() -> dict[str, tuple[str, type[Strict]]]:
     from homeward.vision.recorded.settings import ImageSettings
 
     return {
-        **{
-            name: (f"homeward run --estimator {name} --set ...", model)
-            for name, (model, _) in ESTIMATORS.items()
-        },
         "simulate": ("homeward simulate --set ..., scenario.yaml", Scenario),
         "render": ("homeward render --set ..., scenario.yaml", RenderScenario),
         "reproduce": ("homeward reproduce --set ...", PaperSettings),

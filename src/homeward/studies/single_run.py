@@ -22,7 +22,7 @@ from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.registry import DEFAULT, NEED_START, estimator_settings, make_estimator
+from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.track import Track
 from homeward.track import run as follow
 
@@ -186,9 +186,8 @@ def drive_path(run: RunSettings) -> Path:
 
 def _default_start(estimator: str, drive: Drive) -> Literal["truth"] | None:
     """Fall back on the truth where a filter needs a start and nothing else tells it."""
-    if estimator not in NEED_START or drive.settings.start is not None or drive.truth is None:
-        return None
-    return "truth"
+    known = drive.settings.start is not None or drive.truth is None
+    return None if known or not needs_start(estimator) else "truth"
 
 
 def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:

@@ -38,7 +38,11 @@ def run(
         Path | None, typer.Option(help="The folder to write [out/NAME OF THE DRIVE].")
     ] = None,
     estimator: Annotated[
-        str | None, typer.Option(help="robust (default), ekf, a-ekf, pi-ekf.")
+        str | None,
+        typer.Option(
+            help="robust (default), ekf, a-ekf, pi-ekf, one that is installed, or "
+            "package.module:make."
+        ),
     ] = None,
     start: Annotated[
         str | None,

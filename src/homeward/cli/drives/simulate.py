@@ -25,7 +25,8 @@ def simulate(
         typer.Option(help="Another trajectory than the scenario's."),
     ] = None,
     estimator: Annotated[
-        str | None, typer.Option(help="Whose pose steers: truth, robust, ekf, a-ekf, pi-ekf.")
+        str | None,
+        typer.Option(help="Whose pose steers: truth, or as homeward run --estimator takes it."),
     ] = None,
     changes: Changes = None,
 ) -> None:

@@ -13,7 +13,7 @@ from homeward.drives.drive import Positive, Strict
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
-from homeward.registry import ESTIMATORS
+from homeward.registry import settings_model
 from homeward.simulation.files import load_scenario
 from homeward.simulation.presets import PRESETS
 
@@ -28,7 +28,7 @@ class EstimatorEntry(Strict):
     """An estimator of a study, perhaps with several settings."""
 
     estimator: str
-    """robust, ekf, a-ekf or pi-ekf."""
+    """As `homeward run --estimator` takes it."""
     label: str | None = None
     """Its name in figures; None: the estimator's."""
     settings: dict[str, Any] = {}
@@ -39,8 +39,10 @@ class EstimatorEntry(Strict):
     @field_validator("estimator")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in ESTIMATORS:
-            raise ValueError(f"no estimator {name!r}: there are {', '.join(ESTIMATORS)}")
+        try:
+            settings_model(name)
+        except InputError as error:
+            raise ValueError(str(error)) from None
         return name
 
 

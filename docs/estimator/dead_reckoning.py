@@ -1,0 +1,51 @@
+"""Dead reckoning from the start prior: the least that an estimator of homeward can be."""
+
+import math
+
+import numpy as np
+
+from homeward.estimator import HOLD_S, Counts, Estimate, Status
+from homeward.frames import Pose, from_polar, polar_covariance_to_pose
+
+
+class DeadReckoning:
+    name = "dead-reckoning"
+    notes = ("It does not look at bearings.",)
+
+    def __init__(self, drive):
+        start = drive.settings.start
+        sigmas = start.sigma_R, start.sigma_theta, start.sigma_alpha
+        self.pose = from_polar(start.polar)
+        self.covariance = polar_covariance_to_pose(start.polar, np.diag(np.square(sigmas)))
+        self.noise = drive.settings.odometry.speed_sigma or 0.05  # m/s/sqrt(Hz)
+        self.twist = math.nan, 0.0, 0.0
+        self.counts = Counts()
+
+    def odometry(self, t, v, omega):  # the twist before this one held until now
+        self.pose, self.covariance = self.predicted(t)
+        self.twist = t, v, omega
+
+    def predicted(self, t):
+        since, v, omega = self.twist
+        if math.isnan(since):
+            return self.pose, self.covariance
+        dt = min(t - since, HOLD_S)
+        x, y, heading = self.pose
+        middle = heading + omega * dt / 2
+        dx, dy = v * dt * math.cos(middle), v * dt * math.sin(middle)
+        move = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+        grown = move @ self.covariance @ move.T + np.eye(3) * self.noise**2 * dt
+        return Pose(x + dx, y + dy, math.remainder(heading + omega * dt, math.tau)), grown
+
+    def bearings(self, t, sightings, sigmas=None):  # {id: rad}: a better one would use them
+        return self.estimate(t)
+
+    def estimate(self, t):
+        return Estimate(t, Status.COASTING, "odometry alone", *self.predicted(t))
+
+    def landmarks(self):
+        return []
+
+
+DeadReckoning.needs_start = True  # from drive.yaml, --start, or the truth
+make = DeadReckoning

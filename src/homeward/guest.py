@@ -1,0 +1,107 @@
+"""An estimator of somebody else, held to the `Estimator` protocol: its faults are one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from homeward.errors import InputError
+from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
+from homeward.frames import Pose
+from homeward.plugins import FAULTS, fault
+
+MEMBERS = ("name", "counts", "notes", "odometry", "bearings", "estimate", "landmarks")
+"""Of the protocol."""
+
+
+class Guest:
+    """An `Estimator` whose calls go to one of somebody else, and whose answers are checked.
+
+    Parameters
+    ----------
+    word : str
+        What the user calls it.
+    make : callable
+        Makes it.
+
+    Raises
+    ------
+    InputError
+        Here when it cannot be made or is no `Estimator`; in any call when that raises, or answers
+        what the protocol does not have.
+    """
+
+    def __init__(self, word: str, make: Callable[[], Any]) -> None:
+        self._word = word
+        self._inner: Estimator = self._call("making it", make)
+        kind = type(self._inner).__name__
+        if missing := [name for name in MEMBERS if not hasattr(self._inner, name)]:
+            lacks = ", ".join(missing)
+            raise InputError(f"{word} made a {kind}, which is no Estimator: it has no {lacks}")
+        self.name = str(self._inner.name)
+        self.counts = self._inner.counts
+        self._require(isinstance(self.counts, Counts), "counts is no Counts")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Estimator`."""
+        return tuple(map(str, self._call("notes", lambda: self._inner.notes)))
+
+    def odometry(self, t: float, v: float, omega: float) -> None:
+        """See `Estimator`."""
+        self._call(f"odometry at {t:.10g} s", self._inner.odometry, t, v, omega)
+
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Estimate:
+        """See `Estimator`."""
+        doing = f"bearings at {t:.10g} s"
+        return self._checked(doing, self._call(doing, self._inner.bearings, t, sightings, sigmas))
+
+    def estimate(self, t: float) -> Estimate:
+        """See `Estimator`."""
+        doing = f"estimate at {t:.10g} s"
+        return self._checked(doing, self._call(doing, self._inner.estimate, t))
+
+    def landmarks(self) -> list[LandmarkEstimate]:
+        """See `Estimator`."""
+        known = self._call("landmarks", lambda: list(self._inner.landmarks()))
+        self._require(
+            all(isinstance(m, LandmarkEstimate) for m in known),
+            "landmarks did not answer LandmarkEstimates",
+        )
+        return known  # type: ignore[no-any-return]
+
+    def _call(self, doing: str, function: Callable[..., Any], *values: Any) -> Any:
+        try:
+            return function(*values)
+        except FAULTS as error:
+            raise fault(f"{self._word}: {doing}", error) from error
+
+    def _require(self, holds: bool, words: str) -> None:
+        if not holds:
+            raise InputError(f"{self._word}: {words}")
+
+    def _checked(self, doing: str, answer: Any) -> Estimate:
+        """Return an answer with its pose as a `Pose` and its covariance as an array."""
+        if not isinstance(answer, Estimate):
+            raise InputError(
+                f"{self._word}: {doing} answered a {type(answer).__name__}, not an Estimate"
+            )
+        self._require(isinstance(answer.status, Status), f"{doing} answered no Status")
+        sound = all(isinstance(i, Innovation) for i in answer.innovations)
+        self._require(sound, f"{doing} answered innovations that are none")
+        if answer.pose is None and answer.covariance is None:
+            return answer
+        try:
+            pose = np.array(answer.pose, float).reshape(3)
+            covariance = np.array(answer.covariance, float).reshape(3, 3)
+        except (TypeError, ValueError):
+            pose = covariance = np.array(np.nan)
+        finite = bool(np.isfinite(pose).all() and np.isfinite(covariance).all())
+        words = "no pose of three finite numbers with a covariance of three by three; None is none"
+        self._require(finite, f"{doing} answered {words}")
+        return replace(answer, pose=Pose(*pose.tolist()), covariance=covariance)
