@@ -140,6 +140,11 @@ def prepare(
     HomewardError
         When no landmark was found in a folder of images.
     """
+    return ready(run, opened(run, progress))
+
+
+def opened(run: RunSettings, progress: Callable[[float], None] | None = None) -> Drive:
+    """Open the drive of a run, telling `progress`; errors as `prepare`."""
     settings = estimator_settings(run.estimator, run.settings)
     if run.smooth and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
@@ -157,10 +162,13 @@ def prepare(
     if not drive.home:
         way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
         raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
-    start = run.start or _default_start(run.estimator, drive)
-    if start is not None:
-        told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
-        drive = replace(drive, settings=told)
+    return drive
+
+
+def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings]:
+    """Return what `prepare` does, of a drive that is open."""
+    settings = estimator_settings(run.estimator, run.settings)
+    start, drive = with_start(drive, run.estimator, run.start)
     estimator = make_estimator(run.estimator, drive, settings)
     spelt = settings.model_dump(mode="json")
     if isinstance(estimator, OnlineFilter):
@@ -184,10 +192,23 @@ def drive_path(run: RunSettings) -> Path:
     return sample_drive() if run.drive == SAMPLE else Path(run.drive)
 
 
-def _default_start(estimator: str, drive: Drive) -> Literal["truth"] | None:
-    """Fall back on the truth where a filter needs a start and nothing else tells it."""
+StartChoice = Literal["truth"] | tuple[float, float, float] | None
+
+
+def with_start(
+    drive: Drive, estimator: str, start: StartChoice = None
+) -> tuple[StartChoice, Drive]:
+    """Return where the start prior comes from, and the drive with it.
+
+    Where none is asked for and the drive has none, an estimator that needs one gets the truth's.
+    """
     known = drive.settings.start is not None or drive.truth is None
-    return None if known or not needs_start(estimator) else "truth"
+    if start is None and not known and needs_start(estimator):
+        start = "truth"
+    if start is None:
+        return None, drive
+    told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
+    return start, replace(drive, settings=told)
 
 
 def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:

@@ -19,6 +19,7 @@ from homeward.cli.options import (
     three_numbers,
 )
 from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.terminal import table as print_rows
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 
@@ -41,7 +42,7 @@ def run(
         str | None,
         typer.Option(
             help="robust (default), ekf, a-ekf, pi-ekf, one that is installed, or "
-            "package.module:make."
+            "package.module:make; several with commas go onto one page."
         ),
     ] = None,
     start: Annotated[
@@ -69,8 +70,9 @@ def run(
     """Localise a robot along a drive, and write what came out.
 
     The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
-    report.html and run.yaml, from which the run repeats. Where no pose was found, the exit status
-    is 1.
+    report.html and run.yaml, from which the run repeats. Of several estimators it gets all that
+    in a folder of each, and estimators.html with table.csv, table.md and table.tex. Where no pose
+    was found, the exit status is 1.
     """
     from homeward.drives.text.settings import nested
     from homeward.registry import NEED_START
@@ -90,6 +92,9 @@ def run(
         "settings": own or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    if estimator is not None and "," in estimator:
+        _run_several(drive, given, out)
+        return
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in NEED_START:
         raise InputError(f"--engine is for {', '.join(NEED_START)}, not {settings.estimator}")
@@ -161,4 +166,30 @@ def _run(settings: RunSettings, out: Path | None) -> None:
         warn(line)
     say(f"Report: {folder / 'report.html'}")
     if not track.has_pose.any():
+        raise no_answer()
+
+
+def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
+    from homeward.report.several_page import PAGE, table, write_several
+    from homeward.studies.several_runs import run_several
+
+    for option in ("settings", "smooth"):
+        if option in given:
+            name = "set" if option == "settings" else option
+            raise InputError(f"--{name} is for one estimator; homeward study takes it for each")
+    words = [word.strip() for word in given["estimator"].split(",")]
+    runs = [run_settings(drive, {**given, "estimator": word}) for word in words]
+    with progress(f"{drive}, {', '.join(words)}") as tell:
+        outcomes = run_several(runs, tell)
+        folder = output_folder(out, outcomes[0].drive.name, PAGE)
+        write_several(folder, outcomes)
+    print_rows(table(outcomes), left=1)
+    for line in outcomes[0].drive.remark_lines:
+        warn(line)
+    for outcome in outcomes:
+        notes = () if outcome.track is None else outcome.track.notes
+        for line in filter(None, (outcome.failure, *notes)):
+            warn(f"{outcome.run.estimator}: {line}" if line in notes else line)
+    say(f"Page: {folder / PAGE}")
+    if not any(o.track is not None and o.track.has_pose.any() for o in outcomes):
         raise no_answer()

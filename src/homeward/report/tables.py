@@ -1,0 +1,68 @@
+"""Tables as CSV, Markdown and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from homeward.errors import printable
+
+Cell = str | float | int | None
+_LATEX = str.maketrans(
+    {c: "\\" + c for c in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
+
+
+def markdown(rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Return a table, its head first, in Markdown; so many columns stand left, others right."""
+    head, *body = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows]
+    sides = ["---" if k < left else "--:" for k in range(len(head))]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, sides, *body))
+
+
+def latex(rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Return a table, its head first, as a LaTeX tabular with the rules of booktabs."""
+    head, *body = [
+        " & ".join(printable(cell).translate(_LATEX) for cell in row) + r" \\" for row in rows
+    ]
+    columns = "l" * left + "r" * (len(rows[0]) - left)
+    lines = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *body]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def comma_separated(rows: Sequence[Sequence[Cell]]) -> str:
+    """Return a table as CSV, numbers to the last bit; empty where there is none."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for row in rows:
+        writer.writerow(["" if _unknown(cell) else cell for cell in row])
+    return out.getvalue()
+
+
+def write_tables(
+    folder: Path, rows: Sequence[Sequence[str]], exact: Sequence[Sequence[Cell]], left: int = 1
+) -> None:
+    """Write table.md and table.tex as they are read, and table.csv to the last bit.
+
+    Parameters
+    ----------
+    folder : Path
+        That is there.
+    rows : sequence of rows of str
+        With the head first.
+    exact : sequence of rows
+        The same in plain numbers, units in the head.
+    left : int
+        So many columns stand left, the others right.
+    """
+    texts = {"md": markdown(rows, left), "tex": latex(rows, left), "csv": comma_separated(exact)}
+    for kind, text in texts.items():
+        (folder / f"table.{kind}").write_text(text, encoding="utf-8")
+
+
+def _unknown(cell: Cell) -> bool:
+    return cell is None or (isinstance(cell, float) and math.isnan(cell))
