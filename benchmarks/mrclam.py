@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.drive import Drive
 from homeward.drives.mrclam import read_mrclam
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.scoring import Errors, errors, statistics
+from homeward.studies.study.recordings import falsified
 from homeward.track import Track, run
 
 AFTER_S, POSE_AFTER_S = 300.0, 240.0
@@ -33,21 +33,6 @@ def data() -> Path:
     """Return the folder of data sets."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("HOMEWARD_DATA", beside))
-
-
-def falsified(drive: Drive, number: int, seed: int) -> tuple[Drive, set[str]]:
-    """Return the drive with some home bearings off by 0.2 to 0.6 rad, and which ones."""
-    draw = np.random.default_rng(seed)
-    wrong = {str(n) for n in draw.choice(sorted(drive.home), number, replace=False)}
-    home = {
-        n: HomeBearing(
-            float(wrap(b.bearing + draw.choice([-1, 1]) * draw.uniform(0.2, 0.6))), b.sigma
-        )
-        if n in wrong
-        else b
-        for n, b in drive.home.items()
-    }
-    return dataclasses.replace(drive, home=home), wrong
 
 
 def rmse_of(e: Errors, use: np.ndarray) -> float:
@@ -100,7 +85,9 @@ def main() -> None:
     for robot in options.robots:
         for seed in range(options.seeds):
             drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, HOME, math.radians(0.5), seed)
-            drive, wrong = falsified(drive, options.falsify, seed)
+            right = drive.home
+            drive = falsified(drive, options.falsify, np.random.default_rng(seed))
+            wrong = {n for n, b in drive.home.items() if b != right[n]}
             if options.told:
                 home = {n: b for n, b in drive.home.items() if n not in wrong}
                 drive, wrong = dataclasses.replace(drive, home=home), set()

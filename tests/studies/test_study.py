@@ -29,7 +29,8 @@ from homeward.studies.study.quantities import RUN, SERIES
 from homeward.studies.study.results import _gather, open_study, to_dataset, write_netcdf
 from homeward.studies.study.runs import run_block, run_seed
 from homeward.studies.study.settings import StudySettings, load_study, shipped
-from homeward.studies.study.summary import lines, over_time, quantiles, table, wilson
+from homeward.studies.study.summary import lines, over_time, quantiles, wilson
+from homeward.studies.study.tabulated import summary, table
 from homeward.track import run as follow
 
 QUICK = {
@@ -217,8 +218,8 @@ def test_a_world_that_cannot_be_built_fails_every_run(tmp_path):
     found = computed(plan, tmp_path / "out")
     assert found.failed.all()
     assert "no landmark in view" in found.failure[0, 0, 0]
-    assert table(found) == [["scenario", "estimator", "failed"]] + [
-        [found.plan.cases[0].label if j == 0 else "", c.label, "4"]
+    assert table(summary(found)) == [["scenario", "estimator", "failed"]] + [
+        [found.plan.cases[0].label if j == 0 else "", c.label, "4 of 4"]
         for j, c in enumerate(found.plan.contenders)
     ]
     write_study(tmp_path / "out", found)

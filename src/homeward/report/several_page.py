@@ -15,7 +15,7 @@ from homeward.report.output import whole_folder
 from homeward.report.palette import INK, MUTED
 from homeward.report.run_folder import write_run
 from homeward.report.study_figures import COLOURS
-from homeward.report.tables import Cell, write_tables
+from homeward.report.tables import write_tables
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, name
@@ -84,10 +84,10 @@ def _row(outcome: Outcome) -> list[str]:
     return [outcome.run.estimator, *shares, *values[:-1], named, values[-1]]
 
 
-def exact_table(outcomes: Sequence[Outcome]) -> list[list[Cell]]:
+def exact_table(outcomes: Sequence[Outcome]) -> list[list[object]]:
     """Return the same to the last bit, with the reasons of failures."""
-    head: list[Cell] = [*HEAD[:-2], HEAD[-1], HEAD[-2], "failure"]
-    rows: list[list[Cell]] = [
+    head: list[object] = [*HEAD[:-2], HEAD[-1], HEAD[-2], "failure"]
+    rows: list[list[object]] = [
         [o.run.estimator, *_numbers(o), _named(o) if o.track else "", o.failure] for o in outcomes
     ]
     return [head, *rows]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from homeward.errors import printable
 
-Cell = str | float | int | None
 _LATEX = str.maketrans(
     {c: "\\" + c for c in "&%$#_{}"}
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
@@ -34,7 +33,7 @@ def latex(rows: Sequence[Sequence[str]], left: int = 1) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def comma_separated(rows: Sequence[Sequence[Cell]]) -> str:
+def comma_separated(rows: Sequence[Sequence[object]]) -> str:
     """Return a table as CSV, numbers to the last bit; empty where there is none."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -44,7 +43,7 @@ def comma_separated(rows: Sequence[Sequence[Cell]]) -> str:
 
 
 def write_tables(
-    folder: Path, rows: Sequence[Sequence[str]], exact: Sequence[Sequence[Cell]], left: int = 1
+    folder: Path, rows: Sequence[Sequence[str]], exact: Sequence[Sequence[object]], left: int = 1
 ) -> None:
     """Write table.md and table.tex as they are read, and table.csv to the last bit.
 
@@ -64,5 +63,5 @@ def write_tables(
         (folder / f"table.{kind}").write_text(text, encoding="utf-8")
 
 
-def _unknown(cell: Cell) -> bool:
+def _unknown(cell: object) -> bool:
     return cell is None or (isinstance(cell, float) and math.isnan(cell))

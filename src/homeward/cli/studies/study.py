@@ -26,10 +26,10 @@ def study(
 ) -> None:
     """Run a Monte Carlo study: every estimator in every scenario, many times.
 
-    The folder gets results.nc (netCDF: errors of every run, over time too), study.html, every
-    figure as PNG, study.yaml, and the finished blocks; stopped, the same command goes on from
-    them. By default all processors of this machine work. Where every run failed, the exit status
-    is 1. Needs the extra scale.
+    The folder gets results.nc (netCDF: errors of every run, over time too), study.html, its table
+    as CSV, Markdown and LaTeX, every figure as PNG, study.yaml, and the finished blocks; stopped,
+    the same command goes on from them. By default all processors of this machine work. Where every
+    run failed, the exit status is 1. Needs the extra scale.
     """
     from homeward.report.output import check_output
     from homeward.report.study.page import DATA, PAGE, headline, write_study
@@ -37,7 +37,7 @@ def study(
     from homeward.studies.study.plan import make_plan
     from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
     from homeward.studies.study.settings import load_study
-    from homeward.studies.study.summary import failures, table
+    from homeward.studies.study.summary import failures
 
     require_scale()
     where = Where(scheduler, workers)
@@ -48,11 +48,11 @@ def study(
     store = open_study(plan, folder)
     with resumable(), progress(plan.study.name) as tell:
         results = run_study(plan, store, where, tell)
-        write_study(folder, results)
-    print_rows(table(results))
+        rows = write_study(folder, results)
+    print_rows(rows)
     say(headline(results) + ".")
     for reason, number in failures(results).items():
         warn(f"{number} failed: {reason}")
     say(f"Page: {folder / PAGE}; results: {folder / DATA}")
-    if results.failed.all():
+    if results.failed.sum() == results.number:
         raise no_answer()

@@ -18,17 +18,24 @@ from homeward.report.study.figures import (
     below,
     figures,
 )
+from homeward.report.tables import write_tables
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, listing
 from homeward.studies.study.results import MARKER, Results, write_netcdf
-from homeward.studies.study.summary import failures, table
+from homeward.studies.study.summary import failures
+from homeward.studies.study.tabulated import Summary, exact_table, summary, table
 
 PAGE, DATA = "study.html", "results.nc"
 
 
-def write_study(directory: Path, results: Results) -> None:
-    """Write the page, every figure as PNG, and the results as netCDF, all or nothing.
+def write_study(directory: Path, results: Results) -> list[list[str]]:
+    """Write the page, its table, every figure as PNG, and the results as netCDF, all or nothing.
+
+    Returns
+    -------
+    list of list of str
+        The table, for the terminal.
 
     Raises
     ------
@@ -41,7 +48,11 @@ def write_study(directory: Path, results: Results) -> None:
             for name, caption, figure in figures(results)
         ]
         write_netcdf(results, scratch / DATA)
-        (scratch / PAGE).write_text(_page(results, pictures), encoding="utf-8")
+        found = summary(results)
+        rows = table(found)
+        write_tables(scratch, rows, exact_table(found), left=2)
+        (scratch / PAGE).write_text(_page(results, found, rows, pictures), encoding="utf-8")
+    return rows
 
 
 def headline(results: Results) -> str:
@@ -49,14 +60,21 @@ def headline(results: Results) -> str:
     plan, study = results.plan, results.plan.study
     loop = "each steering its own drives" if study.loop == "closed" else "on drives of the truth"
     failed = int(results.failed.sum())
-    told = "none failed" if not failed else f"{failed:,} of {results.failed.size:,} runs failed"
+    told = f"{failed:,} of {results.number:,} runs failed" if failed else "no run failed"
+    fixed = any(case.runs < study.runs for case in plan.cases)
     return (
-        f"{count(len(plan.contenders), 'estimator')} in {count(len(plan.cases), 'scenario')}, "
-        f"{count(study.runs, 'run')} of each, {loop}; {told}"
+        f"{count(len(plan.contenders), 'estimator')} in {count(len(plan.cases), 'scenario')}: "
+        f"{told}, of {count(study.runs, 'run')} each"
+        f"{' (one where nothing is random)' if fixed else ''}, {loop}"
     )
 
 
-def _page(results: Results, pictures: list[tuple[str, str, Markup]]) -> str:
+def _page(
+    results: Results,
+    found: Summary,
+    rows: list[list[str]],
+    pictures: list[tuple[str, str, Markup]],
+) -> str:
     plan = results.plan
     names = [name for name, _, _ in pictures]
     cut = []
@@ -69,9 +87,10 @@ def _page(results: Results, pictures: list[tuple[str, str, Markup]]) -> str:
         "study.html.j2",
         title=plan.study.name,
         headline=headline(results),
-        closed=plan.study.loop == "closed",
+        closed=found.closed,
+        first=found.first,
         home_radius=plan.study.home_radius,
-        rows=table(results),
+        rows=rows,
         figures=[picture for _, *picture in pictures],
         over_time=OVER_TIME in names,
         cut=listing(cut) if cut else "",

@@ -16,6 +16,7 @@ from homeward.errors import InputError
 from homeward.registry import estimator_settings
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.scenario import Scenario
+from homeward.studies.study.recordings import Recording, recorded
 from homeward.studies.study.settings import EstimatorEntry, StudySettings
 
 MOST_CELLS = 10_000
@@ -31,7 +32,11 @@ class Case:
     label: str
     point: dict[str, Any]
     """Axis of the grid to value, or name of the point."""
-    scenario: Scenario
+    scenario: Scenario | Recording
+    duration: float
+    """The longest that it takes [s]."""
+    runs: int
+    """One where nothing is random."""
 
 
 @dataclass(frozen=True)
@@ -70,19 +75,17 @@ class Plan:
     @property
     def times(self) -> np.ndarray:
         """Times at which errors are kept [s], shape (k,)."""
-        longest = max(case.scenario.trajectory.duration for case in self.cases)
+        longest = max(case.duration for case in self.cases)
         return self.study.interval * np.arange(math.floor(longest / self.study.interval + 1e-9) + 1)
 
     def blocks(self) -> dict[str, StudyBlock]:
         """Return the blocks by name."""
         study, times, blocks = self.study, self.times, {}
-        for i, first in itertools.product(
-            range(len(self.cases)), range(0, study.runs, study.block)
-        ):
-            last = min(first + study.block, study.runs)
-            blocks[block_name(i, first)] = StudyBlock(
-                self.cases[i], self.contenders, study, times, first, last
-            )
+        for i, case in enumerate(self.cases):
+            for first in range(0, case.runs, study.block):
+                last = min(first + study.block, case.runs)
+                block = StudyBlock(case, self.contenders, study, times, first, last)
+                blocks[block_name(i, first)] = block
         return blocks
 
 
@@ -99,24 +102,30 @@ def make_plan(study: StudySettings) -> Plan:
     InputError
         When a combination is not valid, or there are too many.
     """
-    points = math.prod(len(axis) for axis in study.grid.values())
+    points = sum(math.prod(map(len, entry.grid.values())) for entry in study.drives)
+    if study.scenario is not None:
+        points += math.prod(len(axis) for axis in study.grid.values())
     entries = sum(math.prod(map(len, entry.grid.values())) for entry in study.estimators)
     if points * entries > MOST_CELLS:
         raise InputError(
             f"{points:,} scenarios times {entries:,} estimators; at most {MOST_CELLS:,} in a study"
         )
-    plan = Plan(study, tuple(_cases(study)), tuple(_contenders(study)))
+    cases = (*_cases(study), *_recordings(study))
+    plan = Plan(study, cases, tuple(_contenders(study)))
     numbers = points * entries * study.runs * plan.times.size
     if numbers > MOST_NUMBERS:
         raise InputError(
             f"{numbers:,} errors over time would not fit into memory: fewer runs, or a longer "
             "interval than " + f"{study.interval:g} s"
         )
-    _refuse_equal([c.label for c in plan.contenders])
+    _refuse_equal("estimators", [c.label for c in plan.contenders])
+    _refuse_equal("drives", [c.label for c in plan.cases])
     return plan
 
 
 def _cases(study: StudySettings) -> Iterator[Case]:
+    if study.scenario is None:
+        return
     assert isinstance(study.scenario, dict)  # load_study has spelt it out
     base = changed_scenario(validated(Scenario, study.scenario), study.changes)
     axes = [_points(key, axis) for key, axis in study.grid.items()]
@@ -128,7 +137,21 @@ def _cases(study: StudySettings) -> Iterator[Case]:
             scenario = changed_scenario(base, changes)
         except InputError as error:
             raise InputError(f"{label}: {error}") from None
-        yield Case(label, point, scenario)
+        yield Case(label, point, scenario, scenario.trajectory.duration, study.runs)
+
+
+def _recordings(study: StudySettings) -> Iterator[Case]:
+    for entry in study.drives:
+        given = entry.model_dump(exclude={"grid"}, exclude_unset=True)
+        for values in itertools.product(*entry.grid.values()):
+            point = dict(zip(entry.grid, values, strict=True))
+            recording = validated(Recording, {**given, **point})
+            drive = recorded(recording)
+            words = [recording.label or drive.name]
+            words += [f"{key} {_short(value)}" for key, value in point.items()]
+            begin, end = drive.span
+            runs = study.runs if recording.random else 1
+            yield Case(", ".join(words), point, recording, end - begin, runs)
 
 
 def _points(key: str, axis: Any) -> list[tuple[str, Any, dict[str, Any]]]:
@@ -154,10 +177,10 @@ def _settings(entry: EstimatorEntry, point: dict[str, Any]) -> Strict:
         raise InputError(f"estimators: {entry.estimator}: {error}") from None
 
 
-def _refuse_equal(labels: list[str]) -> None:
+def _refuse_equal(what: str, labels: list[str]) -> None:
     for label in labels:
         if labels.count(label) > 1:
-            raise InputError(f"estimators: two are called {label!r}; give one of them a label")
+            raise InputError(f"{what}: two are called {label!r}; give one of them a label")
 
 
 def _short(value: Any) -> str:

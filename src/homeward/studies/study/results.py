@@ -28,11 +28,16 @@ class Results:
 
     plan: Plan
     run: dict[str, np.ndarray]
-    """Quantities of `RUN`, (scenarios, estimators, runs)."""
+    """Quantities of `RUN`, (scenarios, estimators, runs); NaN beyond the runs of a scenario."""
     series: dict[str, np.ndarray]
     """Quantities of `SERIES`, (scenarios, estimators, runs, times)."""
     failure: np.ndarray
     """(scenarios, estimators, runs), why a run failed; empty where it did not."""
+
+    @property
+    def number(self) -> int:
+        """How many runs there were; a drive in which nothing is random has one an estimator."""
+        return len(self.plan.contenders) * sum(case.runs for case in self.plan.cases)
 
     @property
     def failed(self) -> np.ndarray:
@@ -97,9 +102,10 @@ def _gather(plan: Plan, store: BlockStore) -> Results:
     series = {name: np.full((*shape, plan.times.size), np.nan, np.float32) for name in SERIES}
     failure = np.full(shape, "", dtype=object)
     for i in range(shape[0]):
-        for first in range(0, study.runs, study.block):
+        runs = plan.cases[i].runs
+        for first in range(0, runs, study.block):
             block = store.load(block_name(i, first))
-            part = slice(first, first + study.block)
+            part = slice(first, min(first + study.block, runs))
             try:
                 for name in RUN:
                     run[name][i, :, part] = block[name]
@@ -136,8 +142,11 @@ def to_dataset(results: Results) -> Any:
         "seed": ("run", np.array(seeds), {"long_name": "seed of the scenario of each run"}),
     }
     for key in study.grid:
-        values = _coordinate([case.point[key] for case in plan.cases])
+        values = _coordinate([case.point.get(key, np.nan) for case in plan.cases])
         coordinates[_name(f"scenario {key}")] = ("scenario", values)
+    for key in sorted({key for entry in study.drives for key in entry.grid}):
+        values = _coordinate([getattr(case.scenario, key, np.nan) for case in plan.cases])
+        coordinates[_name(f"drive {key}")] = ("scenario", values)
     for key in sorted({key for contender in plan.contenders for key in contender.point}):
         found = [contender.point.get(key, np.nan) for contender in plan.contenders]
         coordinates[_name(f"estimator {key}")] = ("estimator", _coordinate(found))

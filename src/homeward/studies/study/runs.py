@@ -12,19 +12,18 @@ from homeward.estimator import Estimator
 from homeward.registry import make_estimator
 from homeward.scoring import Errors, accuracy, errors, score
 from homeward.simulation.scenario import Scenario
-from homeward.simulation.simulate import Simulation, prepare, simulate
+from homeward.simulation.simulate import prepare, simulate
 from homeward.studies.blocks.store import Arrays
-from homeward.studies.study.bound import has_bound, simulation_bound
+from homeward.studies.single_run import with_start
 from homeward.studies.study.plan import Contender, StudyBlock
 from homeward.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.studies.study.recordings import Recording
+from homeward.studies.study.trial import Trial, recorded_trial, simulated_trial
 from homeward.track import Track, track_of
 from homeward.track import run as follow
 
 LONGEST_REASON = 200
 """Letters of the reason of a failure that are kept."""
-
-Bound = tuple[np.ndarray, np.ndarray] | None
-"""Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`, or None where it is not known."""
 
 
 def run_seed(seed: int, run: int) -> int:
@@ -47,14 +46,13 @@ def run_block(block: StudyBlock) -> Arrays:
     kept |= {name: np.full((*shape, block.times.size), np.nan, np.float32) for name in SERIES}
     failures = [[""] * shape[1] for _ in range(shape[0])]
     for i, run in enumerate(range(block.first, block.last)):
-        seed = run_seed(block.study.seed, run)
-        scenario = block.case.scenario.model_copy(update={"seed": seed})
+        seed, case = run_seed(block.study.seed, run), block.case.scenario
         shared = None
         for j, contender in enumerate(block.contenders):
             try:
                 if block.study.loop == "open" and shared is None:
-                    shared = _open_loop(scenario)
-                found = _run(scenario, contender, block, shared)
+                    shared = _open_loop(case, seed)
+                found = _run(case, seed, contender, block, shared)
             except Exception as error:
                 # Whatever goes wrong in one of a million runs must not end the others.
                 failures[j][i] = _reason(error)
@@ -68,66 +66,68 @@ def _reason(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
 
 
-def _open_loop(scenario: Scenario) -> tuple[Simulation, Bound]:
-    simulation = simulate(scenario.model_copy(update={"estimator": "truth"}))
-    return simulation, _bound(simulation)
-
-
-def _bound(simulation: Simulation) -> Bound:
-    return simulation_bound(simulation) if has_bound(simulation) else None
+def _open_loop(case: Scenario | Recording, seed: int) -> Trial:
+    if isinstance(case, Recording):
+        return recorded_trial(case, seed)
+    return simulated_trial(simulate(case.model_copy(update={"seed": seed, "estimator": "truth"})))
 
 
 def _run(
-    scenario: Scenario,
+    case: Scenario | Recording,
+    seed: int,
     contender: Contender,
     block: StudyBlock,
-    shared: tuple[Simulation, Bound] | None,
+    shared: Trial | None,
 ) -> dict[str, float | np.ndarray]:
     """Run one estimator once; over the shared drive, or over one that it steers itself."""
     began = time.process_time()
     if shared is not None:
-        simulation, bound = shared
-        estimator = make_estimator(contender.estimator, simulation.drive, contender.settings)
-        track = follow(simulation.drive, estimator)
+        trial, drive = shared, shared.drive
+        if isinstance(case, Recording):
+            _, drive = with_start(drive, contender.estimator)
+        estimator = make_estimator(contender.estimator, drive, contender.settings)
+        track = follow(drive, estimator)
         seconds = time.process_time() - began
     else:
-        own = scenario.model_copy(update={"estimator": contender.estimator})
+        assert isinstance(case, Scenario)  # who steers cannot do so in a log
+        own = case.model_copy(update={"seed": seed, "estimator": contender.estimator})
         estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
         simulation = simulate(own, estimator)
         track = track_of(estimator, simulation.estimates)
         seconds = time.process_time() - began
-        bound = _bound(simulation)
-    return _measure(simulation, estimator, track, bound, block) | {"seconds": seconds}
+        trial = simulated_trial(simulation)
+    return _measure(trial, estimator, track, block) | {"seconds": seconds}
 
 
 def _measure(
-    simulation: Simulation, estimator: Estimator, track: Track, bound: Bound, block: StudyBlock
+    trial: Trial, estimator: Estimator, track: Track, block: StudyBlock
 ) -> dict[str, float | np.ndarray]:
     """Return every quantity of one run that is known."""
+    begin, end = trial.drive.span
     found: dict[str, float | np.ndarray] = {
-        "duration": simulation.drive.span[1],
-        "final_distance": simulation.final_distance,
+        "duration": end - begin,
+        "final_distance": trial.final_distance,
         "pose_share": 0.0,
-        **_landmarks(simulation, estimator),
+        **_landmarks(trial, estimator),
     }
     if block.study.loop == "closed":
-        found["reached_home"] = float(simulation.final_distance <= block.study.home_radius)
+        found["reached_home"] = float(trial.final_distance <= block.study.home_radius)
     if not track.t.size:
         return found
-    assert simulation.drive.truth is not None  # every simulated drive has it
-    e = errors(track, simulation.drive.truth)
-    metrics = score(track, simulation.drive.truth)
+    assert trial.drive.truth is not None  # every trial has it
+    e = errors(track, trial.drive.truth)
+    metrics = score(track, trial.drive.truth)
     found["pose_share"] = _known(metrics.pose_share)
     found["first_pose"] = _known(metrics.first_pose_after_s)
     found["nis"] = _known(metrics.innovation_nis_mean)
-    times, longest = block.times, 1.5 * block.study.interval
+    times, longest = begin + block.times, 1.5 * block.study.interval
     found |= {
         "position_error": _latest(times, e.t, e.position, longest),
         "heading_error": _latest(times, e.t, e.heading, longest),
         "nees_over_time": _latest(times, e.t, e.nees, longest),
     }
-    if bound is not None:
-        found |= _bounds(times, bound, longest)
+    if trial.bound is not None:
+        found |= _bounds(times, trial.bound, longest)
     return found | _errors(e)
 
 
@@ -184,17 +184,16 @@ def _latest(
     return np.asarray(np.where((row >= 0) & (age < longest), values[np.maximum(row, 0)], np.nan))
 
 
-def _landmarks(simulation: Simulation, estimator: Estimator) -> dict[str, float | np.ndarray]:
+def _landmarks(trial: Trial, estimator: Estimator) -> dict[str, float | np.ndarray]:
     """Return what became of the moved landmarks, as far as the estimator says."""
-    known, world, home = estimator.landmarks(), simulation.world, simulation.drive.home_bearings()
+    known, home, true = estimator.landmarks(), trial.drive.home_bearings(), trial.true_home
     found: dict[str, float | np.ndarray] = {}
     judged = {m.landmark: m.moved for m in known if m.moved is not None}
-    if judged:
+    if judged and trial.none_else:
         named = {landmark for landmark, moved in judged.items() if moved}
-        found["moved_right"] = float(named == set(world.moved))
+        found["moved_right"] = float(named == trial.moved)
     # The stored bearing holds the fault and the noise of home; the truth is where it stands.
-    true = dict(zip(world.ids, np.arctan2(*world.in_home_frame.T[::-1]), strict=True))
-    moved = [m for m in known if m.landmark in world.moved]
+    moved = [m for m in known if m.landmark in trial.moved]
     if moved:
         stored = np.array([wrap(home[m.landmark] - true[m.landmark]) for m in moved])
         now = [wrap(m.home_bearing_estimated - true[m.landmark]) for m in moved]

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
+from homeward.drives.opening import SAMPLE
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
 from homeward.registry import settings_model
 from homeward.simulation.files import load_scenario
 from homeward.simulation.presets import PRESETS
+from homeward.studies.study.recordings import Recording
 
 VERSION_KEY = "homeward"
 """A study.yaml that a study wrote carries the version of homeward under this key."""
@@ -46,6 +49,13 @@ class EstimatorEntry(Strict):
         return name
 
 
+class DriveEntry(Recording):
+    """A recorded drive of a study, perhaps made harder in several ways."""
+
+    grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
+    """Key to values, as falsified or dropped; the entry stands for every combination."""
+
+
 class StudySettings(Strict):
     """Everything that a study depends on."""
 
@@ -53,36 +63,48 @@ class StudySettings(Strict):
     seed: Annotated[int, Field(ge=0)] = 0
     """Of everything; run k of a study with this seed is the same in every scenario and block."""
     runs: Annotated[int, Field(ge=1, le=1_000_000)]
-    """Of each scenario."""
+    """Of each scenario; of a drive in which nothing is random, one."""
     block: Annotated[int, Field(ge=1, le=100_000)] = 10
     """Runs that are computed, and kept, together; changes no result."""
     loop: Literal["closed", "open"] = "closed"
     """Whether each estimator steers its own drives, or the truth steers one drive for all."""
-    scenario: str | dict[str, Any] = "paper-homing"
-    """A preset, a scenario's file, or a whole scenario; its seed and estimator do not count."""
+    scenario: str | dict[str, Any] | None = None
+    """A preset, a scenario's file, or a whole scenario; its seed and estimator do not count.
+    None: paper-homing, or where there are drives, these alone."""
     changes: Annotated[dict[str, Any], Field(alias="set")] = {}
     """Keys of the scenario, in dots, to what they become."""
     grid: dict[str, Axis] = {}
     """Axes of scenarios: a key of the scenario to values, or a name to points that set keys."""
+    drives: tuple[DriveEntry, ...] = ()
+    """Recorded drives with truth, beside the simulated ones, in the open loop."""
     estimators: Annotated[tuple[EstimatorEntry, ...], Field(min_length=1)]
     interval: Positive = 0.5
     """Errors over time are kept this often [s]."""
     home_radius: Positive = 2 * STOP_RADIUS
     """A run reached home when it truly ended within this distance of it [m]."""
 
-    @field_validator("estimators", mode="before")
+    @field_validator("estimators", "drives", mode="before")
     @classmethod
-    def _bare_names(cls, entries: Any) -> Any:
+    def _bare_names(cls, entries: Any, info: ValidationInfo) -> Any:
         """Let a name stand for an entry with defaults."""
         if not isinstance(entries, (list, tuple)):
             return entries
-        return [{"estimator": e} if isinstance(e, str) else e for e in entries]
+        key = str(info.field_name).removesuffix("s")
+        return [{key: e} if isinstance(e, str) else e for e in entries]
 
     @model_validator(mode="after")
     def _axes_hold_something(self) -> Self:
         for key, axis in self.grid.items():
             if not axis:
                 raise ValueError(f"grid.{key}: has no values")
+        return self
+
+    @model_validator(mode="after")
+    def _drives_are_as_they_were(self) -> Self:
+        if self.drives and self.loop != "open":
+            raise ValueError("drives: a log cannot be steered; loop must be open")
+        if self.drives and self.scenario is None and (self.grid or self.changes):
+            raise ValueError("grid and set are of a scenario, and none is named")
         return self
 
 
@@ -113,10 +135,29 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
     study = validated(StudySettings, {**tree, **(changes or {})}, file)
-    if not isinstance(study.scenario, str):
-        return study
-    beside = file.parent / study.scenario
-    named = study.scenario in PRESETS or not is_there(beside)
-    scenario = load_scenario(study.scenario if named else str(beside))
-    whole = scenario.model_dump(mode="json", exclude_none=True, exclude={"seed", "estimator"})
-    return study.model_copy(update={"scenario": whole})
+    update: dict[str, Any] = {"drives": tuple(_located(entry, file) for entry in study.drives)}
+    name = study.scenario
+    if name is None and not study.drives:
+        name = "paper-homing"
+    if isinstance(name, str):
+        scenario = load_scenario(name if name in PRESETS else _beside(name, file))
+        excluded = {"seed", "estimator"}
+        update["scenario"] = scenario.model_dump(mode="json", exclude_none=True, exclude=excluded)
+    return study.model_copy(update=update)
+
+
+def _located(entry: DriveEntry, file: Path) -> DriveEntry:
+    """Return a recorded drive with whole paths, so that the study may be repeated from anywhere."""
+    paths = {key: getattr(entry, key) for key in ("drive", "topics")}
+    update = {
+        key: os.path.realpath(_beside(path, file))
+        for key, path in paths.items()
+        if path is not None and (path != SAMPLE or is_there(file.parent / path))
+    }
+    return entry.model_copy(update=update)
+
+
+def _beside(path: str, file: Path) -> str:
+    """Return a path as it lies beside a file, or where nothing is there, as it is."""
+    beside = file.parent / path
+    return str(beside) if is_there(beside) else path

@@ -39,7 +39,7 @@ class Line:
     no_pose: int
     """Runs that never had a pose."""
     failed: int
-    """Runs that failed."""
+    """Runs that ended in an error."""
     runs: int
     seconds: float
     """Processor time of a run, median [s]."""
@@ -60,8 +60,9 @@ def lines(results: Results) -> list[Line]:
 
 
 def _line(results: Results, i: int, j: int) -> Line:
-    run = {name: values[i, j] for name, values in results.run.items()}
-    failed = results.failed[i, j]
+    runs = results.plan.cases[i].runs
+    run = {name: values[i, j, :runs] for name, values in results.run.items()}
+    failed = results.failed[i, j, :runs]
     home = run["reached_home"]
     arrived, judged = int(np.nansum(home)), int(np.isfinite(home).sum())
     return Line(
@@ -116,50 +117,13 @@ def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.nda
 
     NaN where fewer than `FEWEST_SHARE` of the runs go on.
     """
-    values = np.asarray(results.series[name][i, j], float)
+    values = np.asarray(results.series[name][i, j, : results.plan.cases[i].runs], float)
     here = ~np.isnan(values)
     with warnings.catch_warnings(), np.errstate(over="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # of times without a run
         found = np.nanmean(values**2 if root else values, axis=0)
     enough = here.sum(axis=0) >= max(FEWEST_SHARE * len(values), 1)
     return np.asarray(np.where(enough, np.sqrt(found) if root else found, np.nan))
-
-
-def table(results: Results) -> list[list[str]]:
-    """Return the table of the terminal and of the page, its head first, as text.
-
-    A column in which nothing is known is left out.
-    """
-    closed = results.plan.study.loop == "closed"
-    head = ["scenario", "estimator", "RMSE [m]", "5 to 95 % of runs", "RMSE / bound"]
-    head += ["heading [deg]", "NEES", *(["reached home"] if closed else []), "moved right"]
-    head += ["no pose", "failed", "time of a run [s]"]
-    rows, before = [head], ""
-    for line in lines(results):
-        shown = line.scenario if line.scenario != before else ""
-        before = line.scenario
-        rows.append(
-            [
-                shown,
-                line.estimator,
-                number(line.rmse),
-                _span(line.quantiles[0], line.quantiles[4]),
-                number(line.ratio),
-                number(float(np.degrees(line.heading_rmse))),
-                number(float(line.nees[2])),
-                *([share(line.home)] if closed else []),
-                share(line.moved_right),
-                str(line.no_pose or ""),
-                str(line.failed or ""),
-                number(line.seconds),
-            ]
-        )
-    known = [k for k in range(len(head)) if k < 2 or any(row[k] for row in rows[1:])]
-    return [[row[k] for k in known] for row in rows]
-
-
-def _span(low: float, high: float) -> str:
-    return "" if np.isnan(low) else f"{number(low)} to {number(high)}"
 
 
 def number(value: float) -> str:

@@ -1,0 +1,128 @@
+"""Recorded drives with truth as scenarios of a study, as they are or made harder."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive, Finite, HomeBearing, NonNegative, Strict
+from homeward.errors import InputError
+from homeward.simulation.scenario import Interval
+from homeward.studies.single_run import RunSettings, opened
+
+
+class Recording(Strict):
+    """A recorded drive with truth; what is drawn is drawn anew in each run, by its seed."""
+
+    drive: str
+    """As `homeward run` takes it; a path may be beside the study's file."""
+    label: str | None = None
+    """Its name in figures; None: the drive's."""
+    robot: int | None = None
+    """For an MRCLAM folder: which robot."""
+    home: tuple[Finite, Finite, Finite] | None = None
+    """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
+    home_noise_deg: NonNegative = 0.0
+    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
+    topics: str | None = None
+    """For a log: a YAML file that says which topics hold what."""
+    falsified: Annotated[int, Field(ge=0)] = 0
+    """Home bearings that are made wrong, as if so many landmarks had been moved since."""
+    fault: Interval = (0.2, 0.6)
+    """Size of each, uniform, of either sign [rad]."""
+    dropped: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Share of the sightings that is left out, each by chance."""
+
+    @property
+    def random(self) -> bool:
+        """Whether its runs differ at all."""
+        return bool(self.falsified or self.dropped or self.home_noise_deg)
+
+
+def recorded(recording: Recording) -> Drive:
+    """Return the drive as it was recorded, for a study to judge by its truth.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, has no truth, or too few home bearings to be falsified.
+    """
+    if recording.home_noise_deg and recording.robot is None:
+        raise InputError(f"{recording.drive}: home_noise_deg is for MRCLAM folders")
+    drive = _opened(recording.drive, recording.robot, recording.home, recording.topics)
+    if drive.truth is None:
+        raise InputError(f"{recording.drive}: there is no truth in it to judge by")
+    if recording.falsified > len(drive.home):
+        raise InputError(
+            f"{recording.drive}: falsified is {recording.falsified}; home saw {len(drive.home)}"
+        )
+    return drive
+
+
+@lru_cache(maxsize=16)
+def _opened(path: str, *told: Any) -> Drive:
+    robot, home, topics = told
+    return opened(RunSettings(drive=path, robot=robot, home=home, topics=topics))
+
+
+def drawn(recording: Recording, seed: int) -> tuple[Drive, Drive]:
+    """Return the drive of one run as its estimators see it, and before it was made harder.
+
+    The second has the same home bearings, none of them falsified. Each kind of trouble has random
+    numbers of its own, so that runs that differ in one are alike in the others.
+    """
+    before = recorded(recording)
+    noise, faults, drops = (np.random.default_rng([seed, k]) for k in range(3))
+    if sigma := math.radians(recording.home_noise_deg):
+        home = {
+            i: HomeBearing(float(wrap(b.bearing + noise.normal(0.0, sigma))), sigma)
+            for i, b in before.home.items()
+        }
+        before = dataclasses.replace(before, home=home)
+    drive = falsified(before, recording.falsified, faults, recording.fault)
+    return with_dropped(drive, recording.dropped, drops), before
+
+
+def falsified(
+    drive: Drive,
+    number: int,
+    draw: np.random.Generator,
+    fault: tuple[float, float] = (0.2, 0.6),
+) -> Drive:
+    """Return a drive with some home bearings off.
+
+    Parameters
+    ----------
+    drive : Drive
+        At least `number` landmarks were seen at home.
+    number : int
+        How many are off.
+    draw : Generator
+        Chooses which, to which side, and how far.
+    fault : tuple of float
+        Least and greatest size, uniform [rad].
+    """
+    chosen = set(draw.choice(sorted(drive.home), number, replace=False).tolist())
+    home = {
+        i: HomeBearing(
+            float(wrap(b.bearing + draw.choice([-1, 1]) * draw.uniform(*fault))), b.sigma
+        )
+        if i in chosen
+        else b
+        for i, b in drive.home.items()
+    }
+    return dataclasses.replace(drive, home=home)
+
+
+def with_dropped(drive: Drive, share: float, draw: np.random.Generator) -> Drive:
+    """Return a drive without a share of its sightings, each left out by chance."""
+    kept = draw.random(drive.sightings.t.size) >= share
+    fields = dataclasses.fields(drive.sightings)
+    columns = {field.name: getattr(drive.sightings, field.name)[kept] for field in fields}
+    return dataclasses.replace(drive, sightings=type(drive.sightings)(**columns))
