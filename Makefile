@@ -45,6 +45,7 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.leaderboard $(if $(QUICK),--quick --out /dev/null)
 	$(BIN)/python -m benchmarks.mcu
 	$(BIN)/python -m benchmarks.mcu --moved $(if $(QUICK),--runs 3)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)

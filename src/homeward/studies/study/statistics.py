@@ -43,7 +43,7 @@ def rmse_interval(rmse: np.ndarray) -> Interval:
     rmse : ndarray, shape (n,)
         Of each run; NaN where it has none.
     """
-    return _interval(_root_mean_square, rmse[~np.isnan(rmse)])
+    return interval(_root_mean_square, rmse[~np.isnan(rmse)])
 
 
 def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
@@ -55,7 +55,7 @@ def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
         RMSE of each run, by either; NaN where it has no pose.
     """
     both = ~np.isnan(rmse) & ~np.isnan(other)
-    ratio = _interval(
+    ratio = interval(
         lambda a, b, axis=-1: _root_mean_square(a, axis) / _root_mean_square(b, axis),
         rmse[both],
         other[both],
@@ -87,7 +87,16 @@ def _root_mean_square(values: np.ndarray, axis: int = -1) -> np.ndarray:
         return np.asarray(np.sqrt(np.mean(np.square(values), axis=axis)))
 
 
-def _interval(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> Interval:
+def interval(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> Interval:
+    """Return a statistic of paired samples and its 95 % interval by bootstrap over the pairs.
+
+    Parameters
+    ----------
+    statistic : callable
+        Of arrays, along `axis`.
+    *samples : ndarray, shape (n,)
+        Finite numbers.
+    """
     number = samples[0].size
     if not number:
         return Interval(np.nan)

@@ -1,0 +1,76 @@
+"""The drives: the simulated families of the consistency gate, and real ones, made harder or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.consistency.trial import Trial
+from benchmarks.mrclam import HOME, data
+from homeward.studies.study.recordings import Recording
+from homeward.studies.study.trial import recorded_trial
+
+ROBOTS = (1, 2, 3, 4, 5)
+SET_6 = "MRCLAM_Dataset6"
+FALSIFIED = 3
+"""Of 15 home bearings."""
+HOME_NOISE_DEG = 0.5
+
+
+@dataclass(frozen=True)
+class Family:
+    """Drives of one kind, each with a number."""
+
+    about: str
+    """In a few words."""
+    make: Callable[[int], Trial]
+    """The drive of a number."""
+    real: bool = False
+    copies: int = 1
+    """Drives that each seed stands for."""
+
+
+def simulated() -> dict[str, Family]:
+    """Return the families of the consistency gate, by name."""
+    return {
+        name: Family(named.about, lambda k, named=named: named.make(named.first + k))
+        for name, named in SCENARIOS.items()
+    }
+
+
+def real() -> dict[str, Family]:
+    """Return the families of real drives whose data are there, by name."""
+    if not (data() / SET_6).is_dir():
+        return {}
+    about = "UTIAS MRCLAM set 6, five robots, a camera of 66 deg"
+    wrong = f"the same, {FALSIFIED} of 15 home bearings wrong by 0.2 to 0.6 rad"
+    half = "the same, half of the sightings dropped"
+    changes = {
+        "utias-6": (about, {}),
+        "utias-6-moved": (wrong, {"falsified": FALSIFIED}),
+        "utias-6-half": (half, {"dropped": 0.5}),
+    }
+    return {
+        name: Family(words, partial(_recorded, change), real=True, copies=len(ROBOTS))
+        for name, (words, change) in changes.items()
+    }
+
+
+def _recorded(change: dict[str, float], number: int) -> Trial:
+    """Return one robot's drive; home's noise, and what is made harder, follow from the seed."""
+    seed, robot = divmod(number, len(ROBOTS))
+    recording = Recording(
+        drive=str(data() / SET_6),
+        robot=ROBOTS[robot],
+        home=tuple(HOME),
+        home_noise_deg=HOME_NOISE_DEG,
+        **change,
+    )
+    trial = recorded_trial(recording, seed)
+    stamps = np.unique(trial.drive.sightings.t)
+    # Nobody knows how well a pose could be told on a real drive.
+    return Trial(trial.drive, trial.moved, stamps, np.full((stamps.size, 3, 3), np.inf))
