@@ -11,8 +11,7 @@ import numpy as np
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import Trial
 from benchmarks.mrclam import HOME, data
-from homeward.studies.study.recordings import Recording
-from homeward.studies.study.trial import recorded_trial
+from homeward.studies.study.recordings import Recording, recorded_trial
 
 ROBOTS = (1, 2, 3, 4, 5)
 SET_6 = "MRCLAM_Dataset6"

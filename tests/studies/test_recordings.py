@@ -11,9 +11,13 @@ from studies.chores import in_this_process
 from homeward.drives.opening import open_drive
 from homeward.registry import make_estimator
 from homeward.scoring import score
-from homeward.studies.study.recordings import Recording, drawn, falsified, with_dropped
+from homeward.studies.study.recordings import (
+    Recording,
+    falsified,
+    recorded_trial,
+    with_dropped,
+)
 from homeward.studies.study.settings import load_study
-from homeward.studies.study.trial import recorded_trial
 from homeward.track import run
 
 
@@ -51,12 +55,12 @@ def test_dropped_sightings_are_a_share_of_all_in_their_order():
 
 
 def test_runs_that_differ_in_one_trouble_are_alike_in_the_others():
-    both = drawn(Recording(drive="sample", falsified=3, dropped=0.5), 7)[0]
-    home = drawn(Recording(drive="sample", falsified=3), 7)[0]
-    seen = drawn(Recording(drive="sample", dropped=0.5), 7)[0]
+    both = recorded_trial(Recording(drive="sample", falsified=3, dropped=0.5), 7).drive
+    home = recorded_trial(Recording(drive="sample", falsified=3), 7).drive
+    seen = recorded_trial(Recording(drive="sample", dropped=0.5), 7).drive
     assert both.home == home.home
     np.testing.assert_array_equal(both.sightings.t, seen.sightings.t)
-    assert drawn(Recording(drive="sample", falsified=3), 8)[0].home != home.home
+    assert recorded_trial(Recording(drive="sample", falsified=3), 8).drive.home != home.home
 
 
 def test_a_trial_knows_what_was_falsified_and_only_that():

@@ -15,6 +15,7 @@ from homeward.drives.drive import Drive, Finite, HomeBearing, NonNegative, Stric
 from homeward.errors import InputError
 from homeward.simulation.scenario import Interval
 from homeward.studies.single_run import RunSettings, opened
+from homeward.studies.study.trial import Trial
 
 
 class Recording(Strict):
@@ -71,22 +72,32 @@ def _opened(path: str, *told: Any) -> Drive:
     return opened(RunSettings(drive=path, robot=robot, home=home, topics=topics))
 
 
-def drawn(recording: Recording, seed: int) -> tuple[Drive, Drive]:
-    """Return the drive of one run as its estimators see it, and before it was made harder.
+def recorded_trial(recording: Recording, seed: int) -> Trial:
+    """Return the drive of one run; wrong are the home bearings that were falsified.
 
-    The second has the same home bearings, none of them falsified. Each kind of trouble has random
-    numbers of its own, so that runs that differ in one are alike in the others.
+    Others may be, too, unless they were computed from a survey, as an MRCLAM folder's are. Each
+    kind of trouble has random numbers of its own, so that runs that differ in one are alike in the
+    others.
     """
-    before = recorded(recording)
+    right = recorded(recording)
     noise, faults, drops = (np.random.default_rng([seed, k]) for k in range(3))
     if sigma := math.radians(recording.home_noise_deg):
         home = {
             i: HomeBearing(float(wrap(b.bearing + noise.normal(0.0, sigma))), sigma)
-            for i, b in before.home.items()
+            for i, b in right.home.items()
         }
-        before = dataclasses.replace(before, home=home)
-    drive = falsified(before, recording.falsified, faults, recording.fault)
-    return with_dropped(drive, recording.dropped, drops), before
+        right = dataclasses.replace(right, home=home)
+    drive = falsified(right, recording.falsified, faults, recording.fault)
+    drive = with_dropped(drive, recording.dropped, drops)
+    assert drive.truth is not None  # a recording has it
+    return Trial(
+        drive,
+        moved=frozenset(i for i, b in drive.home.items() if b != right.home[i]),
+        none_else=recording.robot is not None,
+        true_home=right.home_bearings(),
+        final_distance=math.hypot(float(drive.truth.x[-1]), float(drive.truth.y[-1])),
+        bound=None,
+    )
 
 
 def falsified(

@@ -17,8 +17,8 @@ from homeward.studies.blocks.store import Arrays
 from homeward.studies.single_run import with_start
 from homeward.studies.study.plan import Contender, StudyBlock
 from homeward.studies.study.quantities import FAILURE, RUN, SERIES
-from homeward.studies.study.recordings import Recording
-from homeward.studies.study.trial import Trial, recorded_trial, simulated_trial
+from homeward.studies.study.recordings import Recording, recorded_trial
+from homeward.studies.study.trial import Trial, simulated_trial
 from homeward.track import Track, track_of
 from homeward.track import run as follow
 

@@ -11,7 +11,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
-from homeward.drives.opening import SAMPLE
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
@@ -135,10 +134,9 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
     study = validated(StudySettings, {**tree, **(changes or {})}, file)
-    update: dict[str, Any] = {"drives": tuple(_located(entry, file) for entry in study.drives)}
-    name = study.scenario
-    if name is None and not study.drives:
-        name = "paper-homing"
+    drives = (e.model_copy(update={"drive": _beside(e.drive, file)}) for e in study.drives)
+    update: dict[str, Any] = {"drives": tuple(drives)}
+    name = "paper-homing" if study.scenario is None and not study.drives else study.scenario
     if isinstance(name, str):
         scenario = load_scenario(name if name in PRESETS else _beside(name, file))
         excluded = {"seed", "estimator"}
@@ -146,18 +144,7 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     return study.model_copy(update=update)
 
 
-def _located(entry: DriveEntry, file: Path) -> DriveEntry:
-    """Return a recorded drive with whole paths, so that the study may be repeated from anywhere."""
-    paths = {key: getattr(entry, key) for key in ("drive", "topics")}
-    update = {
-        key: os.path.realpath(_beside(path, file))
-        for key, path in paths.items()
-        if path is not None and (path != SAMPLE or is_there(file.parent / path))
-    }
-    return entry.model_copy(update=update)
-
-
 def _beside(path: str, file: Path) -> str:
-    """Return a path as it lies beside a file, or where nothing is there, as it is."""
-    beside = file.parent / path
-    return str(beside) if is_there(beside) else path
+    """Return where something is, beside a file or from here; where it is not, as it was."""
+    places = (file.parent / path, Path(path))
+    return next((os.path.realpath(place) for place in places if is_there(place)), path)

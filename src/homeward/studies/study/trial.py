@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.simulation.simulate import Simulation
 from homeward.studies.study.bound import has_bound, simulation_bound
-from homeward.studies.study.recordings import Recording, drawn
 
 Bound = tuple[np.ndarray, np.ndarray] | None
 """Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`, or None where it is not known."""
@@ -43,16 +41,3 @@ def simulated_trial(simulation: Simulation) -> Trial:
         simulation.final_distance,
         simulation_bound(simulation) if has_bound(simulation) else None,
     )
-
-
-def recorded_trial(recording: Recording, seed: int) -> Trial:
-    """Return the trial of a recorded drive: wrong are the home bearings that were falsified.
-
-    Others may be, too, unless they were computed from a survey, as an MRCLAM folder's are.
-    """
-    drive, before = drawn(recording, seed)
-    assert drive.truth is not None  # a recording has it
-    now, right = drive.home_bearings(), before.home_bearings()
-    wrong = frozenset(i for i in now if now[i] != right[i])
-    end = math.hypot(float(drive.truth.x[-1]), float(drive.truth.y[-1]))
-    return Trial(drive, wrong, recording.robot is not None, right, end, None)
