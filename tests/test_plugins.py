@@ -1,6 +1,7 @@
 """Estimators of other packages: found, held to the protocol, and their faults told in one line."""
 
 import importlib
+import re
 import shutil
 import subprocess
 import sys
@@ -49,6 +50,10 @@ class Unborn(Mine):
     def __init__(self, drive): raise KeyError("nothing\\nhere")
 class Quits(Mine):
     def __init__(self, drive): raise SystemExit(3)
+class Strings(Mine):
+    def __init__(self, drive):
+        super().__init__(drive)
+        self.counts.rejected["because"] = 1
 class NoLandmarks(Mine):
     landmarks = property()
 def nothing(drive): return None
@@ -151,12 +156,23 @@ def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path
         ("mine:Wordless", "answered a tuple, not an Estimate"),
         ("mine:Infinite", "answered no pose of three finite numbers"),
         ("mine:Half", "answered no pose of three finite numbers"),
+        ("mine:Strings", "counts is no Counts by Rejection"),
     ],
 )
 def test_what_is_wrong_with_an_estimator_is_one_line(mine, short, tmp_path, word, told):
     out = tmp_path / "out"
     assert told in refused(call("run", short, "--estimator", word, "--out", out))
     assert not out.exists()
+
+
+def test_the_settings_of_the_manual_are_read(installed, short, tmp_path):
+    text = (TEMPLATE.parent / "estimators.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (installed / "of_the_manual.py").write_text(code)
+    words = ["run", short, "--estimator", "of_the_manual:make", "--start", "1,0,0"]
+    result = call(*words, "--set", "noise=0.1", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "noise: 0.1" in (tmp_path / "out" / "run.yaml").read_text()
 
 
 def test_an_estimator_of_somebody_else_steers(mine, tmp_path):

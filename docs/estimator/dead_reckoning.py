@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from homeward.estimator import HOLD_S, Counts, Estimate, Status
-from homeward.frames import Pose, from_polar, polar_covariance_to_pose
+from homeward import Counts, Estimate, Pose, Status
+from homeward.estimator import HOLD_S
+from homeward.frames import from_polar, polar_covariance_to_pose
 
 
 class DeadReckoning:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose
 from homeward.plugins import FAULTS, fault
+from homeward.reasons import Rejection
 
 MEMBERS = ("name", "counts", "notes", "odometry", "bearings", "estimate", "landmarks")
 """Of the protocol."""
@@ -42,8 +41,16 @@ class Guest:
             lacks = ", ".join(missing)
             raise InputError(f"{word} made a {kind}, which is no Estimator: it has no {lacks}")
         self.name = str(self._inner.name)
-        self.counts = self._inner.counts
-        self._require(isinstance(self.counts, Counts), "counts is no Counts")
+
+    @property
+    def counts(self) -> Counts:
+        """See `Estimator`."""
+        counts = self._call("counts", lambda: self._inner.counts)
+        sound = isinstance(counts, Counts) and all(
+            isinstance(r, Rejection) for r in counts.rejected
+        )
+        self._require(sound, "counts is no Counts by Rejection")
+        return counts  # type: ignore[no-any-return]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -86,7 +93,7 @@ class Guest:
             raise InputError(f"{self._word}: {words}")
 
     def _checked(self, doing: str, answer: Any) -> Estimate:
-        """Return an answer with its pose as a `Pose` and its covariance as an array."""
+        """Return an answer that is one."""
         if not isinstance(answer, Estimate):
             raise InputError(
                 f"{self._word}: {doing} answered a {type(answer).__name__}, not an Estimate"
@@ -96,12 +103,13 @@ class Guest:
         self._require(sound, f"{doing} answered innovations that are none")
         if answer.pose is None and answer.covariance is None:
             return answer
-        try:
-            pose = np.array(answer.pose, float).reshape(3)
-            covariance = np.array(answer.covariance, float).reshape(3, 3)
-        except (TypeError, ValueError):
-            pose = covariance = np.array(np.nan)
-        finite = bool(np.isfinite(pose).all() and np.isfinite(covariance).all())
         words = "no pose of three finite numbers with a covariance of three by three; None is none"
+        finite = self._call(doing, _finite, answer.pose, answer.covariance)
         self._require(finite, f"{doing} answered {words}")
-        return replace(answer, pose=Pose(*pose.tolist()), covariance=covariance)
+        return answer
+
+
+def _finite(pose: Any, covariance: Any) -> bool:
+    if pose is None or covariance is None or np.shape(covariance) != (3, 3):
+        return False
+    return bool(np.isfinite(pose).all() and np.isfinite(covariance).all())
