@@ -28,7 +28,7 @@ PAGE = "estimators.html"
 LEAST_M = 1e-3
 """Smaller errors are drawn as this: a start that is told has none."""
 HEAD = ["estimator", "no pose", "beyond 3 sigma", "RMSE [m]", "median [m]", "worst [m]"]
-HEAD += ["heading [deg]", "NEES", "named as moved", "update [ms]"]
+HEAD += ["heading [deg]", "NEES", "update [ms]", "named as moved"]
 
 
 def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
@@ -73,46 +73,43 @@ def folder_name(outcome: Outcome) -> str:
 
 def table(outcomes: Sequence[Outcome]) -> list[list[str]]:
     """Return the table of the terminal and of the page, its head first, failures told first."""
-    return [HEAD, *(_row(outcome) for outcome in outcomes)]
-
-
-def _row(outcome: Outcome) -> list[str]:
-    exact = _numbers(outcome)
-    shares = [share(value) for value in exact[:2]]
-    named = "" if outcome.track is None else _named(outcome)
-    values = [number(value) for value in exact[2:]]
-    return [outcome.run.estimator, *shares, *values[:-1], named, values[-1]]
+    rows = [(o, _numbers(o)) for o in outcomes]
+    words = [[*map(share, numbers[:2]), *map(number, numbers[2:])] for _, numbers in rows]
+    return [
+        HEAD,
+        *([o.run.estimator, *w, _named(o)] for (o, _), w in zip(rows, words, strict=True)),
+    ]
 
 
 def exact_table(outcomes: Sequence[Outcome]) -> list[list[object]]:
     """Return the same to the last bit, with the reasons of failures."""
-    head: list[object] = [*HEAD[:-2], HEAD[-1], HEAD[-2], "failure"]
-    rows: list[list[object]] = [
-        [o.run.estimator, *_numbers(o), _named(o) if o.track else "", o.failure] for o in outcomes
-    ]
-    return [head, *rows]
+    rows = ([o.run.estimator, *_numbers(o), _named(o), o.failure] for o in outcomes)
+    return [[*HEAD, "failure"], *rows]
 
 
 def _numbers(outcome: Outcome) -> list[float]:
+    """Return the figures of one row, NaN where they are not known."""
     metrics = outcome.metrics
     if metrics is None:
         return [1.0] + [math.nan] * 7
-    update = metrics.update_median_s
-    found = [1.0 - (metrics.pose_share or 0.0)]
-    if (a := metrics.accuracy) is None:
-        found += [math.nan] * 6
-    else:
+    errors_of = [math.nan] * 6
+    if (a := metrics.accuracy) is not None:
         p, heading = a.position, math.degrees(a.heading.rmse)
         beyond = 1.0 - a.position_inside_sigma_shares[2]
-        found += [beyond, p.rmse, p.median, p.max, heading, a.nees_mean]
-    return [*found, math.nan if update is None else 1e3 * update]
+        errors_of = [beyond, p.rmse, p.median, p.max, heading, a.nees_mean]
+    update = metrics.update_median_s
+    return [
+        1.0 - (metrics.pose_share or 0.0),
+        *errors_of,
+        math.nan if update is None else 1e3 * update,
+    ]
 
 
 def _named(outcome: Outcome) -> str:
-    """Return which landmarks are said to have moved; a dash where the estimator names none."""
+    """Return which landmarks are said to have moved; nothing where the estimator names none."""
     known = [] if outcome.track is None else outcome.track.landmarks
     if all(m.moved is None for m in known):
-        return "-"
+        return ""
     return " ".join(name(m.landmark) for m in known if m.moved) or "none"
 
 
