@@ -170,7 +170,8 @@ def _run(settings: RunSettings, out: Path | None) -> None:
 
 
 def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
-    from homeward.report.several_page import PAGE, table, write_several
+    from homeward.report.output import check_output
+    from homeward.report.run.several import PAGE, table, write_several
     from homeward.studies.several_runs import run_several
 
     for option in ("settings", "smooth"):
@@ -181,7 +182,8 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
     runs = [run_settings(drive, {**given, "estimator": word}) for word in words]
     with progress(f"{drive}, {', '.join(words)}") as tell:
         outcomes = run_several(runs, tell)
-        folder = output_folder(out, outcomes[0].drive.name, PAGE)
+        folder = out or Path("out") / f"{outcomes[0].drive.name}-estimators"
+        check_output(folder, PAGE)
         write_several(folder, outcomes)
     print_rows(table(outcomes), left=1)
     for line in outcomes[0].drive.remark_lines:

@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from homeward.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
 from homeward.report.output import whole_folder
 from homeward.report.palette import INK, MUTED
-from homeward.report.run_folder import write_run
-from homeward.report.study_figures import COLOURS
+from homeward.report.run.folder import write_run
+from homeward.report.study.figures import COLOURS
 from homeward.report.tables import write_tables
 from homeward.report.template import render
 from homeward.report.versions import versions
