@@ -122,7 +122,7 @@ def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
     blind = front_end.see(np.full((128, 512), 50, np.uint8))
     assert seen.bearings
     assert not blind.bearings
-    assert "like nothing" in blind.reason
+    assert "matches nothing" in blind.reason
     assert front_end.see(frame(1, PROVEN + 1)).bearings
 
 
