@@ -86,7 +86,9 @@ class Wheels(Odometry):
 class Rig:
     """Truth, noise, and everything that the estimator answered; each test's are checked at its end.
 
-    A scenario promises a status, of which most answers are at least, or None.
+    A scenario promises a status, of which most answers are at least, or None. Where it is
+    localised, and the noise told as it is, NEES is within its bounds; a pose that nothing verifies
+    is to be less sure.
     """
 
     made: ClassVar[list[Rig]] = []
@@ -100,6 +102,7 @@ class Rig:
     speed_sigma: float = SPEED_SIGMA
     sigmas: dict[str, float] = field(default_factory=dict)
     promise: Status | None = Status.LOCALISED
+    told: bool = True
     answers: list[tuple[Estimate, Pose]] = field(default_factory=list)
 
     def __post_init__(self):
@@ -183,16 +186,15 @@ class Rig:
 
     def check(self) -> None:
         """Check that the estimator kept its promise, was as sure as it may be, and named faults."""
-        poses = sum(a.pose is not None for a, _ in self.answers)
-        if poses >= PROMISED * max(len(self.answers), 1):
-            assert NEES[0] < np.median(self.nees()) < NEES[1]
         if self.promise is None:
             return
         good = AT_LEAST[self.promise]
         assert np.mean([a.status in good for a, _ in self.answers]) >= PROMISED
         if self.promise is Status.LOCALISED:
+            if self.told:
+                assert NEES[0] < np.median(self.nees()) < NEES[1]
             gone = {n for n, place in self.first.items() if self.landmarks[n] != place}
-            assert self.moved() == gone | set(self.faults)
+            assert self.moved() == gone | {n for n, fault in self.faults.items() if fault}
 
     def moved(self) -> set[str]:
         """Return the landmarks that are said to have been moved."""

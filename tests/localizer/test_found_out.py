@@ -47,7 +47,7 @@ class Logged(Rig):
 
 
 def test_smoothing_makes_no_pose_in_the_mirror():
-    rig = Logged(ring(10))
+    rig = Logged(ring(10), promise=None)
     rig.home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
     rig.drive(40, see=lambda seen: {n: -b for n, b in seen.items()})
     track = smooth(rig.logged())
@@ -74,7 +74,7 @@ def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
 
 @pytest.mark.parametrize("given", [BEARING_SIGMA / 10, None])
 def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
-    rig = Logged(ring(10), mount=Pose(0.2, 0.0, 0.0))
+    rig = Logged(ring(10), mount=Pose(0.2, 0.0, 0.0), promise=None)
     start, rig.pose = rig.pose, Pose(0.0, 0.0, 0.0)
     rig.home = {n: HomeBearing(b) for n, b in rig.look().items()}
     rig.pose = start

@@ -193,7 +193,7 @@ def test_what_is_missing_is_told():
 @pytest.mark.parametrize("sigma", [0.05, 0.1])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_camera_worse_than_expected_is_found_out_before_it_is_believed(sigma, seed):
-    rig = Rig(ring(10, seed), seed=seed)
+    rig = Rig(ring(10, seed), seed=seed, told=False)
     rig.localizer = Localizer({n: HomeBearing(b.bearing) for n, b in rig.home.items()})
     noise = np.random.default_rng(seed)
     rig.drive(40, see=lambda seen: {n: b + sigma * noise.normal() for n, b in seen.items()})
@@ -256,7 +256,7 @@ def test_a_home_that_may_be_anywhere_judges_no_landmark(vague):
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64, lambda x: round(100 * x) / 100])
 def test_home_may_be_stored_in_any_kind_of_number(kind):
-    rig = Rig(ring(8))
+    rig = Rig(ring(8), told=False)
     rig.localizer = Localizer(
         {n: HomeBearing(kind(b.bearing), kind(0.01)) for n, b in rig.home.items()}
     )
@@ -265,7 +265,7 @@ def test_home_may_be_stored_in_any_kind_of_number(kind):
 
 
 def test_deviations_that_are_none_are_as_good_as_not_given():
-    rig = Rig(ring(8))
+    rig = Rig(ring(8), told=False)
     bad = (0.0, -1.0, math.inf, 1e-300)
     sigmas = {n: bad[i % len(bad)] for i, n in enumerate(sorted(rig.home))}
     rig.localizer = Localizer({n: HomeBearing(b.bearing, sigmas[n]) for n, b in rig.home.items()})
@@ -276,7 +276,7 @@ def test_deviations_that_are_none_are_as_good_as_not_given():
 
 
 def test_turning_on_the_spot_asks_for_an_arc():
-    rig = Rig(ring(8))
+    rig = Rig(ring(8), promise=None)
     answer = rig.drive(60, spin)
     assert all(a.pose is None for a, _ in rig.answers)
     assert "arc" in answer.reason
