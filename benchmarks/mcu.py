@@ -105,7 +105,7 @@ class Samples(NamedTuple):
 def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Samples:
     """Return a drive; with the resection solved so often, and the EKF begun again from it."""
     estimator = make_estimator("ekf", drive)
-    tuning, ids = estimator._runner.tuning, list(drive.home)
+    tuning, ids = estimator._carrier.tuning, list(drive.home)
     sigmas = [b.sigma for b in drive.home.values()]
     home_sigma = tuning.bearing_sigma if np.isnan(sigmas).any() else float(np.mean(sigmas))
     yaw, density = drive.settings.sensor.yaw, np.sqrt(tuning.input_density)

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 
-from homeward.angles import apply, guarded_inverse
+from homeward.angles import apply, guarded_inverse, wrap
 from homeward.frames import Pose, bearing
 
 POLAR = 3
@@ -39,6 +39,23 @@ def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) ->
     R, theta, alpha = polar
     phi = beta + alpha
     return R * apply("sin", theta - phi) * guarded_inverse(apply("sin", stored - phi), guard)
+
+
+def home_anchored_bearing(pose: Pose, home: Any, inverse: Any) -> Any:
+    """Return the bearing [rad] of a landmark that stands on its home ray; nothing is singular home.
+
+    Parameters
+    ----------
+    pose : Pose
+        x, y [m], heading [rad].
+    home : float, ndarray or SX
+        Its home bearing beta* [rad].
+    inverse : float, ndarray or SX
+        Its inverse distance from home [1/m]; zero stands for infinitely far.
+    """
+    x = apply("cos", home) - inverse * pose.x
+    y = apply("sin", home) - inverse * pose.y
+    return wrap(apply("arctan2", y, x) - pose.heading)
 
 
 @dataclass(frozen=True)

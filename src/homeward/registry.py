@@ -10,11 +10,16 @@ from homeward.drives.drive import Drive, Strict
 from homeward.drives.text.settings import validated
 from homeward.engine.online import OnlineFilter
 from homeward.engine.paper import a_ekf, ekf, pi_ekf
+from homeward.engine.peers import adaptive, invariant, particle, schmidt, ukf
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
+    CartesianSettings,
     FilterSettings,
+    NoiseSettings,
+    ParticleSettings,
     ProportionalIntegralSettings,
+    SchmidtSettings,
 )
 from homeward.guest import Guest
 from homeward.localizer.localizer import Localizer
@@ -37,9 +42,9 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
 
 
 def _filter(make: Callable[..., OnlineFilter]) -> _Maker:
-    """Return what makes one of the paper's filters for a drive."""
+    """Return what makes a filter for a drive."""
 
-    def for_drive(drive: Drive, settings: FilterSettings) -> OnlineFilter:
+    def for_drive(drive: Drive, settings: NoiseSettings) -> OnlineFilter:
         samples = drive.odometry.t.size + drive.sightings.t.size
         return make(drive.home, settings=settings, samples=samples, **drive.settings.robot)
 
@@ -51,11 +56,18 @@ ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
     "ekf": (FilterSettings, _filter(ekf)),
     "a-ekf": (AugmentedSettings, _filter(a_ekf)),
     "pi-ekf": (ProportionalIntegralSettings, _filter(pi_ekf)),
+    "adaptive": (FilterSettings, _filter(adaptive)),
+    "invariant": (CartesianSettings, _filter(invariant)),
+    "particle": (ParticleSettings, _filter(particle)),
+    "schmidt": (SchmidtSettings, _filter(schmidt)),
+    "ukf": (FilterSettings, _filter(ukf)),
 }
 """Each name with the model of its settings and what makes it."""
 DEFAULT = "robust"
-NEED_START = ("ekf", "a-ekf", "pi-ekf")
+NEED_START = tuple(name for name in ESTIMATORS if name != DEFAULT)
 """Those that cannot begin without a start prior."""
+COMPILED = tuple(name for name, (model, _) in ESTIMATORS.items() if "engine" in model.model_fields)
+"""Those that run as compiled C where that pays."""
 
 
 class NoSettings(Strict):

@@ -172,7 +172,7 @@ BAD_INPUTS = [
     (["run", "bad"], "bearings.csv, row 3"),
     (["run", "sample", "--set", "windwo=3"], "did you mean window?"),
     (["run", "sample", "--estimator", "ekf", "--smooth"], "cannot smooth"),
-    (["run", "sample", "--engine", "native"], "--engine is for ekf, a-ekf, pi-ekf, not robust"),
+    (["run", "sample", "--engine", "native"], "--engine is for ekf, a-ekf"),
     (["simulate", "nowhere"], "presets"),
     (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
     (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),

@@ -59,7 +59,8 @@ def follow(estimator, landmarks, pose, seconds=12.0, mount=CENTRE):
     return estimate, pose
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n != "pi-ekf"])
+# The pi-ekf steers itself off; the others take no guard, or the mean over their prior.
+@pytest.mark.parametrize("name", ["ekf", "a-ekf", "schmidt"])
 def test_a_filter_stays_on_the_truth_without_noise(name):
     drive, landmarks, pose = make_drive()
     estimator = make_estimator(name, drive, {"guard": 1e-4})

@@ -6,12 +6,14 @@ from numpy_oracle import Oracle
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.engine.generic import BELIEF, GenericPredict, GenericUpdate
+from homeward.engine.generic import BELIEF, GenericPredict, GenericUpdate, UnscentedPredict
 from homeward.engine.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.filters.schmidt import SchmidtFilter
 from homeward.filters.steps import predict_function, update_function
+from homeward.filters.unscented import UnscentedFilter
 from homeward.frames import Pose, bearing, from_polar
 from homeward.model import PolarModel
 
@@ -115,6 +117,31 @@ def test_steps_with_gate_and_minimum_agree_with_the_oracle(name):
 def test_generic_kernels_agree_with_the_oracle(name):
     kind = kinds(7)[name]
     assert run(kind, GenericPredict(kind), GenericUpdate(kind), 7, 600, 4, 6.0, 2) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "kind", [UnscentedFilter(PolarModel(7)), SchmidtFilter(PolarModel(7, (1, 4)))]
+)
+def test_generic_kernels_of_the_peers_agree_with_their_symbolic_steps(kind):
+    generic = GenericPredict if isinstance(kind, SchmidtFilter) else UnscentedPredict
+    pairs = [
+        (Interpreter(predict_function(kind)), generic(kind)),
+        (Interpreter(update_function(kind)), GenericUpdate(kind)),
+    ]
+    x, P, stored = start(kind, 7, 5)
+    belief = {"state": x, "covariance": P, "active": np.zeros(7), "integral": np.zeros(0)}
+    for u, y, mask in drive(7, 300, 5):
+        given = {"control": u, "dt": DT, "stored": stored, "state_variance": 1e-6}
+        given |= {"input_covariance": np.diag([0.01**2, 0.02**2]), "bearings": y, "mask": mask}
+        given |= {"variance": 1e-3, "gate": 9.0, "minimum_visible": 1.0}
+        for kernels in pairs:
+            for kernel in kernels:
+                for name in kernel.inputs.keys() & (given | belief).keys():
+                    kernel.inputs[name][...] = (given | belief)[name]
+                kernel()
+            for name, found in kernels[0].outputs.items():
+                np.testing.assert_allclose(kernels[1].outputs[name], found, atol=1e-9)
+            belief = {name: kernels[0].outputs[name].copy() for name in BELIEF}
 
 
 def test_augmented_filter_refuses_parameters_that_are_no_landmarks():

@@ -16,7 +16,8 @@ from homeward.engine.kernel import allocate
 from homeward.filters.belief import Belief
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import UPDATE_OUTPUTS, propagate_function
-from homeward.model import POLAR
+from homeward.filters.unscented import LEAST_PIVOT, UnscentedFilter
+from homeward.model import INPUTS, POLAR
 
 BELIEF = tuple(field.name for field in fields(Belief))
 
@@ -47,6 +48,49 @@ class GenericPredict:
         out["active"][:], out["integral"][:] = given["active"], given["integral"]
 
 
+class UnscentedPredict:
+    """The predicting step of the UKF (a `Kernel`)."""
+
+    def __init__(self, kind: UnscentedFilter) -> None:
+        n, q = kind.model.n, kind.model.q
+        belief = _belief(n, q, kind.integral)
+        self.given, self.inputs = allocate(
+            belief
+            | {"control": (INPUTS,), "dt": (1,), "stored": (q,)}
+            | {"input_covariance": (INPUTS, INPUTS), "state_variance": (n,), "proportional": (0, 0)}
+        )
+        self.found, self.outputs = allocate(belief)
+        self._points = 2 * (n + INPUTS)
+        # dt, stored and active are the same for all points.
+        self._step = kind.step().map("points", "serial", self._points, [2, 3, 4], [])
+
+    def __call__(self) -> None:
+        """Compute the outputs from the inputs."""
+        given, out = self.inputs, self.outputs
+        n = given["state"].size
+        spread = np.zeros((n + INPUTS, n + INPUTS))
+        spread[:n, :n] = _root(given["covariance"])
+        spread[n:, n:] = _root(given["input_covariance"])
+        shifts = np.sqrt(n + INPUTS) * np.hstack([spread, -spread])
+        shifts += np.concatenate([given["state"], given["control"]])[:, None]
+        same = given["dt"], given["stored"], given["active"]
+        points = np.asarray(self._step(shifts[:n], shifts[n:], *same))
+        out["state"][:] = points.mean(axis=1)
+        off = points - out["state"][:, None]
+        out["covariance"][...] = off @ off.T / self._points + np.diag(given["state_variance"])
+        out["active"][:] = given["active"]
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Return what `homeward.filters.unscented.cholesky` does."""
+    root = np.zeros(matrix.shape)
+    for j in range(len(matrix)):
+        column = matrix[j:, j] - root[j:, :j] @ root[j, :j]
+        if column[0] > LEAST_PIVOT:
+            root[j:, j] = column / np.sqrt(column[0])
+    return root
+
+
 class GenericUpdate:
     """The updating step of a filter (a `Kernel`)."""
 
@@ -60,7 +104,7 @@ class GenericUpdate:
             | {"integral_gain": (size, q if size else 0)}
         )
         self.found, self.outputs = allocate(belief | dict.fromkeys(UPDATE_OUTPUTS, (q,)))
-        self._bearings = kind.model.bearing_slice
+        self._bearings, self._considered = kind.model.bearing_slice, kind.considered
 
     def __call__(self) -> None:
         """Compute the outputs from the inputs."""
@@ -82,12 +126,14 @@ class GenericUpdate:
         covariance[rows, :] = covariance[:, rows] = 0.0
         covariance[rows, rows] = variance[entering]
         out["active"][entering] = 1.0
-        before = state.copy()
+        before, fixed = state.copy(), self._considered
         for i in np.flatnonzero(accepted):
             j = POLAR + i
             gain = covariance[:, j] / (covariance[j, j] + variance[i])
+            loss = np.outer(gain, covariance[j, :])
+            gain[fixed] = loss[fixed, fixed] = 0.0
             state += gain * (innovation[i] - (state[j] - before[j]))
-            covariance -= np.outer(gain, covariance[j, :])
+            covariance -= loss
             covariance[:] = (covariance + covariance.T) / 2
         if given["integral"].size:
             out["integral"] += given["integral_gain"] @ (innovation * accepted)

@@ -8,7 +8,7 @@ from homeward.engine.choice import choose
 from homeward.engine.kernel import Kernel
 from homeward.engine.native.kernel import NativeProgram
 from homeward.engine.native.source import Source, source_of
-from homeward.engine.stages import filter_parts, filter_program
+from homeward.engine.stages import COMPILES_UP_TO, filter_parts, filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
 
@@ -44,6 +44,8 @@ def filter_kernels(
         return source_of(filter_program(kind), single=True)
 
     saved = SAVED_S * steps
+    if not kind.separable and kind.model.n > COMPILES_UP_TO:
+        engine = "interpreter"  # there are no loops in C for it
     if engine == "auto" and kind.model.n > UNROLLED_UP_TO and saved < WRITING_S:
         engine = "interpreter"
     program, notes = choose(engine, saved, source, native, SLOWER)

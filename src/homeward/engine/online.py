@@ -7,11 +7,11 @@ import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.runner import FilterRunner, Numbers, Tuning
 from homeward.estimator import (
     CHECKED,
     HOLD_S,
@@ -23,10 +23,8 @@ from homeward.estimator import (
     Status,
     guarded,
 )
-from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.carrier import Carrier
 from homeward.filters.settings import Engine
-from homeward.frames import Polar, from_polar, polar_covariance_to_pose
-from homeward.model import POLAR, PolarModel, landmark_distance
 from homeward.naming import natural
 from homeward.reasons import Reason, Rejection
 
@@ -35,58 +33,49 @@ RECENT_SIGHTINGS = 20
 
 
 class OnlineFilter:
-    """One of the paper's filters as an `homeward.estimator.Estimator`.
+    """A filter with a start prior as an `homeward.estimator.Estimator`.
 
     Parameters
     ----------
     name : str
         The word for it in commands and files.
-    kind : ExtendedKalmanFilter
-        Its symbolic steps.
+    carrier : Carrier
+        What its belief is, and its steps.
     landmarks : sequence of str, length q
         Ids, in the order of the states; sightings of others are counted and left out.
     camera_yaw : float
         Added to every bearing to make it one from the robot's heading [rad].
-    tuning : Tuning
-        All its numbers.
     notes : tuple of str
         Assumptions that the user must know of.
-    engine : {"auto", "interpreter", "native"}
-        See `homeward.filters.settings.Engine`.
-    samples : int
-        How many are coming, as far as that is known.
     """
 
     def __init__(
         self,
         name: str,
-        kind: ExtendedKalmanFilter,
+        carrier: Carrier,
         landmarks: Sequence[str],
         camera_yaw: float,
-        tuning: Tuning,
         notes: tuple[str, ...] = (),
-        engine: Engine = "auto",
-        samples: int = 0,
     ) -> None:
-        self._runner = FilterRunner(kind, tuning, engine, samples)
-        self.name, self.notes, self.counts = name, notes + self._runner.notes, Counts()
+        self._carrier = carrier
+        self.name, self.notes, self.counts = name, notes + carrier.notes, Counts()
         self._turn = threading.RLock()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
-        self._belief = self._runner.start()
-        self._sightings = np.zeros(kind.model.q, dtype=int)
+        self._belief = self._carrier.start()
+        self._sightings = np.zeros(len(self._ids), dtype=int)
         self._t = math.nan
         self._twist: tuple[float, float] | None = None
         self._twist_t = -math.inf
         self._last_seen = -math.inf
-        self._agrees = np.zeros(kind.model.q, dtype=bool)
+        self._agrees = np.zeros(len(self._ids), dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
 
     @property
     def engine(self) -> Engine:
         """What executes it: native or interpreter."""
-        return self._runner.engine
+        return self._carrier.engine
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
@@ -116,9 +105,9 @@ class OnlineFilter:
             for k, s in (sigmas or {}).items()
             if k in self._index and 0 < s < math.inf
         }
-        before, diverged = self._belief.active, self._runner.diverged
-        self._belief, out = self._runner.update(self._belief, seen, own)
-        lost = self._runner.diverged - diverged
+        before, diverged = self._belief.active, self._carrier.diverged
+        self._belief, out = self._carrier.update(self._belief, seen, own)
+        lost = self._carrier.diverged - diverged
         self.counts.reject(Rejection.DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
         used = ((out["accepted"] > 0) | (self._belief.active > before)) & (not lost)
@@ -140,16 +129,9 @@ class OnlineFilter:
 
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Return where each landmark must stand, by the paper's relation for D*_i.
-
-        Where that comes out negative, as it can for bearings nearly in line with home, it says
-        nothing of place and distance.
-        """
-        model, belief, stored = self._runner.kind.model, self._belief, self._runner.tuning.stored
-        distances = _distances(model, belief.state, stored)
-        jacobian = _distance_jacobian(model, belief.state, stored)
-        variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
-        home = wrap(_home_bearings(model, belief.state, stored))
+        """Return where each landmark must stand, as far as the belief says."""
+        belief, stored = self._belief, self._carrier.stored
+        home, distances, sigmas = self._carrier.landmarks(belief)
         known = []
         for i, landmark in enumerate(self._ids):
             entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
@@ -159,13 +141,13 @@ class OnlineFilter:
                     home_bearing_estimated=float(home[i]),
                     sightings=int(self._sightings[i]),
                 )
-                if distances[i] > 0:
+                if 0 < distances[i] < math.inf:
                     entry = replace(
                         entry,
                         x=float(distances[i] * np.cos(home[i])),
                         y=float(distances[i] * np.sin(home[i])),
                         distance=float(distances[i]),
-                        sigma_distance=math.sqrt(max(variances[i], 0.0)),
+                        sigma_distance=float(sigmas[i]),
                     )
             known.append(entry)
         return sorted(known, key=lambda m: natural(m.landmark))
@@ -174,15 +156,15 @@ class OnlineFilter:
         """Carry the belief to `t` [s]; with the first sample time begins."""
         if math.isnan(self._t):
             self._t = t
-        before = self._runner.diverged
+        before = self._carrier.diverged
         self._belief, self._t = self._predicted(t), t
-        self.counts.reject(Rejection.DIVERGED, self._runner.diverged - before)
+        self.counts.reject(Rejection.DIVERGED, self._carrier.diverged - before)
 
-    def _predicted(self, t: float) -> Numbers:
+    def _predicted(self, t: float) -> Any:
         """Carry the belief to `t`: by the twist while it holds, then by its absence."""
         held = min(max(self._twist_t + HOLD_S, self._t), t)
-        belief = self._runner.predict(self._belief, held - self._t, self._twist)
-        return self._runner.predict(belief, t - held, None)
+        belief = self._carrier.predict(self._belief, held - self._t, self._twist)
+        return self._carrier.predict(belief, t - held, None)
 
     def _usable(self, sightings: Mapping[str, float]) -> dict[int, float]:
         """Return the sightings of known landmarks by index, from the robot's heading [rad]."""
@@ -200,7 +182,7 @@ class OnlineFilter:
         self, seen: Mapping[int, float], active: np.ndarray, out: Mapping[str, np.ndarray]
     ) -> tuple[Innovation, ...]:
         """Return those of the landmarks that had been seen before, and count what was left out."""
-        if len(seen) < self._runner.tuning.minimum_visible:
+        if len(seen) < self._carrier.minimum_visible:
             self.counts.reject(Rejection.TOO_FEW, len(seen))
             return ()
         innovations = tuple(
@@ -216,11 +198,9 @@ class OnlineFilter:
         self.counts.reject(Rejection.OUTSIDE_GATE, sum(not i.accepted for i in innovations))
         return innovations
 
-    def _estimate(self, t: float, belief: Numbers, innovations: tuple[Innovation, ...]) -> Estimate:
-        polar = Polar(*belief.state[:POLAR].tolist())
-        covariance = polar_covariance_to_pose(polar, belief.covariance[:POLAR, :POLAR])
+    def _estimate(self, t: float, belief: Any, innovations: tuple[Innovation, ...]) -> Estimate:
         status, reason = self._status(t)
-        return Estimate(t, status, reason, from_polar(polar), covariance, innovations)
+        return Estimate(t, status, reason, *self._carrier.pose(belief), innovations)
 
     def _status(self, t: float) -> tuple[Status, str]:
         agreeing = int(self._agrees.sum())
@@ -236,27 +216,3 @@ class OnlineFilter:
         if age > NO_BEARINGS_S:
             return Status.COASTING, Reason.NO_BEARINGS.words
         return Status.LOCALISED, f"{agreeing} home bearings agree"
-
-
-def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Return beta* of all landmarks, from the state where they are estimated: (q,) [rad]."""
-    home = stored.astype(state.dtype)
-    home[list(model.estimated)] = state[POLAR + model.q :]
-    return home
-
-
-def _distances(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    home = _home_bearings(model, state, stored)
-    # The guard is far below any angle that a camera could resolve.
-    return np.asarray(landmark_distance(state[:POLAR], state[model.bearing_slice], home, 1e-6))
-
-
-def _distance_jacobian(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Differentiate D*_i by the state with complex steps: (q, n)."""
-    step = 1e-30
-    columns = []
-    for j in range(model.n):
-        shifted = state.astype(complex)
-        shifted[j] += 1j * step
-        columns.append(np.imag(_distances(model, shifted, stored)) / step)
-    return np.stack(columns, axis=1)

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.engine.generic import BELIEF
 from homeward.engine.kernels import filter_kernels
+from homeward.filters.carrier import LOST_SIGMA, Known
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
-from homeward.frames import Polar
-from homeward.model import POLAR
+from homeward.frames import Polar, Pose, from_polar, polar_covariance_to_pose
+from homeward.model import POLAR, PolarModel, landmark_distance
 
 LONGEST_STEP_S = 0.1
 """A longer interval is predicted in several steps."""
 MOST_STEPS = 1000
 """But in no more than these, however long the gap."""
-LOST_SIGMA = 0.5
-"""White noise of speed [m/s/sqrt(Hz)] and turn rate [rad/s/sqrt(Hz)] without odometry."""
 LARGEST = 1e9
 """A belief with a larger number in it (m, rad, or their squares) has diverged."""
 
@@ -72,7 +72,7 @@ class Tuning:
 
 
 class FilterRunner:
-    """Carries beliefs over intervals and through updates, and keeps them finite.
+    """Carries beliefs in the paper's state (`homeward.filters.carrier`), and keeps them finite.
 
     So many `steps` are coming, as far as that is known.
     """
@@ -81,6 +81,7 @@ class FilterRunner:
         self, kind: ExtendedKalmanFilter, tuning: Tuning, engine: Engine = "auto", steps: int = 0
     ) -> None:
         self.kind, self.tuning = kind, tuning
+        self.stored, self.minimum_visible = tuning.stored, tuning.minimum_visible
         self.diverged = 0
         """Steps that were left out because their result had diverged."""
         self._predict, self._update, self.engine, self.notes = filter_kernels(kind, engine, steps)
@@ -92,6 +93,10 @@ class FilterRunner:
         gain = self._update.inputs["integral_gain"]
         # Of one landmark, CasADi's column is a flat vector.
         gain[...] = tuning.integral_gain.reshape(gain.shape)
+
+    def retune(self, tuning: Tuning) -> None:
+        """Believe other sigmas from now on; the rest of the tuning must be the same."""
+        self.tuning, self._step = tuning, None
 
     def start(self) -> Numbers:
         """Return the belief of the start prior, before any landmark is seen."""
@@ -125,6 +130,27 @@ class FilterRunner:
             self._predict()
             belief = self._sane(self._predict.found, belief)
         return belief
+
+    def pose(self, belief: Numbers) -> tuple[Pose, np.ndarray]:
+        """Return the pose in the home frame and its covariance (3, 3)."""
+        polar = Polar(*belief.state[:POLAR].tolist())
+        covariance = polar_covariance_to_pose(polar, belief.covariance[:POLAR, :POLAR])
+        return from_polar(polar), covariance
+
+    def landmarks(self, belief: Numbers) -> Known:
+        """Return where each landmark must stand, by the paper's relation for D*_i.
+
+        Where that comes out negative, as it can for bearings nearly in line with home, it says
+        nothing of place and distance.
+        """
+        model, state, stored = self.kind.model, belief.state, self.stored
+        jacobian = _distance_jacobian(model, state, stored)
+        variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
+        return Known(
+            wrap(_home_bearings(model, state, stored)),
+            _distances(model, state, stored),
+            np.sqrt(np.maximum(variances, 0.0)),
+        )
 
     def _set_step(self, dt: float, twist: tuple[float, float] | None) -> None:
         """Set what a prediction depends on besides the belief."""
@@ -171,3 +197,27 @@ class FilterRunner:
             return Numbers(self.kind.model.n, self.kind.model.q, memory)
         self.diverged += 1
         return before
+
+
+def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Return beta* of all landmarks, from the state where they are estimated: (q,) [rad]."""
+    home = stored.astype(state.dtype)
+    home[list(model.estimated)] = state[POLAR + model.q :]
+    return home
+
+
+def _distances(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    home = _home_bearings(model, state, stored)
+    # The guard is far below any angle that a camera could resolve.
+    return np.asarray(landmark_distance(state[:POLAR], state[model.bearing_slice], home, 1e-6))
+
+
+def _distance_jacobian(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Differentiate D*_i by the state with complex steps: (q, n)."""
+    step = 1e-30
+    columns = []
+    for j in range(model.n):
+        shifted = state.astype(complex)
+        shifted[j] += 1j * step
+        columns.append(np.imag(_distances(model, shifted, stored)) / step)
+    return np.stack(columns, axis=1)

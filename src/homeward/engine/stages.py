@@ -10,11 +10,12 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
-from homeward.engine.generic import GenericPredict, GenericUpdate
+from homeward.engine.generic import GenericPredict, GenericUpdate, UnscentedPredict
 from homeward.engine.interpreter import Interpreter
 from homeward.engine.kernel import Kernel
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import predict_function, propagate_function, update_function
+from homeward.filters.unscented import UnscentedFilter
 
 Shapes = dict[str, tuple[int, ...]]
 COMPILES_UP_TO = 20
@@ -64,7 +65,11 @@ class Generic(Stage):
 
     def kernel(self) -> Kernel:
         """Return it in NumPy."""
-        return GenericPredict(self.kind) if self.predicts else GenericUpdate(self.kind)
+        if not self.predicts:
+            return GenericUpdate(self.kind)
+        if isinstance(self.kind, UnscentedFilter):
+            return UnscentedPredict(self.kind)
+        return GenericPredict(self.kind)
 
 
 @dataclass(frozen=True)
@@ -115,9 +120,11 @@ def filter_parts(
 ) -> dict[str, tuple[Stage, ...]]:
     """Return the parts ``predict`` and ``update`` of a filter, unrolled up to so many states.
 
-    None stands for `COMPILES_UP_TO`.
+    None stands for `COMPILES_UP_TO`, and for all where there are no loops in C for the filter.
     """
-    if kind.model.n <= (COMPILES_UP_TO if unrolled_up_to is None else unrolled_up_to):
+    if not kind.separable or kind.model.n <= (
+        COMPILES_UP_TO if unrolled_up_to is None else unrolled_up_to
+    ):
         return {
             "predict": (Symbolic(predict_function(kind)),),
             "update": (Symbolic(update_function(kind)),),
@@ -128,4 +135,4 @@ def filter_parts(
 @lru_cache(maxsize=64)
 def filter_program(kind: ExtendedKalmanFilter) -> Program:
     """Return a filter alone: predict, then update."""
-    return Program(filter_parts(kind), Separable(kind))
+    return Program(filter_parts(kind), Separable(kind) if kind.separable else None)

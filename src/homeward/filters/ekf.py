@@ -24,6 +24,13 @@ class ExtendedKalmanFilter:
     integration: Integration = "rk4"
     integral: ClassVar[bool] = False
     """Whether the belief carries an integral of innovations."""
+    separable: ClassVar[bool] = True
+    """Whether it takes landmarks one by one, as loops in place of symbols do."""
+
+    @property
+    def considered(self) -> slice:
+        """States that are uncertain, and never updated; none."""
+        return slice(self.model.n, self.model.n)
 
     def propagate(self, belief: Belief, prediction: Prediction) -> Step:
         """Return the mean after a step and its Jacobians: F, G and Gu."""
@@ -66,8 +73,10 @@ class ExtendedKalmanFilter:
             # H only picks rows, so this is the remainder of the joint innovation.
             remainder = innovation[i] - (state[j] - before[j])
             gain = covariance[:, j] * (accepted[i] / (covariance[j, j] + seen.variance[i]))
+            loss = gain @ covariance[j, :]
+            gain[self.considered], loss[self.considered, self.considered] = 0, 0
             state = state + gain * remainder
-            covariance = mirror(covariance - gain @ covariance[j, :])
+            covariance = mirror(covariance - loss)
         after = replace(belief, state=state, covariance=covariance, active=belief.active + entering)
         return Updated(after, innovation, variance, accepted)
 

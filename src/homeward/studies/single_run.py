@@ -171,7 +171,7 @@ def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings
     start, drive = with_start(drive, run.estimator, run.start)
     estimator = make_estimator(run.estimator, drive, settings)
     spelt = settings.model_dump(mode="json")
-    if isinstance(estimator, OnlineFilter):
+    if isinstance(estimator, OnlineFilter) and "engine" in spelt:
         # The engine that was found, not "auto": the run repeats to the last bit.
         spelt["engine"] = estimator.engine
     update = {"start": start, "settings": spelt}

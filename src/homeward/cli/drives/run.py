@@ -41,8 +41,8 @@ def run(
     estimator: Annotated[
         str | None,
         typer.Option(
-            help="robust (default), ekf, a-ekf, pi-ekf, one that is installed, or "
-            "package.module:make; several with commas go onto one page."
+            help="robust (default), a name of `homeward settings`, or package.module:make; several "
+            "with commas go onto one page."
         ),
     ] = None,
     start: Annotated[
@@ -63,7 +63,7 @@ def run(
     ] = False,
     engine: Annotated[
         str | None,
-        typer.Option(help="ekf, a-ekf, pi-ekf: auto (default), interpreter or native."),
+        typer.Option(help="The filters: auto (default), interpreter or native."),
     ] = None,
     changes: Changes = None,
 ) -> None:
@@ -75,7 +75,7 @@ def run(
     was found, the exit status is 1.
     """
     from homeward.drives.text.settings import nested
-    from homeward.registry import NEED_START
+    from homeward.registry import COMPILED
 
     own = nested(key_values(changes or []))
     if engine is not None:
@@ -96,8 +96,8 @@ def run(
         _run_several(drive, given, out)
         return
     settings = run_settings(drive, given)
-    if engine is not None and settings.estimator not in NEED_START:
-        raise InputError(f"--engine is for {', '.join(NEED_START)}, not {settings.estimator}")
+    if engine is not None and settings.estimator not in COMPILED:
+        raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
     _run(settings, out)
 
 

@@ -12,9 +12,10 @@ from string import Template
 
 import casadi as ca
 
-from homeward.engine.runner import LARGEST, LOST_SIGMA
+from homeward.engine.runner import LARGEST
 from homeward.engine.split import Split, emit_split, split_step
 from homeward.estimator import CHECKED
+from homeward.filters.carrier import LOST_SIGMA
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import (
     DEFAULT_BEARING_SIGMA,
