@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -43,6 +43,7 @@ def drive_course(
     course: Course,
     log: Log,
     look: Callable[[float, Pose], None],
+    home: Mapping[str, float],
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Ending, Pose]:
     """Drive, and log odometry and truth.
@@ -56,6 +57,8 @@ def drive_course(
     look : callable
         Called at each stamp of the camera with the time [s] and the true pose of the robot's
         centre in the home frame; it logs what it sees.
+    home : mapping of str to float
+        Home bearings [rad] by their ids, for laws that steer by them.
     progress : callable, optional
         Told now and then the share of the longest duration that is done, in [0, 1].
 
@@ -67,16 +70,18 @@ def drive_course(
         True pose in the home frame where it ended.
     """
     pose = course.start.in_home_frame(course.home.pose)
-    control, wheels, clock = make_control(course, pose), Wheels(course), Clock(course)
+    control, wheels, clock = make_control(course, pose, home), Wheels(course), Clock(course)
     for step, (t, until) in enumerate(clock.steps()):
         if progress is not None and step % STEPS_PER_TELLING == 0:
             progress(t / course.trajectory.duration)
-        twist = control.twist(t, *log.believed(t, pose))
+        twist = control.twist(t, *log.believed(t, pose), log.seen)
         if twist is None or until is None:
             break
         log.odometry(t, wheels.measure(twist))
         for stamp in clock.bearings.before(until):
-            look(stamp, advance(pose, twist, stamp - t))
+            there = advance(pose, twist, stamp - t)
+            look(stamp, there)
+            log.face(stamp, there)
         for stamp in clock.truth.before(until):
             log.truth(stamp, advance(pose, twist, stamp - t))
         pose = advance(pose, twist, until - t)

@@ -53,14 +53,20 @@ def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generato
 
 
 class Log:
-    """What a robot would log, told to the estimator in the loop as it is written."""
+    """What a robot would log, told to the estimator in the loop as it is written.
 
-    def __init__(self, estimator: Estimator | None) -> None:
-        self._estimator = estimator
+    `yaw` is that of the camera on the robot [rad].
+    """
+
+    def __init__(self, estimator: Estimator | None, yaw: float = 0.0) -> None:
+        self._estimator, self._yaw = estimator, yaw
         self._odometry: list[tuple[float, float, float]] = []
         self._sightings: list[tuple[float, str, float, float]] = []
         self._truth: list[tuple[float, float, float, float]] = []
         self.estimates: list[Estimate] = []
+        self.seen: dict[str, float] = {}
+        """Id to direction in the home frame [rad], of what was seen last, as far as is known."""
+        self._latest: Mapping[str, float] = {}
 
     def believed(self, t: float, true: Pose) -> tuple[Pose | None, bool]:
         """Return the pose that steers, the estimator's or the truth, and whether it is sure."""
@@ -79,10 +85,17 @@ class Log:
         self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> None:
         """Log id to bearing and perhaps sigma [rad]; where nothing was seen, nothing is left."""
-        given = sigmas or {}
+        self._latest, given = seen, sigmas or {}
         self._sightings.extend((t, i, value, given.get(i, np.nan)) for i, value in seen.items())
         if self._estimator is not None and seen:
             self.estimates.append(self._estimator.bearings(t, seen, sigmas))
+
+    def face(self, t: float, true: Pose) -> None:
+        """Turn what was seen at `t` [s] into the home frame, by the heading of what steers."""
+        pose, _ = self.believed(t, true)
+        if pose is not None:
+            turn = self._yaw + pose.heading
+            self.seen = {i: float(wrap(b + turn)) for i, b in self._latest.items()}
 
     def truth(self, t: float, pose: Pose) -> None:
         """Log the true pose in the home frame."""

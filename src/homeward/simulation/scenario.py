@@ -225,9 +225,18 @@ class Trajectory(Strict):
 
 
 class Homing(Trajectory):
-    """Drive home by the paper's law."""
+    """Drive home by a homing law."""
 
     kind: Literal["homing"] = "homing"
+    law: Literal["paper", "lyapunov", "alv", "tron"] = "paper"
+    """paper: turn by the error, at constant speed; lyapunov: down the squared distance, with a
+    proof; both need a pose. By bearings and a compass (the heading of the pose) alone: alv, the
+    average landmark vector; tron, the squared angles of Tron and Daniilidis."""
+    max_turn_rate: Positive = math.pi
+    """[rad/s]"""
+    landmark_distance: Positive = 1.5
+    """About how far landmarks are from home [m]; laws that see no distance tell by it where they
+    are near enough to stop."""
     stop_radius: Positive = STOP_RADIUS
     """The drive ends where the robot believes itself within this distance of home [m], and, steered
     by an estimator, surely so and, at constant speed, as near as it gets."""

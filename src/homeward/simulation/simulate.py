@@ -81,13 +81,14 @@ def simulate(
     if estimator is None and scenario.estimator != "truth":
         raise InputError(f"estimator: the scenario is steered by {scenario.estimator}; none given")
     world = build_world(scenario)
-    camera, log = Camera(scenario, world), Log(estimator)
+    camera, log = Camera(scenario, world), Log(estimator, scenario.sensor.yaw)
+    before = _prepare(scenario, world)
 
     def look(t: float, robot: Pose) -> None:
         log.bearings(t, camera.look(robot))
 
-    ending, pose = drive_course(scenario, log, look, progress)
-    drive = log.fill(_prepare(scenario, world))
+    ending, pose = drive_course(scenario, log, look, before.home_bearings(), progress)
+    drive = log.fill(before)
     return Simulation(scenario, drive, world, ending, pose, log.estimates)
 
 

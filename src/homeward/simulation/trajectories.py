@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Protocol, assert_never
 
 import numpy as np
 
 from homeward.control import Twist, arrived, homing
 from homeward.frames import Polar, Pose, bearing, between, to_polar
+from homeward.laws import LAWS, Slope, steer, way_home
 from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
+NOTHING: Mapping[str, float] = MappingProxyType({})
+"""Seen."""
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 SAME_CIRCLES = 3
@@ -30,7 +35,9 @@ LINE_STEP = 0.01
 class Control(Protocol):
     """Steers one drive."""
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
         """Return the command, or None when the drive is done.
 
         Parameters
@@ -41,12 +48,19 @@ class Control(Protocol):
             Where the robot believes it is in the home frame; None when it does not know.
         sure : bool
             Whether that pose is one to rely on.
+        seen : mapping of str to float
+            Id to direction in the home frame [rad] of what was seen last.
         """
 
 
-def make_control(scenario: Course, start: Pose) -> Control:
-    """Return what steers the drive of a scenario that begins at `start` in the home frame."""
+def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None = None) -> Control:
+    """Return what steers the drive of a scenario that begins at `start` in the home frame.
+
+    `home` has the home bearings [rad] by their ids.
+    """
     match scenario.trajectory:
+        case Homing() as trajectory if slope := LAWS[trajectory.law]:
+            return BearingControl(trajectory, slope, home or {})
         case Homing() as trajectory:
             return HomingControl(trajectory, exact=scenario.estimator == "truth")
         case Circle() as trajectory:
@@ -90,7 +104,9 @@ class HomingControl:
         self._nearest = math.inf
         self._search = Search(trajectory.speed)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
             return self._search.twist(t)
@@ -104,7 +120,11 @@ class HomingControl:
         else:
             self._nearest = min(self._nearest, float(polar.R))
         self._search.end()
-        return Twist(*map(float, homing(polar, self._speed(polar))))
+        most = self._trajectory.max_turn_rate
+        if self._trajectory.law == "lyapunov":
+            return steer(-pose.x, -pose.y, pose.heading, self._speed(polar), most)
+        v, omega = map(float, homing(polar, self._speed(polar)))
+        return Twist(v, max(-most, min(most, omega)))
 
     def _speed(self, polar: Polar) -> float:
         """Return how fast to drive: slowly near home, if so told, for the law turns at 1 rad/s."""
@@ -114,13 +134,46 @@ class HomingControl:
         return max(min(speed, float(polar.R) / slowing), SLOWEST * speed)
 
 
+class BearingControl:
+    """A homing law by bearings and a compass alone, until the way home is short; no memory.
+
+    Parameters
+    ----------
+    trajectory : Homing
+        Speed, and how near is home.
+    slope : callable
+        Of `homeward.laws.LAWS`.
+    home : mapping of str to float
+        Home bearings [rad] by their ids.
+    """
+
+    def __init__(self, trajectory: Homing, slope: Slope, home: Mapping[str, float]) -> None:
+        self._trajectory, self._slope, self._home = trajectory, slope, home
+        self._search = Search(trajectory.speed)
+
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
+        """Return the command; see `Control`."""
+        drive = self._trajectory
+        way = way_home(self._slope, seen, self._home, drive.landmark_distance)
+        if pose is None or way is None:
+            return self._search.twist(t)
+        self._search.end()
+        if math.hypot(*way) < drive.stop_radius:
+            return None
+        return steer(*way, pose.heading, drive.speed, drive.max_turn_rate)
+
+
 class CircleControl:
     """Constant speed and turn rate."""
 
     def __init__(self, trajectory: Circle) -> None:
         self._twist = Twist(trajectory.speed, trajectory.omega)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
         """Return the command; see `Control`."""
         return self._twist
 
@@ -138,7 +191,9 @@ class WaypointControl:
         self._last_t, self._last_omega = 0.0, 0.0
         self._search = Search(trajectory.speed)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True) -> Twist | None:
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
         """Return the command; see `Control`."""
         if pose is None:
             wanted = self._search.twist(t).omega

@@ -28,6 +28,10 @@ def simulate(
         str | None,
         typer.Option(help="Whose pose steers: truth, or as homeward run --estimator takes it."),
     ] = None,
+    law: Annotated[
+        Literal["paper", "lyapunov", "alv", "tron"] | None,
+        typer.Option(help="By which law it drives home; homing trajectories alone."),
+    ] = None,
     changes: Changes = None,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
@@ -45,6 +49,7 @@ def simulate(
         "seed": seed,
         "trajectory.kind": trajectory,
         "estimator": estimator,
+        "trajectory.law": law,
     }
     given = {key: value for key, value in options.items() if value is not None}
     chosen = load_scenario(scenario, given | key_values(changes or []))

@@ -88,7 +88,7 @@ class ImageLoop:
             When the robot runs into something.
         """
         sight = None if estimator is None else VisualHoming(estimator, **self.drive.settings.robot)
-        log = Log(sight)
+        log = Log(sight, self.eye.scenario.sensor.yaw)
 
         def see(t: float, robot: Pose) -> None:
             self._taken += 1
@@ -101,7 +101,8 @@ class ImageLoop:
                     sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)
 
-        ending, pose = drive_course(self.eye.scenario, log, see, progress)
+        home = self.drive.home_bearings()
+        ending, pose = drive_course(self.eye.scenario, log, see, home, progress)
         drive = log.fill(self.drive)
         known = [] if sight is None else sight.landmarks()
         return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates, known)

@@ -1,0 +1,110 @@
+"""Homing laws: their costs, what is proved of them, and drives home by them."""
+
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from homeward.frames import Pose
+from homeward.laws import LAWS, average_landmark_vector, squared_angles, steer, way_home
+from homeward.simulation.files import load_scenario
+from homeward.simulation.scenario import Homing
+from homeward.simulation.simulate import Ending, simulate
+from homeward.simulation.trajectories import advance
+
+TERMS = {
+    average_landmark_vector: lambda d: 1 - np.cos(d),
+    squared_angles: lambda d: d**2 / 2,
+}
+LANDMARKS = np.array([[1.4, 0.3], [-0.2, 1.7], [-1.5, -0.4], [0.6, -1.2], [2.5, 2.5]])
+HOME = np.arctan2(LANDMARKS[:, 1], LANDMARKS[:, 0])
+
+
+def directions(x):
+    off = LANDMARKS - x
+    return np.arctan2(off[:, 1], off[:, 0])
+
+
+def cost(slope, x):
+    d = np.angle(np.exp(1j * (HOME - directions(x))))
+    return np.sum(np.hypot(*(LANDMARKS - x).T) * TERMS[slope](d))
+
+
+@pytest.mark.parametrize("slope", TERMS)
+def test_each_is_minus_the_gradient_of_its_cost(slope):
+    for x in np.random.default_rng(0).normal(size=(50, 2)) * 2:
+        step = 1e-6 * np.eye(2)
+        numeric = [(cost(slope, x + e) - cost(slope, x - e)) / 2e-6 for e in step]
+        np.testing.assert_allclose(slope(directions(x), HOME), np.negative(numeric), atol=1e-6)
+
+
+@pytest.mark.parametrize("slope", TERMS)
+def test_the_cost_grows_on_every_ray_from_home(slope):
+    for x in np.random.default_rng(1).normal(size=(2000, 2)) * 5:
+        assert slope(directions(x), HOME) @ x < 0
+
+
+@pytest.mark.parametrize("slope", TERMS)
+@pytest.mark.parametrize("most", [0.15, 3.0])
+def test_steering_never_raises_the_cost_and_ends_at_home_however_tight_its_bounds(slope, most):
+    for start in [(1.0, 0.2, 0.0), (-0.9, 0.9, 2.0), (0.3, -0.5, -1.6), (4.0, -3.0, 0.7)]:
+        pose, before = Pose(*start), math.inf
+        for _ in range(9000):
+            seen = dict(enumerate(directions(np.array(pose[:2])).tolist()))
+            way = way_home(slope, seen, dict(enumerate(HOME.tolist())), 1.5)
+            twist = steer(*way, pose.heading, 0.1, most)
+            assert 0 <= twist.v <= 0.1
+            assert abs(twist.omega) <= most
+            now = cost(slope, np.array(pose[:2]))
+            assert now <= before + 1e-9
+            before, pose = now, advance(pose, twist, 0.02)
+        assert math.hypot(pose.x, pose.y) < 0.02
+
+
+def test_the_way_home_is_about_as_long_as_it_is_near_home():
+    ring = np.linspace(0, 2 * math.pi, 12, endpoint=False)
+    marks = 1.5 * np.stack([np.cos(ring), np.sin(ring)], axis=1)
+    x = np.array([0.05, -0.08])
+    seen = np.arctan2(*(marks - x).T[::-1])
+    for slope in TERMS:
+        way = way_home(slope, dict(enumerate(seen)), dict(enumerate(ring)), 1.5)
+        np.testing.assert_allclose(way, -x, atol=0.01)
+
+
+def test_without_two_landmarks_of_home_there_is_no_way():
+    assert way_home(average_landmark_vector, {"a": 1.0, "c": 2.0}, {"b": 1.0}, 1.5) is None
+
+
+def test_the_way_is_about_right_where_few_landmarks_are_in_sight_on_one_side():
+    marks = 1.5 * np.array([[np.cos(a), np.sin(a)] for a in (0.0, 0.3, 0.7)])
+    x = np.array([0.06, 0.03])
+    seen = np.arctan2(*(marks - x).T[::-1])
+    way = way_home(squared_angles, dict(enumerate(seen)), {0: 0.0, 1: 0.3, 2: 0.7}, 1.5)
+    assert math.hypot(*way) == pytest.approx(math.hypot(*x), rel=0.15)
+
+
+def test_there_is_one_list_of_names():
+    literal = get_args(Homing.model_fields["law"].annotation)
+    assert set(LAWS) == set(literal)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("seed", range(3))
+def test_each_law_drives_home_where_bearings_are_right(law, seed):
+    changes = {
+        "seed": seed,
+        "trajectory.law": law,
+        "trajectory.max_turn_rate": 0.5,
+        "moved.count": 0,
+    }
+    changes |= {"noise.bearing_sigma": 0.002, "noise.home_sigma": 0.002, "sensor.yaw": 0.4}
+    simulation = simulate(load_scenario("paper-homing", changes))
+    assert simulation.ending is Ending.DONE
+    assert simulation.final_distance < 0.1
+    assert np.abs(simulation.drive.odometry.omega).max() < 0.5 + 5 * 0.01
+
+
+def test_with_a_camera_that_sees_nothing_it_searches_until_time_is_up():
+    changes = {"trajectory.law": "alv", "visibility.probability": 0, "trajectory.duration": 5}
+    assert simulate(load_scenario("paper-homing", changes)).ending is Ending.TIME_UP
