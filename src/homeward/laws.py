@@ -93,7 +93,8 @@ def way_home(
     # A step s turns the sight line of a landmark by what of s is across it, over its distance.
     across = np.stack([-np.sin(now), np.cos(now)])
     step = distance * np.linalg.pinv(across @ across.T, 1e-6, hermitian=True) @ down
-    x, y = down * (np.linalg.norm(step) / max(np.linalg.norm(down), 1e-12))
+    length, slope_size = math.hypot(*step), math.hypot(*down)
+    x, y = down * (length / slope_size if slope_size else 0.0)
     return float(x), float(y)
 
 
