@@ -14,7 +14,7 @@ from homeward.cli.terminal import table as print_rows
 
 def study(
     study: Annotated[
-        str, typer.Argument(help="A YAML file, or one that ships: a-ekf-tuning, pi-ekf-tuning.")
+        str, typer.Argument(help="A YAML file, or peers, a-ekf-tuning, pi-ekf-tuning, which ship.")
     ],
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/NAME OF THE STUDY].")
