@@ -57,16 +57,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
     arguments = parser.parse_args()
+    laws = arguments.laws
     print(
         f"{arguments.runs} runs each; home: share that truly ends within {HOME_M:g} m of it; median"
     )
     print("and 95 % of the distance there; median path over the straight line, of those at home\n")
-    print("| | " + " | ".join(LAWS) + " |\n|---|" + "---|" * len(LAWS))
+    print("| | " + " | ".join(laws) + " |\n|---|" + "---|" * len(laws))
     with ProcessPoolExecutor(arguments.workers) as pool:
         for condition in CONDITIONS:
             cells = []
-            for law in LAWS:
+            for law in laws:
                 jobs = [pool.submit(one, law, condition, seed) for seed in range(arguments.runs)]
                 ended, path = np.array([job.result() for job in jobs]).T
                 home = ended < HOME_M
