@@ -1,15 +1,14 @@
 """Homing laws: their costs, what is proved of them, and drives home by them."""
 
 import math
-from typing import get_args
 
 import numpy as np
 import pytest
 
+from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.laws import LAWS, average_landmark_vector, squared_angles, steer, way_home
 from homeward.simulation.files import load_scenario
-from homeward.simulation.scenario import Homing
 from homeward.simulation.simulate import Ending, simulate
 from homeward.simulation.trajectories import advance
 
@@ -84,9 +83,25 @@ def test_the_way_is_about_right_where_few_landmarks_are_in_sight_on_one_side():
     assert math.hypot(*way) == pytest.approx(math.hypot(*x), rel=0.15)
 
 
-def test_there_is_one_list_of_names():
-    literal = get_args(Homing.model_fields["law"].annotation)
-    assert set(LAWS) == set(literal)
+def test_a_law_of_another_package_drives_home(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text("from homeward.laws import squared_angles as mine\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    changes = {"trajectory.law": "mine:mine", "moved.count": 0, "noise.bearing_sigma": 0.002}
+    assert simulate(load_scenario("paper-homing", changes)).final_distance < 0.2
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        ("nonsense", "no law 'nonsense': there are paper, lyapunov, alv, tron"),
+        ("no_such:law", "there is no module no_such"),
+        ("math:pi", "cannot be called"),
+        ("numpy:add.reduce", "raised|no x and y"),
+    ],
+)
+def test_what_is_no_law_is_one_clear_error(law, words):
+    with pytest.raises(InputError, match=words):
+        simulate(load_scenario("paper-homing", {"trajectory.law": law}))
 
 
 @pytest.mark.parametrize("law", LAWS)

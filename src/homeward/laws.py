@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import cast
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist
+from homeward.errors import InputError
+from homeward.plugins import LAWS as GROUP
+from homeward.plugins import fault, load
 
 Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """From the directions of landmarks now and at home (k,) [rad], both in the home frame, to the way
@@ -61,6 +65,17 @@ LAWS: dict[str, Slope | None] = {
 """Each name with what it makes of bearings; None: it needs a pose."""
 
 
+def law_named(name: str) -> Slope | None:
+    """Return what a law makes of bearings; of other packages, too, see `homeward.plugins.load`.
+
+    Raises
+    ------
+    InputError
+        When there is no law of that name, or what makes it cannot be called.
+    """
+    return LAWS[name] if name in LAWS else cast(Slope, load(GROUP, name, LAWS))
+
+
 def way_home(
     slope: Slope, seen: Mapping[str, float], home: Mapping[str, float], distance: float
 ) -> tuple[float, float] | None:
@@ -84,12 +99,22 @@ def way_home(
     -------
     (float, float) or None
         None where fewer than two landmarks of home are in sight.
+
+    Raises
+    ------
+    InputError
+        When `slope` raises, or returns no two finite numbers.
     """
     both = [i for i in seen if i in home]
     if len(both) < 2:
         return None
     now = np.array([seen[i] for i in both])
-    down = slope(now, np.array([home[i] for i in both]))
+    try:
+        down = np.asarray(slope(now, np.array([home[i] for i in both])), float)
+    except Exception as error:
+        raise fault("the homing law", error) from error
+    if down.shape != (2,) or not np.isfinite(down).all():
+        raise InputError("a homing law gave no x and y to drive along")
     # A step s turns the sight line of a landmark by what of s is across it, over its distance.
     across = np.stack([-np.sin(now), np.cos(now)])
     step = distance * np.linalg.pinv(across @ across.T, 1e-6, hermitian=True) @ down

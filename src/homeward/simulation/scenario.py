@@ -228,10 +228,11 @@ class Homing(Trajectory):
     """Drive home by a homing law."""
 
     kind: Literal["homing"] = "homing"
-    law: Literal["paper", "lyapunov", "alv", "tron"] = "paper"
+    law: str = "paper"
     """paper: turn by the error, at constant speed; lyapunov: down the squared distance, with a
     proof; both need a pose. By bearings and a compass (the heading of the pose) alone: alv, the
-    average landmark vector; tron, the squared angles of Tron and Daniilidis."""
+    average landmark vector; tron, the squared angles of Tron and Daniilidis; or one of another
+    package, ``package.module:function`` or an entry point of homeward.laws."""
     max_turn_rate: Positive = math.pi
     """[rad/s]"""
     landmark_distance: Positive = 1.5

@@ -11,7 +11,7 @@ import numpy as np
 
 from homeward.control import Twist, arrived, homing
 from homeward.frames import Polar, Pose, bearing, between, to_polar
-from homeward.laws import LAWS, Slope, steer, way_home
+from homeward.laws import Slope, law_named, steer, way_home
 from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
@@ -59,7 +59,7 @@ def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None
     `home` has the home bearings [rad] by their ids.
     """
     match scenario.trajectory:
-        case Homing() as trajectory if slope := LAWS[trajectory.law]:
+        case Homing() as trajectory if slope := law_named(trajectory.law):
             return BearingControl(trajectory, slope, home or {})
         case Homing() as trajectory:
             return HomingControl(trajectory, exact=scenario.estimator == "truth")

@@ -29,8 +29,11 @@ def simulate(
         typer.Option(help="Whose pose steers: truth, or as homeward run --estimator takes it."),
     ] = None,
     law: Annotated[
-        Literal["paper", "lyapunov", "alv", "tron"] | None,
-        typer.Option(help="By which law it drives home; homing trajectories alone."),
+        str | None,
+        typer.Option(
+            help="By which law it drives home (homing trajectories alone): paper, lyapunov, alv, "
+            "tron, or package.module:function."
+        ),
     ] = None,
     changes: Changes = None,
 ) -> None:
