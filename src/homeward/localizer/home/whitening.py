@@ -50,7 +50,8 @@ class Whitened:
     @property
     def precision(self) -> np.ndarray:
         """(r,): diagonal of the inverse of that covariance."""
-        return np.asarray(dpotri(self.root, lower=1)[0].diagonal())
+        root = self.root  # LAPACK knows no empty one
+        return np.asarray(dpotri(root, lower=1)[0].diagonal() if root.size else np.zeros(0))
 
 
 def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:

@@ -113,8 +113,9 @@ def consistent_subset(
         Where too many would have to be left out, the likely ones; all, where these are too few.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
-    finest = FINEST**2 + ROUNDING * innovation_covariance.diagonal().max(initial=0.0)
-    innovation_covariance = innovation_covariance + finest * np.eye(m)
+    innovation_covariance = innovation_covariance.copy()
+    variances = innovation_covariance.reshape(-1)[:: m + 1]
+    variances += FINEST**2 + ROUNDING * variances.max(initial=0.0)
     _data_snooping(kept, residual, innovation_covariance, gate)
     if (~kept).sum() <= MOST_LEFT_OUT * m:
         return kept

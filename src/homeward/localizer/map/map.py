@@ -107,6 +107,8 @@ class Map:
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
         smoother = self.smoother
+        if self.solved:  # not at the keyframe of the solution, which takes long enough
+            self._marginalise_old()
         kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
         full = kept >= self._settings.window
         self._due = not full or since * SOLVED_SHARE >= kept or not smoother.settled
@@ -290,7 +292,6 @@ class Map:
         if wider != 1.0:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)
-        self._marginalise_old()
         sound, now = smoother.settled and noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances):
             smoother.mount_sigmas = self._extrinsics.sigmas
