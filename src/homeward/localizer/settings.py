@@ -8,6 +8,7 @@ from pydantic import Field
 
 from homeward.drives.drive import NonNegative, Positive, Strict
 from homeward.drives.odometry_noise import OdometryDefaults
+from homeward.localizer.tunables import GATE
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
@@ -33,7 +34,7 @@ class LocalizerSettings(Strict):
     """Older ones stay open, up to this many, while a landmark that they saw is not `mature`."""
     mature_parallax: Positive = 1.0
     """Angle between the sight lines of a landmark that is safely placed [rad]."""
-    gate: Positive = 4.0
+    gate: Positive = round(GATE, 2)
     """Sightings whose innovation is larger are rejected [standard deviations]."""
     parallax: Positive = 0.06
     """Angle between two sight lines that a landmark needs to enter the map [rad]."""

@@ -7,8 +7,8 @@ from scipy.sparse import csc_array
 
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
-from homeward.localizer.map.state import TRUSTED
 from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.tunables import GATE
 
 LEAST_VARIANCE = 1e-8
 """No motion is known better than this [m^2, rad^2]."""
@@ -45,7 +45,7 @@ def add_odometry(
     jacobian[:, :, 6:] = -by_calibration
     information = steps[:, INFORMATION].reshape(-1, 3, 3)
     square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
-    weight = 1.0 / np.maximum(square / TRUSTED**2, 1.0)
+    weight = 1.0 / np.maximum(square / GATE**2, 1.0)
     weighted = jacobian.transpose(0, 2, 1) @ (weight[:, None, None] * information)
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]
@@ -84,7 +84,7 @@ def add_sightings(
     if not residual.size:
         return
     w, n = len(e.own), (len(e.common) - NC) // 2
-    scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (TRUSTED * sigma), 1.0))
+    scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
     columns = np.concatenate([jacobian, residual[:, None]], axis=1)
     columns *= scale[:, None]
     head, by_landmark = columns[:, : 3 + NC], columns[:, 3 + NC : 5 + NC]

@@ -12,14 +12,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.state import HEAD, Prediction
 from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.tunables import HEAVY_TAIL, MAJORITY, POSE
 
-HEAVY_TAIL = 3.0
-"""Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
-FEWEST = 3
-"""Of so many sightings one can be told from the others."""
-MOST_LEFT_OUT, LEAST_LIKELY = 1.0 / 3.0, 0.5
-"""Where a larger share differs from the others, it may be the others that are wrong; odometry may
-decide, if such a share is where it has them."""
 FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
 
@@ -78,7 +72,7 @@ def gate_bearings(
     variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
     widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
-    if accepted.sum() >= FEWEST:
+    if accepted.sum() >= POSE:
         among = prediction.only(accepted)
         by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
@@ -117,9 +111,9 @@ def consistent_subset(
     variances = innovation_covariance.reshape(-1)[:: m + 1]
     variances += FINEST**2 + ROUNDING * variances.max(initial=0.0)
     _data_snooping(kept, residual, innovation_covariance, gate)
-    if (~kept).sum() <= MOST_LEFT_OUT * m:
+    if kept.sum() >= MAJORITY * m:
         return kept
-    enough = likely.sum() >= max(FEWEST, LEAST_LIKELY * m)
+    enough = likely.sum() >= max(POSE, 0.5 * m)
     return likely if enough else np.ones(m, bool)
 
 
@@ -131,7 +125,7 @@ def _data_snooping(
         information = positive_inverse(innovation_covariance)
     except np.linalg.LinAlgError:  # nothing can be told
         return
-    while kept.sum() >= FEWEST:
+    while kept.sum() >= POSE:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
         worst = int(squares.argmax())
         if not squares[worst] > gate**2:

@@ -7,10 +7,7 @@ import numpy as np
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.motion.preintegration import Motion
-
-MOST, MOST_OF_WAY = 0.7, 0.2
-"""Sightings are of no use where the way blurs them by more [standard deviations of bearings], or,
-while there is no map to tell that, where the way is uncertain by more than such a share of it."""
+from homeward.localizer.tunables import LOST, VAGUE_WAY
 
 
 def inflate_by_odometry(
@@ -48,11 +45,11 @@ def inflate_by_odometry(
         return sigmas
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
     distances = marginal.distances
-    if not distances.size and across > (MOST_OF_WAY * motion.path) ** 2:
+    if not distances.size and across > (VAGUE_WAY * motion.path) ** 2:
         return None
-    by_shift = np.full(known.size, np.median(distances) ** -2.0 if distances.size else 0.0)
+    by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * np.median(by_shift) > (MOST * np.median(sigmas)) ** 2:
+    if across * np.median(by_shift) > (LOST * np.median(sigmas)) ** 2:
         return None
     shared = (stamp + 1) * known.size * across * by_shift
     return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))

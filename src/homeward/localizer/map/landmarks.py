@@ -21,26 +21,24 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.triangulation import AGREES, SHARE, triangulate
+from homeward.localizer.map.triangulation import triangulate
+from homeward.localizer.tunables import (
+    AGREES,
+    AS_WELL,
+    BASE,
+    ENOUGH,
+    ESTABLISHED,
+    GATE,
+    LINEAR,
+    MAJORITY,
+)
 
-BASE = 5.0
-"""Landmarks start from a base so many times longer than odometry's uncertainty about it."""
 MOST_STARTS = 6
 """Landmarks tried to be started at one keyframe."""
 MORE = 1.1
 """Sight lines that did not tell a position are tried again when there are so many times more."""
-REFUSED = 6
-"""A landmark refused so much more often than not starts anew, when others fit."""
 MOST_FROM_HOME = 48
 """Home is found among so many landmarks at most; those that came first are the nearest."""
-PLACED = 0.3
-"""Only a landmark seen under this angle can be said to have moved [rad] ..."""
-ESTABLISHED = 12
-"""... and seen so often before, and so often since where it is now."""
-AS_WELL = 2.0
-"""Where another landmark is off by less than so many times as much, it is that one."""
-MISFIT, FEWEST_TO_JUDGE = 4.0, 6
-"""A landmark is taken out when most of at least so many sightings are so many deviations off."""
 
 
 @dataclass
@@ -70,7 +68,7 @@ class Landmark:
     @property
     def established(self) -> bool:
         """Whether it was seen often enough, and from enough sides, to say that it moved."""
-        return self.parallax >= PLACED and self.sightings >= ESTABLISHED
+        return self.parallax >= LINEAR and self.sightings >= ESTABLISHED
 
     def seen_along(self, direction: float) -> None:
         """Count a sighting along a direction in the odometry frame [rad]."""
@@ -231,7 +229,7 @@ class Landmarks:
         rows = self.smoother.sightings
         rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
         off = self._off(rows, position[None])[0]
-        return bool((off < AGREES * rows[:, SIGMA]).sum() >= SHARE * max(len(rows), 1))
+        return bool((off < AGREES * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
     def _is_another(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether another landmark of the map explains sightings as well as a position."""
@@ -244,8 +242,8 @@ class Landmarks:
         for name, fit in fits.items():
             landmark = self.mapped[name]
             refused = landmark.refused + (-2 if fit else 1)
-            landmark.refused = min(max(refused, 0), 5 * REFUSED)
-        return [name for name in fits if self.mapped[name].refused >= REFUSED]
+            landmark.refused = min(max(refused, 0), 5 * ENOUGH)
+        return [name for name in fits if self.mapped[name].refused >= ENOUGH]
 
     def reinitialise(self, names: list[str]) -> bool:
         """Let landmarks start anew that are found not to be where they were; tell if any did.
@@ -283,9 +281,9 @@ class Landmarks:
         """
         rows, n = self.smoother.sightings, len(self.smoother.positions)
         index = self.smoother.index(rows[:, LANDMARK])
-        off = np.abs(residuals) > MISFIT * rows[:, SIGMA]
+        off = np.abs(residuals) > GATE * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
-        bad = (sightings >= FEWEST_TO_JUDGE) & (misfits > 0.5 * sightings)
+        bad = (sightings >= ENOUGH) & (misfits > 0.5 * sightings)
         mapped = list(self.mapped.values())
         names = [m.name for m, off in zip(mapped, bad[self.index(mapped)], strict=True) if off]
         for name in names:

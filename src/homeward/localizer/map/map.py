@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,24 +14,19 @@ from homeward.localizer.map.gating import Gated, gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, sighting_rows
-from homeward.localizer.map.smoother import NEAR_M, Smoother
+from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import DRIFT_S, DRIFT_SHARE, STANDS, TINY
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
 """Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
-STANDS_M, STANDS_RAD = 0.01, 0.01
-"""A robot that moved less since its keyframe needs no new one."""
 SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
-LINEAR_SHARE, LINEAR_RAD = 0.03, 0.03
-"""... and when a landmark moved by more of its distance [1], or the robot turned by more [rad]."""
-DRIFT_S, DRIFT_SHARE = 600.0, 0.2
-"""The calibration drifts by this share of its a-priori deviation in this time [s]."""
 
 
 class Map:
@@ -101,8 +97,9 @@ class Map:
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
-        moved = motion.path > STANDS_M or motion.turned > STANDS_RAD
-        return due and (moved or bool(motion.covariance[0, 0] > STANDS_M**2))
+        scale = self.state.scale if self.landmarks.mapped else 0.0
+        shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
+        return due and (shift > STANDS * scale or motion.turned > STANDS)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
@@ -268,8 +265,7 @@ class Map:
             return False
         turned = abs(updated.mean[2] - self.state.mean[2])
         moved = updated.positions - self._solved_positions
-        far = updated.distances + NEAR_M
-        if turned > LINEAR_RAD or (np.hypot(*moved.T) > LINEAR_SHARE * far).any():
+        if turned > TINY or (np.hypot(*moved.T) > TINY * updated.reach).any():
             return False
         self.smoother.state = updated
         return True
@@ -293,7 +289,7 @@ class Map:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)
         sound, now = smoother.settled and noise.settled, self.state
-        if sound and self._extrinsics.denies(now.calibration, now.calibration_variances):
+        if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas
             self._solve()
 

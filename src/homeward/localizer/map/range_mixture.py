@@ -15,13 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.tunables import AGREES, ENOUGH, MAJORITY
 
-FEWEST = 6
-"""Sight lines that make a ray; more do not tell its distance better, as their errors go along."""
-SHARE = 0.6
-"""Of the lines that must agree with the ray."""
-AGREES = 3.0
-"""A line agrees within this many standard deviations."""
 NEAREST, FARTHEST, DISTANCES = 0.1, 30.0, 24
 """Distances tried, against the median distance of what is mapped; every ratio as probable."""
 STEPS = 2
@@ -59,7 +54,7 @@ def range_mixture(
     scale : float
         Median distance of mapped landmarks [m].
     """
-    if len(bearings) < FEWEST or not (math.isfinite(scale) and scale > 0):
+    if len(bearings) < ENOUGH or not (math.isfinite(scale) and scale > 0):
         return None
     ratio = (FARTHEST / NEAREST) ** (1.0 / (DISTANCES - 1))
     distances = scale * NEAREST * ratio ** np.arange(DISTANCES)
@@ -70,9 +65,9 @@ def range_mixture(
         weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (AGREES * sigmas))) ** 2
         directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)
     share = np.abs(_off(cameras, lines, distances, directions)[0]) / (AGREES * sigmas)
-    if (share < 1.0).mean(axis=1).max() < SHARE:
+    if (share < 1.0).mean(axis=1).max() < MAJORITY:
         return None
-    cost = 0.5 * AGREES**2 * FEWEST * np.minimum(share**2, 1.0).mean(axis=1)
+    cost = 0.5 * AGREES**2 * ENOUGH * np.minimum(share**2, 1.0).mean(axis=1)
     weights = np.exp(cost.min() - cost)
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

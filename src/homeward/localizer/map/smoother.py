@@ -32,16 +32,14 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
-from homeward.localizer.motion.preintegration import MOUNT, NC, OF_ODOMETRY, Motion
+from homeward.localizer.map.triangulation import FAR
+from homeward.localizer.motion.preintegration import CAMERA_X, MOUNT, NC, OF_ODOMETRY, Motion
+from homeward.localizer.tunables import LINEAR
 
-FAR_M = 1e3
-"""A landmark that was just entered is this uncertain a priori [m]."""
-LONGEST_TURN, LONGEST_SHARE, NEAR_M = 0.2, 0.3, 0.3
-"""A step turns no keyframe further [rad], and moves no landmark by more of its distance [1]."""
 STEPS = 5
 """Gauss-Newton steps at most."""
 SETTLED = 2e-2
-"""Smaller steps of poses [m, rad] and landmarks [distance] end it; the rest goes as its square."""
+"""Smaller steps [distance, rad] end it; the rest goes as its square."""
 
 
 class Closed(NamedTuple):
@@ -120,7 +118,7 @@ class Smoother:
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
         whole.ids, whole.state = self.ids, self.state
-        information = np.eye(self.state.mean.size) * FAR_M**-2
+        information = np.eye(self.state.mean.size) * (FAR * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
         return whole
@@ -168,8 +166,9 @@ class Smoother:
 
     def add_landmark(self, position: np.ndarray) -> int:
         """Add a landmark at `position` [m], shape (2,), so far without sightings; return its id."""
-        self._prior.add_landmark(position, FAR_M)
-        self.state = self.state.with_landmark(position, FAR_M)
+        unknown = FAR * float(np.hypot(*(self.poses[:, :2] - position).T).max())
+        self._prior.add_landmark(position, unknown)
+        self.state = self.state.with_landmark(position, unknown)
         self.ids = np.append(self.ids, self._next_id)
         self._next_id += 1
         return self._next_id - 1
@@ -260,13 +259,14 @@ class Smoother:
         """Apply a step, no longer than the linearisation can be trusted; return its size."""
         landmarks = common[NC:].reshape(-1, 2)
         turn = float(np.abs(poses[:, 2]).max())
-        shares = np.hypot(*landmarks.T) / (self.state.distances + NEAR_M)
-        share = float(shares.max()) if shares.size else 0.0
-        scale = 1.0 / max(1.0, turn / LONGEST_TURN, share / LONGEST_SHARE)
+        share = float((np.hypot(*landmarks.T) / self.state.reach).max(initial=0.0))
+        scale = 1.0 / max(1.0, max(turn, share) / LINEAR)
         self._older = self._older + scale * poses[:-1]
+        shift = max(np.abs(poses[:, :2]).max(), np.abs(common[CAMERA_X:NC]).max())
+        size = max(turn, share, shift / self.state.scale, np.abs(common[:CAMERA_X]).max())
         step = np.concatenate([poses[-1], common])
         self.state = Marginal(self.state.mean + scale * step, covariance)
-        return float(max(turn, share, np.abs(poses[:, :2]).max(), np.abs(common[:NC]).max()))
+        return float(size)
 
     def _normal_equations(self, w: int, rows: np.ndarray) -> elimination.NormalEquations:
         """Return what the oldest w poses and rows from them say, and the prior.

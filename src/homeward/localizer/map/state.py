@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -10,11 +12,10 @@ from scipy.linalg import lapack
 from homeward.localizer.geometry import compose, lever, rotation
 from homeward.localizer.map.sightings import bearing_residuals
 from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.tunables import CLOSE, GATE
 
 HEAD = 3 + NC
 """The Gaussian begins with the newest pose and the calibration."""
-TRUSTED = 4.0
-"""What is off by more standard deviations than this loses weight, by the square."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,16 @@ class Marginal:
     def distances(self) -> np.ndarray:
         """(n,), of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
+
+    @cached_property
+    def scale(self) -> float:
+        """Median distance of the landmarks [m]: what is small is small against it; or infinite."""
+        return float(np.median(self.distances)) if self.distances.size else math.inf
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(n,): distances, also of those the robot stands by no less than what is `CLOSE` [m]."""
+        return self.distances + CLOSE * self.scale
 
     def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 10)."""
@@ -130,7 +141,7 @@ class Marginal:
         innovation_covariance = seen.innovation_covariance.copy()
         variance = innovation_covariance.diagonal()
         innovation_covariance.flat[:: len(innovation_covariance) + 1] = np.maximum(
-            seen.residual**2 / TRUSTED**2, variance
+            seen.residual**2 / GATE**2, variance
         )
         _, gain, failed = lapack.dposv(innovation_covariance, seen.correlated)
         if failed:

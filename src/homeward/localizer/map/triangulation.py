@@ -5,23 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.tunables import AGREES, CLOSE, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
 
 FEWEST = 3
 """Sightings that must agree."""
 MOST_LINES = 24
 """So many sight lines, spread over all, are intersected in pairs."""
-SHARE = 0.6
-"""Of all sight lines that must agree."""
-AGREES = 3.0
-"""A sighting agrees within this many standard deviations."""
-LARGEST_RELATIVE_SIGMA = 0.3
-"""Of the distance; a landmark less certain waits for more parallax [1]."""
-BESIDE = 0.1
-"""A camera so near to a place, against how far the cameras lie apart, may see it anywhere [1]."""
-MARGIN = 1.5
-"""A place explains so many more than any other: one that is right by chance does not do."""
-RIVAL_SHARE = 0.67
-"""Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
 FAR = 100.0
 """A place so many times as far stands for one at infinity [1]."""
 STEPS = 6
@@ -68,12 +57,12 @@ def triangulate(
             return None
         position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
         agree = np.abs(_residuals(position[None], cameras, lines)[0]) < AGREES * sigmas
-    enough = agree.sum() >= max(FEWEST, SHARE * lines.size)
+    enough = agree.sum() >= max(FEWEST, MAJORITY * lines.size)
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
     deviation = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(information))[-1])
-    if not deviation < LARGEST_RELATIVE_SIGMA * distance:
+    if not deviation < LINEAR * distance:
         return None
     none_wrong = agree.all() and not _is_beside(position, cameras)
     if not none_wrong:
@@ -96,7 +85,7 @@ def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
 def _is_beside(position: np.ndarray, cameras: np.ndarray) -> bool:
     """Return whether a camera is so near to a place that its line fits whatever it measured."""
     apart = np.hypot(*np.ptp(cameras[:, :2], axis=0))
-    return bool(np.hypot(*(cameras[:, :2] - position).T).min() < BESIDE * apart)
+    return bool(np.hypot(*(cameras[:, :2] - position).T).min() < CLOSE * apart)
 
 
 def _rivals(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:

@@ -10,12 +10,7 @@ from __future__ import annotations
 
 import math
 
-SPEED_LASTS_S, TURN_LASTS_S = 1.0, 0.5
-"""A robot goes on for about so long at the speed, and the turn rate, that it has [s]."""
-SLOWEST, SLOWEST_TURN = 0.3, 0.3
-"""It may be so fast [m/s], and turn so fast [rad/s], however little it moved before."""
-LATELY_S = 60.0
-"""What is usual is the mean over so much time of moving, which one wild twist spoils little [s]."""
+from homeward.localizer.tunables import LATELY_S, SLOWEST, SLOWEST_TURN, SPEED_LASTS_S, TURN_LASTS_S
 
 
 class MotionPrior:

@@ -13,6 +13,7 @@ from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import CLOSE, DENIED, LINEAR, STANDS, TINY
 
 DENIAL = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
@@ -20,12 +21,6 @@ DENIAL = (
 )
 LEAST_RAD, CENTRE_M = 1e-6, 1e-3
 """It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
-DENIED = 5.0
-"""So many standard deviations off, the bearings deny it ..."""
-LEAST = np.array([0.03, 0.03, 0.03])
-"""... if it is so far off at least [rad, m, m]."""
-ANYWHERE = np.array([0.3, 0.3, 0.3])
-"""Then it may be anywhere; standard deviations [rad, m, m]."""
 
 
 class Extrinsics:
@@ -44,13 +39,15 @@ class Extrinsics:
         """(3,), around what was told or zero [rad, m, m]."""
         self.denied = False
         """Whether bearings deny what was taken for granted."""
+        self._least = np.zeros(3)
+        """Nearer to that is as good as there [rad, m, m]."""
         told, self._said = drive.sensor.model_fields_set, drive.sensor
         self._untold = np.array([part not in told for part in ("yaw", "x", "y")])
 
     def found(self, calibration: np.ndarray) -> Pose | None:
         """Return the camera on the robot by a calibration (7,); None where it was as expected."""
         off = calibration[MOUNT]
-        if not self.denied or (np.abs(off) < LEAST).all():
+        if not self.denied or (np.abs(off) < self._least).all():
             return None
         yaw, x, y = off.tolist()
         said = self._said
@@ -66,7 +63,7 @@ class Extrinsics:
         right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
         return (DENIAL.format(", ".join(names), right),)
 
-    def denies(self, calibration: np.ndarray, variances: np.ndarray) -> bool:
+    def denies(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:
         """Return whether the map denies for the first time what was taken for granted.
 
         What it would say on its own follows from what it says with the prior, whose information is
@@ -76,15 +73,19 @@ class Extrinsics:
         ----------
         calibration, variances : ndarray, shape (7,)
             As the map has it, and how certain it is of each part.
+        scale : float
+            Median distance of the landmarks [m].
         """
         if self.denied or not self._untold.any():
             return False
+        least = np.array([TINY, STANDS * scale, STANDS * scale])
+        anywhere = np.array([LINEAR, CLOSE * scale, CLOSE * scale])
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         own = precision - self.sigmas**-2.0
-        tells = self._untold & (own > ANYWHERE**-2.0)
+        tells = self._untold & (own > anywhere**-2.0)
         own[~tells] = np.inf
         off = np.abs(mean) * precision / own
-        self.denied = bool((tells & (off > np.maximum(DENIED * own**-0.5, LEAST))).any())
+        self.denied = bool((tells & (off > np.maximum(DENIED * own**-0.5, least))).any())
         if self.denied:
-            self.sigmas = np.where(self._untold, ANYWHERE, self.sigmas)
+            self.sigmas, self._least = np.where(self._untold, anywhere, self.sigmas), least
         return self.denied

@@ -22,12 +22,11 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import AGREES
 from homeward.reasons import Reason
 
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
-RIVAL_SIGMAS = 3.0
-"""Hypotheses count as rivals when their homes are this many standard deviations apart."""
 
 
 def why_home_is_not_found(
@@ -115,7 +114,7 @@ class IntegrityMonitor:
         if firm or not self.fixed:
             at_rest = self.fixed or (now.best.settled and now.unconverged_probability < 0.5)
             self.fixed = at_rest and self._is_fixed(now.best)
-            self._rivals = now.rivals(RIVAL_SIGMAS)
+            self._rivals = now.rivals(AGREES)
         faults = uncheckable_outliers(now.best, self._checked)
         if faults is not None:
             self._estimate = combined_estimate(now.best, self._others, faults)

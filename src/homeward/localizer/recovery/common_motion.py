@@ -14,13 +14,10 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.tunables import AGREES, CLOSE
 
 FEWEST = 3
 """So many landmarks must have moved together: two always do, but for the distance between them."""
-AGREES = 3.0
-"""One moved with the others when it is no farther from where they have it [standard deviations]."""
-FARTHEST = 0.1
-"""... nor farther than this, of the extent of all [1]."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ def moved_together(displaced: Displaced) -> np.ndarray:
     """Return which landmarks moved by one rigid motion, the most that did, shape (k,), bool."""
     before, now = displaced.before, displaced.now
     most = np.zeros(len(before), bool)
-    reach = FARTHEST * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
+    reach = CLOSE * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
     for i, j in combinations(range(len(before)), 2):
         a, b = before[j] - before[i], now[j] - now[i]
         turn = wrap(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0]))

@@ -9,28 +9,11 @@ from __future__ import annotations
 import math
 from collections import deque
 
-import numpy as np
-
 from homeward.estimator import Innovation
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.search import Search
-
-RECENT, KIDNAPPED_SHARE = 10, 0.75
-"""When so large a share of the last sightings does not fit, the robot was lifted and put down."""
-FITTING_SHARE = 0.6
-"""With such a share of sightings that fit, those which do not are their landmarks' fault."""
-LOST_RAD, LOST_SHARE = 0.7, 1.0
-"""A motion less certain than this, against the landmarks' distance [1], tells nothing."""
-NOTHING_M = 0.01
-"""So little is nothing among any landmarks [m]."""
-FITS, SUSPECT_SHARE = 3.0, 0.5
-"""When such a share of a stamp's sightings is off by more [standard deviations], the robot may have
-been shoved ..."""
-GAIN = 5
-"""... and was, if from elsewhere so many more fit: three always can, by chance."""
-RELOCALISABLE_RAD = 0.3
-"""Sight lines of a lost robot hold together while their headings are better known than this."""
+from homeward.localizer.tunables import AGREES, LINEAR, LOST, MAJORITY, POSE, PROOF, RECENT
 
 
 class KidnapDetector:
@@ -47,11 +30,9 @@ class KidnapDetector:
         """Return whether hardly anything fits the map any more, these innovations included."""
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
-        return (
-            len(self._recent) == RECENT
-            and len(wrong) >= KIDNAPPED_SHARE * RECENT
-            and len(set(wrong)) >= 2
-        )
+        # As few fit from anywhere, by chance.
+        few = RECENT - len(wrong) < POSE
+        return len(self._recent) == RECENT and few and len(set(wrong)) >= 2
 
     @property
     def fitting(self) -> float:
@@ -62,7 +43,7 @@ class KidnapDetector:
     def others_fit(self, names: list[str]) -> bool:
         """Return whether the last sightings of all landmarks but these fitted."""
         others = [fits for name, fits in self._recent if name not in names]
-        return bool(others) and sum(others) >= FITTING_SHARE * len(others)
+        return bool(others) and sum(others) >= MAJORITY * len(others)
 
 
 class SlipDetector:
@@ -93,17 +74,17 @@ class SlipDetector:
         motion : Motion
             ... so much after the newest keyframe.
         """
-        fits = [abs(i.value) <= FITS * i.sigma for i in innovations]
+        fits = [abs(i.value) <= AGREES * i.sigma for i in innovations]
         if self.search is None:
-            if not fits or sum(fits) > SUSPECT_SHARE * len(fits):
+            if not fits or 2 * sum(fits) > len(fits):
                 return False
             self.search = Search(motion)
         self._fits.extend(fits)
-        holds = self.search.motion_since(motion).covariance[2, 2] < RELOCALISABLE_RAD**2
-        if not holds or sum(self._fits) >= FITTING_SHARE * len(self._fits):
+        holds = self.search.motion_since(motion).covariance[2, 2] < LINEAR**2
+        if not holds or sum(self._fits) >= MAJORITY * len(self._fits):
             self.clear()
             return False
-        self.search.fewest = sum(self._fits) + GAIN
+        self.search.fewest = sum(self._fits) + PROOF
         return True
 
 
@@ -117,10 +98,5 @@ def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
     marginal : Marginal
         What is known of that keyframe's pose and of the landmarks.
     """
-    if motion.covariance[2, 2] > LOST_RAD**2:
-        return True
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
-    if shift < NOTHING_M**2:
-        return False
-    distances = marginal.distances
-    return bool(distances.size and shift > (LOST_SHARE * np.median(distances)) ** 2)
+    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > LOST**2)

@@ -14,18 +14,14 @@ from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.detectors import (
-    LOST_RAD,
-    RELOCALISABLE_RAD,
     KidnapDetector,
     SlipDetector,
     odometry_lost,
 )
 from homeward.localizer.recovery.scene_change import SceneChangeDetector
 from homeward.localizer.recovery.search import Search
+from homeward.localizer.tunables import LINEAR, LOST, MAJORITY, RECENT
 from homeward.reasons import Reason
-
-BAD_FIT_SHARE, GOOD_FIT_SHARE = 0.6, 0.9
-"""With a smaller share that fit the map is doubted, until such a share does."""
 
 
 class Health(Enum):
@@ -87,10 +83,10 @@ class Monitor:
         marginal = known.state
         gone = not self.is_lost and odometry_lost(motion, marginal)
         # All that is mapped from an unknown origin would be as vague as that, and nothing linear.
-        no_origin = not self._origin_given and marginal.covariance[2, 2] > LOST_RAD**2
+        no_origin = not self._origin_given and marginal.covariance[2, 2] > LOST**2
         if not known.landmarks.mapped and (gone or no_origin):
             return Health.NO_MAP
-        if self.is_lost and motion.covariance[2, 2] <= RELOCALISABLE_RAD**2:
+        if self.is_lost and motion.covariance[2, 2] <= LINEAR**2:
             return Health.LOST
         return Health.ODOMETRY_LOST if gone or self.is_lost else Health.OK
 
@@ -161,9 +157,9 @@ class Monitor:
     @property
     def fits_badly(self) -> bool:
         """Whether too little fits of what was seen lately, or the robot is lost."""
-        return self.is_lost or self._kidnap.fitting < BAD_FIT_SHARE
+        return self.is_lost or self._kidnap.fitting < MAJORITY
 
     @property
     def fits_well(self) -> bool:
-        """Whether nearly all fits of what was seen lately."""
-        return not self.is_lost and self._kidnap.fitting >= GOOD_FIT_SHARE
+        """Whether all but one fit of what was seen lately."""
+        return not self.is_lost and self._kidnap.fitting >= 1.0 - 1.0 / RECENT

@@ -13,23 +13,13 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
+from homeward.localizer.tunables import AGREES, CLOSE, LINEAR, MAJORITY, POSE, PROOF
 
 HEADINGS = 120
-MOST_LINES = 14
-"""The newest so many sight lines are used."""
 MOST_PAIRS = 40
+STEPS = 8
 TRIED = 6
 """Poses that are refined."""
-FEWEST_LINES, FEWEST_LANDMARKS, SHARE = 5, 3, 0.7
-"""Sight lines, and landmarks, that must agree; and their share of all lines [1]."""
-AGREES = 3.0
-"""A line agrees within this many standard deviations."""
-APART, APART_RAD = 0.1, 0.3
-"""Poses farther apart than this are different answers [distance of the landmarks]."""
-LARGEST_SIGMA = 0.1
-"""A pose less certain than this waits for more sight lines [distance of the landmarks]."""
-STEPS, LONGEST = 8, 0.3
-"""Steps that refine a pose; none is longer than this [distance of the landmarks, rad]."""
 
 
 @dataclass(frozen=True)
@@ -67,24 +57,23 @@ def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarr
     covariance : ndarray, shape (3, 3)
         None instead of both when the lines do not tell, or tell two places.
     """
-    lines = SightLines(*(getattr(lines, f)[-MOST_LINES:] for f in SightLines.__dataclass_fields__))
-    if len(lines.names) < FEWEST_LINES or np.unique(lines.names).size < FEWEST_LANDMARKS:
+    if len(lines.names) < PROOF or np.unique(lines.names).size < POSE:
         return None
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for start in _candidates(lines):
         refined = _refine(start, lines)
         if refined is None:
             continue
-        apart = APART * float(_distances(refined[1][None], lines)[0])
+        apart = CLOSE * float(_distances(refined[1][None], lines)[0])
         if not any(_same(refined[1], f[1], apart) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < max(FEWEST_LINES, SHARE * len(lines.names), fewest):
+    if not found or found[0][0] < max(PROOF, MAJORITY * len(lines.names), fewest):
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
     pose, covariance = found[0][1:]
-    most = LARGEST_SIGMA * float(_distances(pose[None], lines)[0])
+    most = CLOSE * float(_distances(pose[None], lines)[0])
     return (pose, covariance) if np.diag(covariance)[:2].max() < most**2 else None
 
 
@@ -113,7 +102,7 @@ def _candidates(lines: SightLines) -> np.ndarray:
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
-    for pose, apart in zip(best, (APART * _distances(best, lines)).tolist(), strict=True):
+    for pose, apart in zip(best, (CLOSE * _distances(best, lines)).tolist(), strict=True):
         if not any(_same(pose, p, apart) for p in chosen):
             chosen.append(pose)
         if len(chosen) == TRIED:
@@ -130,7 +119,7 @@ def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.nda
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
     """Return how many lines agree, the refined pose and its covariance."""
-    pose, longest = start.copy(), LONGEST * np.ones(3)
+    pose, longest = start.copy(), LINEAR * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
@@ -145,7 +134,7 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
         step = covariance @ (jacobian.T @ (weight * r))
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
     agree = np.abs(r) < AGREES * np.sqrt(variance)
-    if np.unique(lines.names[agree]).size < FEWEST_LANDMARKS:
+    if np.unique(lines.names[agree]).size < POSE:
         return None
     return int(agree.sum()), pose, covariance
 
@@ -159,4 +148,4 @@ def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
 def _same(a: np.ndarray, b: np.ndarray, apart: float) -> bool:
     """Return whether two poses, so far apart at most [m], are the same answer."""
     near = np.hypot(a[0] - b[0], a[1] - b[1]) < apart
-    return bool(near and abs(wrap(a[2] - b[2])) < APART_RAD)
+    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR)

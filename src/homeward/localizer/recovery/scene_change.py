@@ -12,12 +12,8 @@ from collections.abc import Collection
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.estimator import Innovation
-
-FEWEST = 4
-"""So many landmarks must go out of sight, and so many others come, at the fewest."""
-HARDLY_RAD, HARDLY_SHARE = 0.3, 0.3
-"""A robot has hardly moved that turned by less [rad] and drove less [distance of landmarks]."""
+from homeward.estimator import CHECKED, Innovation
+from homeward.localizer.tunables import LINEAR
 
 
 class SceneChangeDetector:
@@ -50,14 +46,14 @@ class SceneChangeDetector:
             Where those of the map stand in it [m].
         """
         fitting = sum(i.accepted for i in innovations)
-        if fitting >= FEWEST:
+        if fitting >= CHECKED:
             self._seen, self._from = frozenset(names), place
         if fitting or not self._seen:
             return False
         new = len(frozenset(names) - self._seen)
-        if new < FEWEST or 2 * new <= len(names):
+        if new < CHECKED or 2 * new <= len(names):
             return False
         off = place - self._from
         distances = np.hypot(*(landmarks - self._from[:2]).T)
-        near = np.hypot(*off[:2]) < HARDLY_SHARE * np.median(distances)
-        return bool(near and abs(wrap(off[2])) < HARDLY_RAD)
+        near = np.hypot(*off[:2]) < LINEAR * np.median(distances)
+        return bool(near and abs(wrap(off[2])) < LINEAR)

@@ -10,9 +10,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-
-NEWEST = 10
-"""Sightings that are kept: odometry ties them together for a short way only."""
+from homeward.localizer.tunables import RECENT
 
 
 class Search:
@@ -28,7 +26,7 @@ class Search:
         self.fewest = 0
         """So many sightings must agree on a pose at the fewest."""
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=NEWEST)
+        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, from that since the newest keyframe."""

@@ -1,0 +1,83 @@
+"""Tunables: every number of the localiser that its answers depend on, and why it is what it is.
+
+What a user may want to set is in `settings`. Capitals of other modules are numerics: how often,
+how many at most, how small; they buy time or keep arithmetic sound, and are no matter of belief.
+Lengths are in distances of landmarks: the median one of those that are mapped.
+"""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+
+
+def sigmas(tests: int = 1) -> float:
+    """Return the two-sided gate of so many tests that together err with `FALSE_ALARM` [1]."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / tests)
+
+
+# Tests of what is seen
+FALSE_ALARM = 0.0027
+"""Probability that a test doubts what is right: that of three standard deviations."""
+AGREES = sigmas()
+"""What is off by more does not agree: one test, which costs one sighting [standard deviations]."""
+GATE = sigmas(40)
+"""What is off by more is rejected: a landmark is tested at all keyframes of a window (Bonferroni)
+[standard deviations]."""
+DENIED = sigmas(5000)
+"""What is off by more is denied for good: tested at each keyframe of 40 min [standard deviations].
+"""
+MAJORITY = 0.6
+"""So large a share of all must agree: most of them, with some to spare for outliers."""
+RECENT = 10
+"""The last so many sightings tell whether the map fits, and where else the robot may be: two of
+each of five landmarks, while odometry still ties them together."""
+ENOUGH = 6
+"""From so many sightings on something is said of a landmark: with half of them wrong, three right
+ones are left, of which one checks the other two."""
+ESTABLISHED = 2 * ENOUGH
+"""That a landmark moved is said after so many at its old place, and as many at its new one."""
+
+# How large is small: a bearing is linear in what is small against the distance of the landmark
+LINEAR = 0.3
+"""Bearings are linear in turns [rad] and shifts [distance] up to this: tan is, to 3 %."""
+CLOSE = 0.1
+"""... and here to 0.3 %: two places so near to each other are one [distance]."""
+TINY = 0.03
+"""... and here to 0.03 %: so much is corrected without solving anew."""
+STANDS = 0.01
+"""A robot that moved less stands: half the noise of a bearing, as it is believed at first."""
+LOST = 0.7
+"""A motion less certain than this [rad, distance] tells nothing of bearings; nor does a bearing
+that is blurred so much by its way [standard deviations]: a third of what it told is gone."""
+VAGUE_WAY = 0.2
+"""... or, while no landmark tells, a way uncertain by this share of it [1]."""
+
+# What checks what
+POSE = 3
+"""So many bearings fit some pose always; geometry, no choice."""
+PROOF = POSE + 2
+"""From a place from which so many (more) fit the robot sees them: two check a pose of three."""
+
+# Landmarks enter, move and go
+BASE = 5.0
+"""They start from a base so many times longer than odometry's uncertainty about it: that turns
+sight lines by a fifth of the parallax at most."""
+MARGIN = 1.5
+"""A place explains so many lines more than any other: one that is right by chance does not do."""
+RIVAL_SHARE = 0.67
+"""Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
+AS_WELL = 2.0
+"""Where another landmark is off by less than so many times as much, it is that one."""
+
+# Odometry
+HEAVY_TAIL = 3.0
+"""Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
+DRIFT_S, DRIFT_SHARE = 600.0, 0.2
+"""The calibration drifts by this share of its a-priori deviation in this time [s]: as tyres and
+batteries do in minutes."""
+SPEED_LASTS_S, TURN_LASTS_S = 1.0, 0.5
+"""Without odometry it goes on for about so long at the speed, and turn rate, that it has [s]."""
+SLOWEST, SLOWEST_TURN = 0.3, 0.3
+"""It may be so fast [m/s], and turn so fast [rad/s], however little it moved before."""
+LATELY_S = 60.0
+"""What is usual is the mean over so much time of moving, which one wild twist spoils little [s]."""
