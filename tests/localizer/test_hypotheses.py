@@ -19,7 +19,6 @@ from homeward.localizer.home.outliers import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
-    NEAR,
     centre,
     combined_estimate,
     in_home_frame,
@@ -28,6 +27,7 @@ from homeward.localizer.output.pose import (
 )
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import AGREES
 
 CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 
@@ -149,7 +149,7 @@ def test_alike_hypotheses_are_averaged_and_far_ones_hardly_followed():
 
     def distance(at):
         off = np.linalg.norm((points - at) @ np.linalg.inv(root), axis=1)
-        return weights @ np.hypot(off, NEAR)
+        return weights @ np.hypot(off, AGREES)
 
     for step in 0.05 * np.concatenate([root, -root]):
         assert distance(middle) < distance(middle + step)

@@ -54,7 +54,7 @@ VAGUE_WAY = 0.2
 
 # What checks what
 POSE = 3
-"""So many bearings fit some pose always; geometry, no choice."""
+"""So many bearings fix a pose, and fit some pose always; geometry, no choice."""
 PROOF = POSE + 2
 """From a place from which so many (more) fit the robot sees them: two check a pose of three."""
 
@@ -69,12 +69,26 @@ RIVAL_SHARE = 0.67
 AS_WELL = 2.0
 """Where another landmark is off by less than so many times as much, it is that one."""
 
+# Home
+PUSHED = 0.5
+"""Half of the landmarks that moved were pushed by about so much, seen from home; the other half was
+carried anywhere [rad]."""
+HOME_SHARE = 0.5
+"""Home is about so far from the middle of its landmarks: among them [of their range]."""
+REACH = 20.0
+"""... and not so many times farther from them than they are from each other: from there all of them
+are within 3 deg, the noise of a bearing or two."""
+LEAST_SHARE = 0.002
+"""So much of the information on home is left when errors of the map are taken out [1]."""
+STILL_FIXED = 2.0
+"""A pose that was given is given until it is so many times less certain than it had to be."""
+
 # Odometry
 HEAVY_TAIL = 3.0
 """Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
-DRIFT_S, DRIFT_SHARE = 600.0, 0.2
-"""The calibration drifts by this share of its a-priori deviation in this time [s]: as tyres and
-batteries do in minutes."""
+DRIFT = 0.5 / 60.0
+"""The calibration drifts by half of its a-priori deviation in an hour, as a random walk: tyres and
+batteries [1 / sqrt(s)]."""
 SPEED_LASTS_S, TURN_LASTS_S = 1.0, 0.5
 """Without odometry it goes on for about so long at the speed, and turn rate, that it has [s]."""
 SLOWEST, SLOWEST_TURN = 0.3, 0.3

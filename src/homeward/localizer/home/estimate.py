@@ -16,10 +16,11 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import lever, rotation
 from homeward.localizer.home.evidence import Evidence
 from homeward.localizer.home.linearisation import HOME, POSE, RESIDUAL, Linear, expected
-from homeward.localizer.home.outliers import SCALE, log_odds
+from homeward.localizer.home.outliers import log_odds
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
 from homeward.localizer.home.whitening import Whitened, inverted
+from homeward.localizer.tunables import PUSHED
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""
@@ -143,7 +144,7 @@ class HomeFit:
         """(q,), bool: those of the set that the others predict well enough to contradict them."""
         if self.inliers.sum() <= self.problem.fewest:
             return np.zeros_like(self.inliers)
-        return np.asarray(self.inliers & (self.evidence.variance < SCALE**2))
+        return np.asarray(self.inliers & (self.evidence.variance < PUSHED**2))
 
     @property
     def odds(self) -> np.ndarray:

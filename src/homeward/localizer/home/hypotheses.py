@@ -19,8 +19,9 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
-from homeward.localizer.home.problem import FEWEST, POSE_AND_YAW, HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
+from homeward.localizer.tunables import FALSE_ALARM, POSE
 
 Seed = tuple[np.ndarray, np.ndarray]
 """A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from."""
@@ -30,16 +31,13 @@ MOST_FLIPS = 12
 """Flips at most from one start."""
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
-PROMISING = 6.0
-"""... and searched from when their log evidence falls short of the best by no more than this."""
+UNDECIDED = -math.log(FALSE_ALARM)
+"""Hypotheses whose log evidence falls short of the best one's by more are dropped, and flips that
+cost more are not tried."""
 NEIGHBOURS = 3
 """So many sets that differ from the best one by the most undecided flips are weighed with it."""
-UNDECIDED = 4.0
-"""Only flips whose log odds are smaller are undecided [1]."""
 PROBABLE = 0.05
 """Only more probable sets are flipped further as the map changes."""
-NEGLIGIBLE = 1e-3
-"""A hypothesis less probable than this is dropped."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]
         if inliers.sum() < problem.fewest or inliers.tobytes() in found:
             continue
         tried = solved(best.linear, inliers)
-        if tried is not None and tried.log_evidence > best.log_evidence - PROMISING:
+        if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
             _local_search(problem, tried.home, inliers, found)
 
 
@@ -190,7 +188,7 @@ def seeds(problem: HomeProblem) -> list[Seed]:
     found: list[Seed] = []
     if problem.prior is not None:
         found.append((problem.prior, np.ones(problem.bearings.size, bool)))
-    if problem.bearings.size >= FEWEST:
+    if problem.bearings.size >= POSE:
         found.extend(_from_triples(problem))
     unique = {inliers.tobytes(): (home, inliers) for home, inliers in reversed(found)}
     return list(unique.values())[::-1][: MOST_SEEDS + 2]
@@ -209,7 +207,7 @@ def _from_triples(problem: HomeProblem) -> list[Seed]:
     )
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * MOST_SEEDS]
-    for i in best[np.count_nonzero(inliers[best], axis=1) >= FEWEST].tolist():
+    for i in best[np.count_nonzero(inliers[best], axis=1) >= POSE].tolist():
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:MOST_SEEDS]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
@@ -262,10 +260,10 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     fits = [*settled.values(), *_neighbours(problem, best, settled)]
     fits.sort(key=lambda f: -f.log_evidence)
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
-    keep = weights > NEGLIGIBLE
+    keep = weights > FALSE_ALARM
     weights = weights[keep] / weights[keep].sum()
     at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
-    least = best.log_evidence + math.log(NEGLIGIBLE)
+    least = best.log_evidence + math.log(FALSE_ALARM)
     unconverged = [f for f in found.values() if not f.settled and f.log_evidence > least]
     return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
 

@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from homeward.angles import TWO_PI
+from homeward.localizer.tunables import PUSHED
 
-SCALE = 0.5
-"""Of the Gaussian of wrong bearings [rad]."""
-UNIFORM_FROM = 2.0
-"""A bearing predicted with a larger standard deviation may be anywhere on the circle [rad]."""
+UNIFORM_FROM = math.sqrt(TWO_PI)
+"""A bearing predicted with a larger standard deviation may be anywhere on the circle: there, no
+Gaussian is denser than the uniform density [rad]."""
 
 
 def log_inlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def log_inlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 def log_outlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the log density of being `off` [rad], of wrong ones predicted with `variance`."""
-    pushed, anywhere = log_inlier(off, variance + SCALE**2), -math.log(TWO_PI)
+    pushed, anywhere = log_inlier(off, variance + PUSHED**2), -math.log(TWO_PI)
     return np.asarray(np.logaddexp(pushed, anywhere) - math.log(2.0))
 
 

@@ -12,15 +12,11 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.localizer.geometry import between, lever, rotation
-from homeward.localizer.home.resection import REACH
+from homeward.localizer.tunables import HOME_SHARE, POSE, REACH
 
 POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
-FEWEST = 3
-"""Home bearings that fix home where there is no start prior."""
-HOME_SHARE = 0.5
-"""Home is about so far from the middle of its landmarks [of their range]."""
 LONGEST_SHARE = 0.2
 """A fit moves home by so much at once at most [of the range] ..."""
 LONGEST_TURN = 1.0
@@ -128,7 +124,7 @@ class HomeProblem:
     @property
     def fewest(self) -> int:
         """Home bearings that fix home."""
-        return FEWEST if self.prior is None else 0
+        return POSE if self.prior is None else 0
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

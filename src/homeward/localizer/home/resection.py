@@ -16,9 +16,8 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import sight
+from homeward.localizer.tunables import REACH
 
-REACH = 20.0
-"""A pose is not so many times farther from the landmarks than they are from each other."""
 MOST_TRIPLES = 600
 """So many triples at most; drawn at random with a fixed seed when there are more."""
 

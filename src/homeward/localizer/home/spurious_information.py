@@ -15,9 +15,7 @@ from homeward.localizer.geometry import LEAST_SQUARE
 from homeward.localizer.home.linearisation import Linear
 from homeward.localizer.home.problem import POSE_AND_YAW
 from homeward.localizer.home.whitening import inverted
-
-LEAST_SHARE = 0.002
-"""So much of the information on home is left at least when errors of the map are taken out [1]."""
+from homeward.localizer.tunables import LEAST_SHARE
 
 
 def spurious_covariance(

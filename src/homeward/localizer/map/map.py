@@ -20,7 +20,7 @@ from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT_S, DRIFT_SHARE, STANDS, TINY
+from homeward.localizer.tunables import DRIFT, STANDS, TINY
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -61,8 +61,8 @@ class Map:
         self._noise, self._extrinsics = noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings)
-        drift = DRIFT_SHARE * np.concatenate([sigmas, extrinsics.sigmas])
-        self.smoother = Smoother(sigmas, drift**2 / DRIFT_S, extrinsics.sigmas, t)
+        drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
+        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, t)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         self.begun = t
         self.solved = True

@@ -13,12 +13,10 @@ from homeward.localizer.geometry import compose, lever, rotation
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME
-from homeward.localizer.home.outliers import SCALE
 from homeward.localizer.home.whitening import inverted
+from homeward.localizer.tunables import AGREES, PUSHED
 
 CENTRE_STEPS = 20
-NEAR = 2.0
-"""Hypotheses nearer to the middle than this are averaged, others pull evenly [deviations]."""
 AT_REST = 1e-3
 """A shorter step ends the search for the middle [standard deviations]."""
 
@@ -81,7 +79,7 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     if problem.prior is not None or not alone.any():
         return None
     by_bearing = fit.inverse[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
-    moves = math.sqrt(problem.moved_prior) * SCALE * fit.home_frame_jacobians[0] @ by_bearing
+    moves = math.sqrt(problem.moved_prior) * PUSHED * fit.home_frame_jacobians[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
@@ -142,7 +140,7 @@ def combined_estimate(
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the middle of weighted points: the mean of near ones, the median of far ones.
 
-    It minimises the mean of sqrt(d^2 + NEAR^2), d being the distance in standard deviations
+    It minimises the mean of sqrt(d^2 + AGREES^2), d being the distance in standard deviations
     (Weiszfeld's iteration). Alike hypotheses are averaged, which errs least; and unlike the mean it
     does not follow an improbable one far away.
 
@@ -158,7 +156,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
         return np.asarray(points[0])
     # The middle is one of shares of the points, so products of these tell all distances.
     products, share = points @ inverted(covariance)[0] @ points.T, weights
-    squares = products.diagonal() + NEAR**2
+    squares = products.diagonal() + AGREES**2
     for _ in range(CENTRE_STEPS):
         towards = products @ share
         pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)

@@ -12,7 +12,6 @@ from homeward.estimator import CHECKED, Estimate, Innovation, Status
 from homeward.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
-from homeward.localizer.home.problem import FEWEST
 from homeward.localizer.output.pose import (
     OtherHypotheses,
     PoseEstimate,
@@ -22,11 +21,8 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES
+from homeward.localizer.tunables import AGREES, POSE, STILL_FIXED
 from homeward.reasons import Reason
-
-STILL_FIXED = 2.0
-"""A pose that was given is given until it is so many times less certain than it had to be."""
 
 
 def why_home_is_not_found(
@@ -45,15 +41,15 @@ def why_home_is_not_found(
     has_odometry : bool
         Whether odometry has come yet.
     """
-    if len(home) < FEWEST:
-        return f"home saw only {len(home)} landmarks; {FEWEST} are needed"
+    if len(home) < POSE:
+        return f"home saw only {len(home)} landmarks; {POSE} are needed"
     if not has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
-    if not used and len(mapped) >= FEWEST:
+    if not used and len(mapped) >= POSE:
         return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
-    needed = f"{FEWEST} are needed; drive an arc"
+    needed = f"{POSE} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 
 
@@ -161,7 +157,7 @@ class IntegrityMonitor:
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int((best.inliers & self._stayed).sum())
-        if stayed < FEWEST:
+        if stayed < POSE:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
         if self._rivals > 1.0 - self._settings.sure:
