@@ -49,8 +49,6 @@ STANDS = 0.01
 LOST = 0.7
 """A motion less certain than this [rad, distance] tells nothing of bearings; nor does a bearing
 that is blurred so much by its way [standard deviations]: a third of what it told is gone."""
-VAGUE_WAY = 0.2
-"""... or, while no landmark tells, a way uncertain by this share of it [1]."""
 
 # What checks what
 POSE = 3
@@ -60,8 +58,9 @@ PROOF = POSE + 2
 
 # Landmarks enter, move and go
 BASE = 5.0
-"""They start from a base so many times longer than odometry's uncertainty about it: that turns
-sight lines by a fifth of the parallax at most."""
+"""They start from a base so many times longer than odometry's uncertainty about it, which then
+turns sight lines by a fifth of the parallax at most; and before any is mapped a way less certain
+than that is not looked at."""
 MARGIN = 1.5
 """A place explains so many lines more than any other: one that is right by chance does not do."""
 RIVAL_SHARE = 0.67

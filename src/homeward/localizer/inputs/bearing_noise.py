@@ -21,9 +21,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.inputs.reorder import BearingFrame
+from homeward.localizer.tunables import GATE
 
-LEAST = 1.0
-"""It is not believed to be less than this share of its default [1]."""
 RESIDUALS = 40
 """So many residuals are needed to judge it by the map ..."""
 DIFFERENCES = 20, 200
@@ -33,8 +32,6 @@ SPAN_S = 1.05
 NO_CAMERA = 1e-6
 """No camera is better [rad]; a smaller deviation is as good as none given."""
 MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
-WILD = 4.0
-"""Larger errors are not noise [standard deviations]."""
 KEPT = 0.9
 """So much of what was believed is kept from keyframe to keyframe [1]."""
 CLEAR = 1.1
@@ -154,7 +151,7 @@ class BearingNoise:
             return self._rescale(off, own, whole)
         self.settled = True
         now = MAD_TO_SIGMA * float(np.median(off))
-        now = max(now, LEAST * self._default)
+        now = max(now, self._default)
         self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
         return 1.0
 
@@ -183,7 +180,7 @@ def _scale(off: np.ndarray) -> float:
     """
     rough = QUARTER_TO_SIGMA * np.quantile(off, 0.25)
     for _ in range(2):
-        rough = MAD_TO_SIGMA * np.median(off[off <= WILD * rough])
+        rough = MAD_TO_SIGMA * np.median(off[off <= GATE * rough])
     return float(rough)
 
 

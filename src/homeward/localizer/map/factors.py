@@ -10,7 +10,7 @@ from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import GATE
 
-LEAST_VARIANCE = 1e-8
+LEAST_VARIANCE = 1e-10
 """No motion is known better than this [m^2, rad^2]."""
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC

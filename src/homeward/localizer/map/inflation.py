@@ -7,7 +7,7 @@ import numpy as np
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.tunables import LOST, VAGUE_WAY
+from homeward.localizer.tunables import BASE, LOST
 
 
 def inflate_by_odometry(
@@ -45,7 +45,7 @@ def inflate_by_odometry(
         return sigmas
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
     distances = marginal.distances
-    if not distances.size and across > (VAGUE_WAY * motion.path) ** 2:
+    if not distances.size and across > (motion.path / BASE) ** 2:
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)

@@ -19,7 +19,7 @@ DENIAL = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
     "under sensor in drive.yaml, about right would be {}."
 )
-LEAST_RAD, CENTRE_M = 1e-6, 1e-3
+LEAST_RAD, CENTRE_M = 1e-6, 1e-4
 """It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
 
 
