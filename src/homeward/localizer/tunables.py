@@ -55,6 +55,8 @@ POSE = 3
 """So many bearings fix a pose, and fit some pose always; geometry, no choice."""
 PROOF = POSE + 2
 """From a place from which so many (more) fit the robot sees them: two check a pose of three."""
+FOUND = 0.7
+"""... and so large a share of all it saw: a larger one than `MAJORITY`, as three always fit [1]."""
 
 # Landmarks enter, move and go
 BASE = 5.0

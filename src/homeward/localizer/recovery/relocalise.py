@@ -13,7 +13,7 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
-from homeward.localizer.tunables import AGREES, CLOSE, LINEAR, MAJORITY, POSE, PROOF
+from homeward.localizer.tunables import AGREES, CLOSE, FOUND, LINEAR, POSE, PROOF
 
 HEADINGS = 120
 MOST_PAIRS = 40
@@ -68,7 +68,7 @@ def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarr
         if not any(_same(refined[1], f[1], apart) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < max(PROOF, MAJORITY * len(lines.names), fewest):
+    if not found or found[0][0] < max(PROOF, FOUND * len(lines.names), fewest):
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
