@@ -81,6 +81,9 @@ REACH = 20.0
 are within 3 deg, the noise of a bearing or two."""
 LEAST_SHARE = 0.002
 """So much of the information on home is left when errors of the map are taken out [1]."""
+NEGLIGIBLE = 1e-3
+"""A hypothesis so many times less probable than the best one is dropped, and a flip that leads to
+one is not tried: fifty of them stay below what `sure` leaves open."""
 STILL_FIXED = 2.0
 """A pose that was given is given until it is so many times less certain than it had to be."""
 

@@ -21,7 +21,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
-from homeward.localizer.tunables import FALSE_ALARM, POSE
+from homeward.localizer.tunables import NEGLIGIBLE, POSE
 
 Seed = tuple[np.ndarray, np.ndarray]
 """A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from."""
@@ -31,7 +31,7 @@ MOST_FLIPS = 12
 """Flips at most from one start."""
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
-UNDECIDED = -math.log(FALSE_ALARM)
+UNDECIDED = -math.log(NEGLIGIBLE)
 """Hypotheses whose log evidence falls short of the best one's by more are dropped, and flips that
 cost more are not tried."""
 NEIGHBOURS = 3
@@ -260,10 +260,10 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     fits = [*settled.values(), *_neighbours(problem, best, settled)]
     fits.sort(key=lambda f: -f.log_evidence)
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
-    keep = weights > FALSE_ALARM
+    keep = weights > NEGLIGIBLE
     weights = weights[keep] / weights[keep].sum()
     at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
-    least = best.log_evidence + math.log(FALSE_ALARM)
+    least = best.log_evidence + math.log(NEGLIGIBLE)
     unconverged = [f for f in found.values() if not f.settled and f.log_evidence > least]
     return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
 
