@@ -112,7 +112,12 @@ def test_ctrl_c_while_workers_begin_is_told_once(tmp_path):
     """A terminal sends it to all processes at once, also to those that still import."""
     words = ["-m", "homeward", "study", "pi-ekf-tuning", "--workers", "2", "--out", tmp_path / "o"]
     with subprocess.Popen(
-        [sys.executable, *words], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [sys.executable, *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # A shell that runs tests in the background has them ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as running:
         children = f"/proc/{running.pid}/task/{running.pid}/children"
         while not any("spawn_main" in line for line in _command_lines(children)):
