@@ -53,8 +53,7 @@ class Job:
     def done_elsewhere(self) -> list[Outcome]:
         """Run in a process of its own, which has not imported the localiser."""
         call = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
-        # Without a compiler: a constant of C beside one of Python would keep it as it was.
-        environment = os.environ | {"CC": "no-compiler", "OPENBLAS_NUM_THREADS": "1"}
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         done = subprocess.run(
             call, input=pickle.dumps(self), stdout=subprocess.PIPE, env=environment, check=True
         )
