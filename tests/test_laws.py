@@ -84,9 +84,9 @@ def test_the_way_is_about_right_where_few_landmarks_are_in_sight_on_one_side():
 
 
 def test_a_law_of_another_package_drives_home(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text("from homeward.laws import squared_angles as mine\n")
+    (tmp_path / "law_of_mine.py").write_text("from homeward.laws import squared_angles as mine\n")
     monkeypatch.syspath_prepend(tmp_path)
-    changes = {"trajectory.law": "mine:mine", "moved.count": 0, "noise.bearing_sigma": 0.002}
+    changes = {"trajectory.law": "law_of_mine:mine", "moved.count": 0, "noise.bearing_sigma": 0.002}
     assert simulate(load_scenario("paper-homing", changes)).final_distance < 0.2
 
 
