@@ -13,7 +13,7 @@ from homeward.report.study.maps import draw_maps, grids
 from homeward.report.study.page import PAGE, write_study
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import Plan
-from homeward.studies.study.summary import table
+from homeward.studies.study.tabulated import summary, table
 
 LONG = "the one whose label says everything that there is to say of it, and then some more"
 
@@ -75,7 +75,7 @@ def test_a_legend_takes_as_many_columns_as_there_is_room_for():
 
 
 def test_words_of_a_table_are_whole(tmp_path):
-    head = table(made_up_study(tmp_path))[0]
+    head = table(summary(made_up_study(tmp_path)))[0]
     assert "time of a run [s]" in head
     assert "RMSE / bound" in head
 
