@@ -104,8 +104,6 @@ class Map:
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
         smoother = self.smoother
-        if self.solved:  # not at the keyframe of the solution, which takes long enough
-            self._marginalise_old()
         kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
         full = kept >= self._settings.window
         self._due = not full or since * SOLVED_SHARE >= kept or not smoother.settled
@@ -174,6 +172,8 @@ class Map:
         numpy.linalg.LinAlgError
             When nothing can be made of the map any more.
         """
+        if self.solved and gated.new_keyframe:  # that of the solution itself takes long enough
+            self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
         kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
         changed = self.landmarks.reinitialise(refused)
