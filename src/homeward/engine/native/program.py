@@ -65,14 +65,6 @@ class Program:
 
     def __call__(self) -> ctypes.CDLL | None:
         """Return the compiled functions; None where there is no compiler, or it fails."""
-        return self._once()[0]
-
-    @property
-    def why_not(self) -> NativeError | None:
-        """Why there is no compiled code; None where there is."""
-        return self._once()[1]
-
-    def _once(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
         # Not a cached_property, which has no lock: a function whose argument types another thread
         # has yet to set would be called with its addresses cut in half.
         with self._lock:
@@ -80,18 +72,18 @@ class Program:
                 self._loaded = self._load()
         return self._loaded
 
-    def _load(self) -> tuple[ctypes.CDLL | None, NativeError | None]:
+    def _load(self) -> ctypes.CDLL | None:
         folder = files(self._package).joinpath("native")
         source = "\n".join(folder.joinpath(name).read_text("utf-8") for name in self._sources)
         try:
             library = load(source).functions
-        except NativeError as error:
-            return None, error
+        except NativeError:
+            return None
         for name, kinds in self._functions.items():
             function = getattr(library, name)
             function.argtypes = tuple(_TYPES[kind] for kind in kinds)
             function.restype = ctypes.c_int if name in self._may_fail else None
-        return library, None
+        return library
 
 
 def address(array: np.ndarray, dtype: type[np.generic] = np.float64) -> int:
