@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test lint bench clean
+.PHONY: install demo plan test test-mcu lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -36,6 +36,16 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The site, in out/site: open its index.html. Whatever is wrong with a page fails.
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+# Needs pandoc, and a LaTeX for the PDF; without LaTeX it is a page.
+paper:
+	mkdir -p out
+	cd paper && pandoc paper.md --citeproc --standalone $(if $(shell command -v pdflatex),-o ../out/paper.pdf,--self-contained -o ../out/paper.html)
 
 # QUICK=1: few runs of each, without the real drives and the hours.
 bench: install

@@ -2,7 +2,7 @@
 
 `python -m benchmarks.mcu` replays a simulated drive of 12 landmarks under qemu-system-arm
 (mps2-an386, counting instructions), compares every sample with Python's EKF, prints flash, RAM and
-instructions, and fails where they are above what docs/microcontroller.md says. With `--moved` it
+instructions, and fails where they are above what docs/do/microcontroller.md says. With `--moved` it
 prints instead, over many simulated drives, how far off the EKF ends with and without the resection.
 """
 

@@ -16,7 +16,7 @@ from homeward.estimator import Counts
 from homeward.registry import estimator_names, make_estimator, needs_start
 from homeward.track import run
 
-TEMPLATE = Path(__file__).parents[1] / "docs" / "estimator"
+TEMPLATE = Path(__file__).parents[1] / "docs" / "do" / "estimator"
 GOOD = """
 from homeward.drives.drive import Strict
 from homeward.estimator import Counts, Estimate, Status

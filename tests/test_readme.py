@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
-from homeward.drives.drive import DriveSettings
 from homeward.studies.single_run import sample_drive
 
 ROOT = Path(__file__).resolve().parents[1]
+LESSONS = sorted((ROOT / "docs" / "learn").glob("*.md"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -43,22 +42,23 @@ def test_python_of_the_camera_front_end_runs_in_order():
     home = np.random.default_rng(0).integers(0, 256, (128, 512), np.uint8)
     names = {"home_image": home, "image": np.roll(home, 40, axis=1), "t": 0.0}
     names["mask_image"] = np.full_like(home, 255)
-    for text in blocks(doc("vision.md"), "python"):
-        exec(compile(text, "vision.md", "exec"), names)
+    for text in blocks(doc("do/panoramas.md"), "python"):
+        exec(compile(text, "do/panoramas.md", "exec"), names)
     assert names["seen"].home.accepted
     assert names["estimate"].reason
 
 
 def test_python_of_a_batch_runs(capsys):
-    first, *_ = blocks(doc("engine.md"), "python")
-    exec(compile(first.replace("10_000", "8"), "engine.md", "exec"), {})
+    first, second = blocks(doc("do/speed.md"), "python")
+    compile(second, "speed.md", "exec")  # runs on a GPU alone
+    exec(compile(first.replace("10_000", "8"), "do/speed.md", "exec"), {})
     assert capsys.readouterr().out
 
 
 def test_python_of_what_bearings_tell_runs():
     names = {}
-    (text,) = blocks(doc("observability.md"), "python")
-    exec(compile(text, "observability.md", "exec"), names)
+    (text,) = blocks(doc("understand/bearings.md"), "python")
+    exec(compile(text, "understand/bearings.md", "exec"), names)
     assert names["view"].windows[0].weakest
 
 
@@ -66,20 +66,23 @@ def test_python_of_a_floor_runs(tmp_path):
     coarse = tmp_path / "coarse.yaml"
     plan = (ROOT / "src/homeward/data/plans/warehouse.yaml").read_text(encoding="utf-8")
     coarse.write_text(plan.replace("grid: 0.1", "grid: 1.0"), encoding="utf-8")
-    (text,) = blocks(doc("planning.md"), "python")
+    (text,) = blocks(doc("do/plan.md"), "python")
     names = {}
-    exec(compile(text.replace("warehouse", str(coarse)), "planning.md", "exec"), names)
+    exec(compile(text.replace("warehouse", str(coarse)), "do/plan.md", "exec"), names)
     assert names["view"].position.shape == names["view"].begins.shape
 
 
-def test_drive_yaml_example_is_valid():
-    settings = DriveSettings.model_validate(yaml.safe_load(block("yaml")))
-    assert settings.start is not None
+@pytest.mark.parametrize("page", LESSONS, ids=lambda page: page.stem)
+def test_python_of_a_lesson_runs(page, capsys):
+    names = {}
+    for text in blocks(page.read_text(encoding="utf-8"), "python"):
+        exec(compile(text, page.name, "exec"), names)
 
 
-def test_links_and_pictures_exist():
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+def test_python_on_a_robot_runs(capsys):
+    (text,) = blocks(doc("do/online.md"), "python")
+    exec(compile(text, "online.md", "exec"), {})
+    assert "Status." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("target", ["demo", "test"])

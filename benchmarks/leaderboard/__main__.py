@@ -1,7 +1,7 @@
-"""All estimators on the same drives, simulated and real; writes docs/leaderboard.md.
+"""All estimators on the same drives, simulated and real; writes docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
-...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FILE] [--out docs/leaderboard.md]` runs each
+...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FILE] [--out FILE]` runs each
 estimator on the drives of the families of the consistency gate, and on MRCLAM set 6 where it is (in
 HOMEWARD_DATA, else in ../shared/data). The first estimator is the one that the others are compared
 with. With `--keep` it may be stopped and goes on, also with further estimators.
@@ -19,7 +19,7 @@ from benchmarks.leaderboard.runs import begin, every, everybody
 from homeward.engine.batch.execution import available_threads
 from homeward.registry import settings_model
 
-DOCS = Path(__file__).parents[2] / "docs" / "leaderboard.md"
+DOCS = Path(__file__).parents[2] / "docs" / "understand" / "leaderboard.md"
 QUICK_SEEDS = 1
 
 

@@ -126,7 +126,7 @@ _geometric = _known(lambda values: np.exp(np.mean(np.log(values))))
 def page(
     rows: Sequence[Row], names: Sequence[str], families: Mapping[str, Family], command: str
 ) -> str:
-    """Return docs/leaderboard.md."""
+    """Return docs/understand/leaderboard.md."""
     there = {f: family for f, family in families.items() if any(r["family"] == f for r in rows)}
     parts = [HEAD.format(command=command, first=names[0])]
     for real, title in ((False, "Simulated drives"), (True, "Real drives")):
@@ -169,8 +169,8 @@ runs over the same drives, each with its default settings.
 
 `robust` finds home by itself. What needs a start prior is told the true start (with sigmas of 5 cm
 and 0.05 rad), since no drive here has a prior: a kind start, from which odometry alone
-(`dead_reckoning:make`, the [template](estimators.md)) goes far on drives of a minute or two. An
-estimator of your own takes part by `--estimator robust,package.module:make`; with `--keep FILE`
+(`dead_reckoning:make`, the [template](../do/estimators.md)) goes far on drives of a minute or two.
+An estimator of your own takes part by `--estimator robust,package.module:make`; with `--keep FILE`
 what is done is kept, and further estimators are added to it.
 """
 FAMILIES = "Median RMSE [m] over the drives that did not fail; in brackets the share that did:\n"

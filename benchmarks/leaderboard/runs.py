@@ -19,7 +19,7 @@ from homeward.scoring import errors, score
 from homeward.studies.single_run import with_start
 from homeward.track import run
 
-TEMPLATE = Path(__file__).parents[2] / "docs" / "estimator"
+TEMPLATE = Path(__file__).parents[2] / "docs" / "do" / "estimator"
 BASELINE = "dead_reckoning:make"
 """The template of the documentation: what odometry alone comes to."""
 WRONG_SIGMAS = 4.0

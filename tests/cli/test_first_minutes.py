@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import homeward
 from homeward.cli import terminal
 from homeward.cli.main import COMMANDS, app
-from homeward.cli.settings import _models
+from homeward.cli.settings import other_models
 from homeward.drives.drive import Sightings
 from homeward.drives.text.keys import ANY, keys
 from homeward.drives.text.settings import nested, validated
@@ -275,13 +275,13 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()
     everything = sources + "\n".join(file.read_text() for file in ROOT.glob("*.md"))
-    everything += "\n".join(file.read_text() for file in (ROOT / "docs").glob("*.md"))
+    everything += "\n".join(file.read_text() for file in (ROOT / "docs").rglob("*.md"))
     assert "pip install 'homeward[" not in everything  # nothing is published under that name
 
 
 def test_settings_are_listed_for_all_that_has_any():
-    assert all(f"homeward settings {name}" in call("settings").stdout for name in _models())
-    for name, (_, model) in _models().items():
+    assert all(f"homeward settings {name}" in call("settings").stdout for name in other_models())
+    for name, (_, model) in other_models().items():
         told = call("settings", name).stdout
         assert all(f"{key.name}=" in told for key in keys(model))
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
@@ -296,7 +296,7 @@ def test_every_default_that_is_listed_can_be_set(name):
 
 
 def test_listed_defaults_are_those_of_the_model_that_holds_them():
-    told = {key.name: key.default for key in keys(_models()["render"][1])}
+    told = {key.name: key.default for key in keys(other_models()["render"][1])}
     assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
     assert told["boxes.*.at"] == "needed"
 

@@ -253,7 +253,7 @@ def test_running_into_a_box_is_said():
 
 
 def test_the_room_in_the_docs_renders():
-    text = (Path(__file__).resolve().parents[2] / "docs" / "render.md").read_text("utf-8")
+    text = (Path(__file__).resolve().parents[2] / "docs" / "do" / "rooms.md").read_text("utf-8")
     (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     eye = Eye(validated(RenderScenario, yaml.safe_load(example)))
     assert eye.home_picture().shape == (192, 768, 3)

@@ -246,7 +246,7 @@ def test_the_results_are_read_as_the_manual_shows(tmp_path, results, monkeypatch
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out" / "my").mkdir(parents=True)
     write_netcdf(results, tmp_path / "out" / "my" / "results.nc")
-    manual = (Path(__file__).resolve().parents[2] / "docs" / "studies.md").read_text("utf-8")
+    manual = (Path(__file__).resolve().parents[2] / "docs" / "do" / "studies.md").read_text("utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", manual, re.DOTALL)
     exec(compile(example, "studies.md", "exec"), {})
     assert "ekf" in capsys.readouterr().out

@@ -27,7 +27,7 @@ def settings(
     from homeward.drives.text.keys import keys
     from homeward.registry import estimator_names, settings_model
 
-    models, estimators = _models(), estimator_names()
+    models, estimators = other_models(), estimator_names()
     if of is None:
         for name in estimators:
             say(f"homeward settings {name}  # homeward run --estimator {name} --set ...", "    ")
@@ -45,7 +45,7 @@ def settings(
         say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
 
 
-def _models() -> dict[str, tuple[str, type[Strict]]]:
+def other_models() -> dict[str, tuple[str, type[Strict]]]:
     """Return where other settings are used, and their model, by the word for them."""
     from homeward.drives.drive import DriveSettings
     from homeward.drives.ros.settings import LogSettings

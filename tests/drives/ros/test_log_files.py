@@ -17,11 +17,13 @@ from homeward.errors import InputError
 
 
 def test_the_definitions_are_those_in_the_documentation():
-    text = (Path(__file__).resolve().parents[3] / "docs" / "logs.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[3] / "docs" / "do" / "logs.md").read_text(
+        encoding="utf-8"
+    )
     for definition in DEFINITIONS.values():
         assert definition in text
     (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
-    told = parse_settings(example, LogSettings, Path("docs/logs.md"))
+    told = parse_settings(example, LogSettings, Path("docs/do/logs.md"))
     assert told.drive.sensor.x == 0.2
 
 

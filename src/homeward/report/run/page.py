@@ -15,6 +15,7 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.naming import natural
 from homeward.report import words
+from homeward.report.glossary import GLOSSARY
 from homeward.report.palette import STATUS_COLOURS
 from homeward.report.plots.look import embedded, script
 from homeward.report.plots.map import map_aspect, map_plot, undrawn
@@ -35,6 +36,7 @@ def write_page(
     html = render(
         "report.html.j2",
         words=words,
+        glossary=GLOSSARY,
         colours=STATUS_COLOURS,
         drive=drive,
         track=track,

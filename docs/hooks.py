@@ -1,0 +1,134 @@
+"""What the site takes from the program itself: a page's ``<!-- word -->`` becomes its part.
+
+Nothing that the program knows is written down a second time.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import griffe
+from typer.testing import CliRunner
+
+import homeward
+from homeward.cli.main import COMMANDS, app
+from homeward.cli.settings import other_models
+from homeward.drives.text.keys import keys
+from homeward.estimator import Status
+from homeward.reasons import Reason, Rejection
+from homeward.registry import estimator_names, settings_model
+from homeward.report.glossary import GLOSSARY
+
+PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
+"""Words of the glossary that stand too often to be explained wherever they stand."""
+log = logging.getLogger("mkdocs.plugins.homeward")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Fill in the parts that are generated."""
+    filled = re.sub(r"<!-- (\w+) -->", lambda found: PARTS[found[1]](), markdown)
+    words = (f"*[{word}]: {told}" for word, told in GLOSSARY.items() if word not in PLAIN)
+    return "\n".join((filled, "", *words))
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Refuse a page that would fetch anything from the network, links to click excepted."""
+    fetched = re.compile(r'<(?:script|img|iframe|link|source)\b[^>]*\b(?:src|href)="(?:https?:)?//')
+    for page in Path(config.site_dir).rglob("*.html"):
+        for found in fetched.finditer(page.read_text(encoding="utf-8")):
+            if 'rel="canonical"' not in found[0]:
+                log.warning("%s fetches from the network: %s", page.name, found[0])
+
+
+def commands() -> str:
+    """Return what ``--help`` says of every command."""
+    parts = []
+    for command in COMMANDS:
+        name = command.__name__
+        told = CliRunner().invoke(app, [name, "--help"], terminal_width=80).stdout.rstrip()
+        told = told.partition("\n\n  Exit status")[0]
+        parts.append(f"## homeward {name}\n\n```text\n{told.strip()}\n```")
+    return "\n\n".join(parts)
+
+
+def settings() -> str:
+    """Return every setting, its default and its meaning."""
+    parts = []
+    for name in estimator_names():
+        where = f"`homeward run --estimator {name} --set KEY=VALUE`"
+        parts.append(_settings(name, where, settings_model(name)))
+    for name, (where, model) in other_models().items():
+        parts.append(_settings(name, f"`{where}`", model))
+    return "\n\n".join(parts)
+
+
+def _settings(name: str, where: str, model: Any) -> str:
+    rows = (f"| `{k.name}` | `{_cell(k.default)}` | {_cell(k.meaning)} |" for k in keys(model))
+    return "\n".join((f"## {name}\n", f"{where}\n", "| key | default | |", "|---|---|---|", *rows))
+
+
+def statuses() -> str:
+    """Return the statuses, in the words of the source."""
+    members = griffe.load("homeward.estimator", search_paths=["src"])["Status"].members
+    lines = []
+    for status in Status:
+        words = members[status.name].docstring
+        lines.append(f"| `{status.value}` | {_cell(words.value if words else '')} |")
+    return "\n".join(["| status | |", "|---|---|", *lines])
+
+
+def reasons() -> str:
+    """Return the fixed reasons."""
+    return "\n".join(f"- {reason.words}" for reason in Reason)
+
+
+def rejections() -> str:
+    """Return why samples are not used."""
+    rows = (f"| `Rejection.{one.name}` | {one.words} |" for one in Rejection)
+    return "\n".join(["| | |", "|---|---|", *rows])
+
+
+def python() -> str:
+    """Return the whole of what ``import homeward`` offers; each name must say what it is."""
+    package = griffe.load("homeward", search_paths=["src"])
+    parts = []
+    for name in sorted(homeward.__all__, key=str.lower):
+        if name.startswith("__"):
+            continue
+        path = f"homeward.{homeward._HOMES[name]}.{name}"
+        parts.append(f"::: {path}")
+        for silent in _silent(package.modules_collection[path], name):
+            log.warning("%s has no docstring", silent)
+    return "\n\n".join(parts)
+
+
+def _silent(thing: Any, name: str) -> Iterator[str]:
+    """Yield what has no docstring of a public object and of its public members."""
+    if thing.docstring is None:
+        yield name
+    if thing.is_class:
+        for member, value in thing.members.items():
+            told = member.startswith("_") or value.is_alias or value.docstring
+            # What a model's own keys are needs a word; a name in an enum or a tuple has its value.
+            if not told and value.is_function:
+                yield f"{name}.{member}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def glossary() -> str:
+    """Return the words and their meaning."""
+    words = sorted(GLOSSARY, key=str.lower)
+    return "\n\n".join(f"## {word}\n\n{GLOSSARY[word]}" for word in words)
+
+
+PARTS: dict[str, Callable[[], str]] = {
+    part.__name__: part
+    for part in (commands, settings, statuses, reasons, rejections, python, glossary)
+}
