@@ -48,7 +48,7 @@ def commands() -> str:
     """Return what ``--help`` says of every command."""
     parts = []
     for command in COMMANDS:
-        name = command.__name__
+        name = command.__name__.rstrip("_")
         told = CliRunner().invoke(app, [name, "--help"], terminal_width=80).stdout.rstrip()
         told = told.partition("\n\n  Exit status")[0]
         parts.append(f"## homeward {name}\n\n```text\n{told.strip()}\n```")

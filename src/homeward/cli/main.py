@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from homeward.cli.drives.convert import convert
+from homeward.cli.drives.import_ import import_
 from homeward.cli.drives.info import info
 from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
@@ -80,6 +81,7 @@ COMMANDS = (
     study,
     observe,
     plan,
+    import_,
     info,
     convert,
     export,
@@ -90,4 +92,5 @@ COMMANDS = (
 for command in COMMANDS:
     # Whole first paragraphs: what typer takes of itself ends in the middle of a sentence.
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
-    app.command(short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
+    name = command.__name__.rstrip("_")
+    app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)

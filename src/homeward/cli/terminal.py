@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 import textwrap
 from collections.abc import Iterable
-from typing import TextIO
+from typing import Any, TextIO
 
 import typer
 
@@ -25,6 +26,12 @@ NARROWEST = 20
 def say(text: str, indent: str = "") -> None:
     """Print a paragraph; `indent` begins all lines but the first."""
     typer.echo(_wrapped(text, sys.stdout, indent))
+
+
+def answer(facts: dict[str, Any]) -> None:
+    """Print an answer for programs: one JSON object; a number that is not finite is null."""
+    plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)
+    typer.echo(json.dumps(plain, indent=2))
 
 
 def warn(text: str) -> None:

@@ -151,7 +151,11 @@ def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
 
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     """Read odometry.csv (t, v, omega); `remarks` says what is odd about its stamps."""
-    table = read_csv(path, {"t": numbers, "v": numbers, "omega": numbers})
+    return odometry_of(read_csv(path, {"t": numbers, "v": numbers, "omega": numbers}), remarks)
+
+
+def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
+    """Return the odometry of a table with t, v, omega; errors and remarks as `read_folder`."""
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     remark_other_units(table["t"], remarks)
     return Odometry(table["t"], table["v"], table["omega"])
@@ -160,7 +164,11 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     """Read a bearings.csv (t, landmark, bearing[, sigma]); errors and remarks as `read_folder`."""
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
-    table = read_csv(path, columns, {"sigma": numbers_or_nothing})
+    return sightings_of(read_csv(path, columns, {"sigma": numbers_or_nothing}), remarks)
+
+
+def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
+    """Return those of a table with t, landmark, bearing[, sigma]; as `read_sightings`."""
     table.require_order()
     bearings = wrapped(table, "bearing", remarks)
     sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table))
@@ -171,7 +179,11 @@ def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma]; rad); errors and remarks as `read_folder`."""
     columns = {"landmark": identifiers, "bearing": numbers}
-    table = read_csv(path, columns, {"sigma": numbers_or_nothing})
+    return home_of(read_csv(path, columns, {"sigma": numbers_or_nothing}), remarks)
+
+
+def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
+    """Return home bearings of a table with landmark, bearing[, sigma]; as `read_home`."""
     table.require_unique("landmark")
     bearings = wrapped(table, "bearing", remarks)
     rows = zip(bearings.tolist(), _sigma(table).tolist(), strict=True)
@@ -196,7 +208,12 @@ def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
     """Read truth.csv (t, x, y, heading), None where it is absent."""
     if not is_there(path):
         return None
-    table = read_csv(path, {"t": numbers, "x": numbers, "y": numbers, "heading": numbers})
+    columns = {"t": numbers, "x": numbers, "y": numbers, "heading": numbers}
+    return truth_of(read_csv(path, columns), remarks)
+
+
+def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
+    """Return the truth of a table with t, x, y, heading; errors and remarks as `read_folder`."""
     table = without_repeats(table, remarks, REPEATED_TRUTH)
     table.require_angle("heading")
     return Truth(table["t"], table["x"], table["y"], table["heading"])

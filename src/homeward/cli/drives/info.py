@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from homeward.cli.options import progress
-from homeward.cli.terminal import say, table, warn
+from homeward.cli.terminal import answer, say, table, warn
 
 if TYPE_CHECKING:
+    from homeward.drives.ros.info import LogInfo
     from homeward.drives.ros.topics.survey import Topic
 
 OF_LOGS = ("topic", "type", "messages", "rate", "longest gap", "received after header")
@@ -29,6 +30,7 @@ def info(
     topics: Annotated[
         Path | None, typer.Option(help="A YAML file that says which topics hold what.")
     ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")] = False,
 ) -> None:
     """List topics, types, rates, gaps and clocks of a log, and which topics would be used.
 
@@ -38,6 +40,9 @@ def info(
 
     with progress(f"reading {log}") as tell:
         found = log_info(log, topics, tell)
+    if json:
+        answer(_facts(found))
+        return
     if found.folder:
         say(f"{log}: {found.kind}")
     else:
@@ -51,6 +56,28 @@ def info(
         say("Used, as a topics file would say it:")
         for line in found.settings.splitlines():
             say(line)
+
+
+def _facts(found: LogInfo) -> dict[str, Any]:
+    """Return what is known as plain values; docs/look-up/json.md says what each is."""
+    topics = [
+        {
+            "name": topic.name,
+            "type": topic.type,
+            "count": topic.count,
+            "rate_hz": topic.rate,
+            "longest_gap_s": topic.longest_gap,
+            "received_after_s": None if topic.clock is None else topic.clock.median,
+        }
+        for topic in found.topics
+    ]
+    return {
+        "kind": found.kind,
+        "folder": found.folder,
+        "topics": topics,
+        "settings": found.settings,
+        "remarks": list(found.remarks),
+    }
 
 
 def _row(topic: Topic) -> tuple[str, ...]:

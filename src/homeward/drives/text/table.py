@@ -92,22 +92,40 @@ class Table:
         return Table(self.file, self.row[keep], {n: c[keep] for n, c in self.columns.items()})
 
 
+@dataclass(frozen=True)
+class Form:
+    """How a text file holds a table, where that is not as `read_csv` has it."""
+
+    delimiter: str = ","
+    names: tuple[str, ...] | None = None
+    """Of its columns, where its first line does not tell."""
+    skip: int = 0
+    """Lines before the first that counts."""
+
+
+PLAIN = Form()
+
+
 def read_csv(
-    path: Path, required: Mapping[str, Parser], optional: Mapping[str, Parser] | None = None
+    path: Path,
+    required: Mapping[str, Parser],
+    optional: Mapping[str, Parser] | None = None,
+    form: Form = PLAIN,
 ) -> Table:
     """Read the named columns of a CSV file with a header, in whatever order they stand.
 
     Other columns, blank lines, a byte order mark and any line ending are accepted; an optional
-    column that the file lacks is not in the table.
+    column that the file lacks is not in the table. `form` says what is otherwise.
 
     Raises
     ------
     InputError
         On anything that cannot be read.
     """
-    with _lines(path) as lines:
-        records = _csv_records(lines, path)
-        row, header = next(records, (1, None))
+    with text_lines(path) as lines:
+        list(itertools.islice(lines, form.skip))
+        records = _csv_records(lines, path, form)
+        row, header = (0, form.names) if form.names else next(records, (1, None))
         if header is None:
             raise InputError("empty file", path)
         wanted = {**required, **(optional or {})}
@@ -125,7 +143,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
     InputError
         On anything that cannot be read.
     """
-    with _lines(path) as lines:
+    with text_lines(path) as lines:
         records = (
             (row, line.split())
             for row, line in enumerate(lines, start=1)
@@ -219,7 +237,7 @@ def _is_finite_number(cell: str) -> bool:
 
 
 @contextmanager
-def _lines(path: Path) -> Iterator[Iterator[str]]:
+def text_lines(path: Path) -> Iterator[Iterator[str]]:
     """Open a text file to walk its lines; whatever the system says becomes an InputError."""
     # What is no UTF-8 becomes surrogates, so that the line at fault is known.
     options = {"encoding": "utf-8-sig", "errors": "surrogateescape", "newline": ""}
@@ -240,15 +258,15 @@ def _checked(stream: IO[str], path: Path) -> Iterator[str]:
         yield line
 
 
-def _csv_records(lines: Iterator[str], path: Path) -> Iterator[tuple[int, list[str]]]:
+def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple[int, list[str]]]:
     """Yield (row, fields) of every line that is not blank."""
-    reader = csv.reader(lines, skipinitialspace=True, strict=True)
-    row = 1
+    reader = csv.reader(lines, delimiter=form.delimiter, skipinitialspace=True, strict=True)
+    row = form.skip + 1
     try:
         for fields in reader:
             if len(fields) > 1 or (fields and fields[0].strip()):
                 yield row, fields
-            row = reader.line_num + 1
+            row = form.skip + reader.line_num + 1
     except csv.Error as error:
         raise InputError(f"not CSV: {error}", path, row) from error
 

@@ -1,0 +1,65 @@
+"""`homeward import`: a drive from CSV files of any columns, separators and units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.terminal import say, table, warn
+
+
+def import_(
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="Text files with odometry, bearings, home's bearings, perhaps truth."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The drive folder to write; without it, --picture alone."),
+    ] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROLE=COLUMN[UNIT]",
+            help="What a column is, several with commas; a minus before COLUMN turns the sign. "
+            "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
+        ),
+    ] = None,
+    picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
+        "out/import.png"
+    ),
+) -> None:
+    """Turn CSV files of any columns, separators and units into a drive folder.
+
+    Says what each column was taken for, and draws it, before anything is written. Angles and turn
+    rates run anti-clockwise.
+    """
+    from homeward.drives.foreign.reading import drive_of, understand
+    from homeward.drives.saving import save_drive
+    from homeward.drives.text.files import naming
+    from homeward.report.canvas import png
+    from homeward.report.imported import glance
+
+    found = understand(files, columns or ())
+    head = ("file", "is", "column", "as", "unit", "", "from, to")
+    cells = (
+        (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.how, u.range)
+        for u in found
+    )
+    table([head, *cells], left=len(head))
+    drive = drive_of(found, "import" if out is None else out.name)
+    with naming(picture, "cannot be written"):
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        picture.write_bytes(png(glance(drive)))
+    for remark in drive.remark_lines:
+        warn(remark)
+    if unknown := set(drive.sightings.landmark.tolist()) - set(drive.home):
+        warn(f"{len(unknown)} landmarks that home did not see: they help the map alone.")
+    say(f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?")
+    if out is None:
+        say("Nothing else was written; --out FOLDER writes the drive.")
+        return
+    save_drive(drive, out)
+    say(f"Drive folder: {out}")

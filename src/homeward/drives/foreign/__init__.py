@@ -1,0 +1,1 @@
+"""Drives from CSV files of any columns, separators and units: guessed, told, and checked."""

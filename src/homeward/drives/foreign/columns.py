@@ -1,0 +1,153 @@
+"""What the columns of a table are: by their names, or as somebody says."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from homeward.errors import InputError
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6},
+    "rate": {"rad/s": 1.0, "deg/s": math.radians(1.0)},
+    "angle": {"rad": 1.0, "deg": math.radians(1.0), "mrad": 1e-3},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "name": {},
+}
+"""Units of each quantity, in SI; the SI unit first."""
+_SPELT = {
+    **{"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms"},
+    **{"usec": "us", "µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"},
+    **{"mps": "m/s", "kph": "km/h", "kmh": "km/h", "dps": "deg/s", "°/s": "deg/s"},
+    **{"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "metres": "m"},
+    **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
+}
+ROLES: Mapping[str, tuple[str, str]] = {
+    "t": ("time", "t time timestamp stamp clock sec secs seconds ms"),
+    "v": ("speed", "v vel velocity speed linear.x linear vx v.x velocity.x vel.x forward"),
+    "omega": (
+        "rate",
+        "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity wz gyro.z gyro gz",
+    ),
+    "landmark": ("name", "landmark id tag marker beacon feature name label subject barcode"),
+    "bearing": ("angle", "bearing azimuth angle direction beta phi theta alpha"),
+    "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
+    "x": ("length", "x px pos.x position.x"),
+    "y": ("length", "y py pos.y position.y"),
+    "heading": ("angle", "heading yaw theta orientation psi phi angle"),
+}
+"""The quantity of each role, and the words for it; a dot stands for whatever parts words."""
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "odometry": ("t", "v", "omega"),
+    "bearings": ("t", "landmark", "bearing"),
+    "home": ("landmark", "bearing"),
+    "truth": ("t", "x", "y", "heading"),
+}
+"""The roles that make each part of a drive."""
+NOTHING = (0, 0)
+"""How well a name fits a role that it does not fit."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a file, and what it is."""
+
+    role: str
+    name: str
+    """In the file."""
+    unit: str | None = None
+    """None: it does not say."""
+    sign: float = 1.0
+    told: bool = False
+    """Whether somebody said so, rather than its name."""
+
+    @property
+    def quantity(self) -> str:
+        """What it measures: time, speed, rate, angle, length, or a name."""
+        return ROLES[self.role][0]
+
+
+def told_columns(texts: Sequence[str]) -> list[Column]:
+    """Return the columns of ``ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
+
+    Raises
+    ------
+    InputError
+        When one has another form, or role or unit are not known.
+    """
+    columns = []
+    for text in (part.strip() for whole in texts for part in whole.split(",")):
+        role, equals, name = (part.strip() for part in text.partition("="))
+        if not equals or not name.lstrip("-"):
+            raise InputError(f"--columns {text}: must be ROLE=COLUMN[UNIT]")
+        if role not in ROLES:
+            raise InputError(f"--columns {text}: a column is one of {', '.join(ROLES)}")
+        known, unit = UNITS[ROLES[role][0]], None
+        if bracketed := re.fullmatch(r"(.*?)\s*\[([^\[\]]+)\]", name):
+            name, unit = bracketed[1], _unit(bracketed[2])
+            if unit not in known:
+                there = ", ".join(known) or "none"
+                raise InputError(f"--columns {text}: units of {role} are {there}")
+        sign = -1.0 if name.startswith("-") else 1.0
+        columns.append(Column(role, name.removeprefix("-"), unit, sign, told=True))
+    return columns
+
+
+def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[str, Column] | None:
+    """Return the columns of one kind of table by role; None where it lacks one.
+
+    Raises
+    ------
+    InputError
+        When two columns may be the same thing.
+    """
+    found = {c.role: c for c in told if c.name in names and c.role in (*KINDS[kind], "sigma")}
+    taken = {column.name for column in told}
+    roles = [*KINDS[kind], *(["sigma"] if kind in ("bearings", "home") else [])]
+    doubts = []
+    for role in (role for role in roles if role not in found):
+        fits = {name: _likeness(name, role) for name in names if name not in taken}
+        best = max(fits.values(), default=NOTHING)
+        likeliest = [name for name, fit in fits.items() if fit == best]
+        if best == NOTHING:
+            continue
+        if len(likeliest) > 1:
+            doubts.append((role, *likeliest[:2]))
+        found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
+        taken.add(likeliest[0])
+    if not set(KINDS[kind]) <= set(found):
+        return None
+    for role, one, other in doubts:
+        raise InputError(f"{one!r} and {other!r} may both be {role}; say --columns '{role}={one}'")
+    return found
+
+
+def unit_in(name: str, quantity: str) -> str | None:
+    """Return the unit that the name of a column says, as in ``speed [mm/s]`` or ``yaw_deg``."""
+    bracketed = re.search(r"[\[(<]([^\])>]+)[\])>]\s*$", name)
+    parts = re.split(r"[_\s.]+", name.strip())
+    for text in [bracketed[1]] if bracketed else ("/".join(parts[-2:]), parts[-1]):
+        if (unit := _unit(text)) in UNITS[quantity]:
+            return unit
+    return None
+
+
+def _unit(text: str) -> str:
+    plain = text.strip().lower().replace("μ", "µ").replace("sec", "s").replace(" ", "")
+    return _SPELT.get(plain, _SPELT.get(text.strip().lower(), plain))
+
+
+def _likeness(name: str, role: str) -> tuple[int, int]:
+    """Return how well a name fits a role: how long its word for it is, and how little is left."""
+    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(<].*", "", name))
+    words = re.findall(r"[a-z]+|\d+", plain.lower())
+    fit = 0
+    for text in ROLES[role][1].split():
+        sought = text.split(".")
+        spans = (words[k : k + len(sought)] for k in range(len(words)))
+        if sought in spans:
+            fit = max(fit, len(sought))
+    return (fit, -len(words)) if fit else NOTHING

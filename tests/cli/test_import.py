@@ -1,0 +1,43 @@
+"""`homeward import` and `homeward info --json` as a user would call them."""
+
+import json
+
+from commands import call, refused
+
+from homeward.drives.folder import read_folder
+from homeward.drives.opening import sample_drive
+
+FILES = [sample_drive() / f"{name}.csv" for name in ("odometry", "bearings", "home", "truth")]
+
+
+def test_it_says_and_draws_first_and_writes_when_told(tmp_path):
+    picture, out = tmp_path / "new" / "seen.png", tmp_path / "mine"
+    shown = call("import", *FILES, "--picture", picture)
+    assert shown.exit_code == 0, shown.output
+    assert "omega" in shown.stdout
+    assert "guessed" in shown.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert not out.exists()
+    assert call("import", *FILES, "--picture", picture, "--out", out).exit_code == 0
+    drive, same = read_folder(out), read_folder(sample_drive())
+    assert (drive.odometry.v == same.odometry.v).all()
+    assert drive.home == same.home
+    assert "exists already" in refused(call("import", *FILES, "--picture", picture, "--out", out))
+
+
+def test_nothing_is_left_of_what_is_refused(tmp_path):
+    picture, out = tmp_path / "seen.png", tmp_path / "mine"
+    result = call("import", FILES[0], "--picture", picture, "--out", out)
+    assert result.exit_code == 2
+    assert "nothing tells bearings" in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_info_as_json(tmp_path):
+    told = json.loads(call("info", "sample", "--json").stdout)
+    assert [topic["name"] for topic in told["topics"]][:2] == ["odometry.csv", "bearings.csv"]
+    assert told["topics"][0]["rate_hz"] == 20.0
+    (tmp_path / "odometry.csv").write_text("t,v,omega\n0,1,0\n")
+    told = json.loads(call("info", tmp_path, "--json").stdout)
+    assert told["topics"][0]["rate_hz"] is None
+    assert "no bearings.csv" in told["remarks"][-1]
