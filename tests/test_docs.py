@@ -7,13 +7,10 @@ there; snippets run in `test_readme`, and what they need of data or time is said
 import importlib.util
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import typer
-import yaml
 from typer.exceptions import TyperException
 
 from homeward.cli.main import app
@@ -124,30 +121,3 @@ def test_every_page_with_python_is_run():
             assert Path(name).name in (ROOT / "tests" / elsewhere[name]).read_text("utf-8")
         elif not name.startswith("learn/"):  # all of which run
             assert name in run, page
-
-
-@pytest.mark.slow
-def test_the_site_is_built_without_a_complaint(tmp_path):
-    pytest.importorskip("mkdocs", reason="the site needs the extra `docs`")
-    pytest.importorskip("material", reason="the site needs the extra `docs`")
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-W",
-            "ignore",
-            "-m",
-            "mkdocs",
-            "build",
-            "--quiet",
-            "--site-dir",
-            tmp_path,
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    page = (tmp_path / "look-up" / "python.html").read_text(encoding="utf-8")
-    assert 'id="homeward.localizer.localizer.Localizer.bearings"' in page
-    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    assert settings["strict"]

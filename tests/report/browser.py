@@ -33,10 +33,11 @@ window.frame = () => new Promise((resolve) => setTimeout(resolve, 120));
 </script>"""
 
 
-def open_page(file, script, scratch, width=1000, height=900, dark=False, address=""):
+def open_page(file, script, scratch, width=1000, height=900, dark=False, address="", beside=False):
     """Return what `script` put into `found`, and under ``wrong`` every error and warning.
 
-    The page is `width` by `height` px; `address` is what follows its name, as in "#t=3".
+    The page is `width` by `height` px; `address` is what follows its name, as in "#t=3". A page
+    that has files of its own is opened `beside` them.
     """
     html = file.read_text(encoding="utf-8")
     if 'id="plots"' not in html:  # no script that says when all is drawn
@@ -44,8 +45,9 @@ def open_page(file, script, scratch, width=1000, height=900, dark=False, address
         html = html.replace(
             "default-src 'none';", "default-src 'none'; script-src 'unsafe-inline';"
         )
-    probed = scratch / f"probed-{width}.html"
-    probed.write_text(html.replace("<style>", (_WATCH % script) + "<style>", 1), encoding="utf-8")
+    probed = (file.parent if beside else scratch) / f"probed-{width}.html"
+    before = "<style>" if "<style>" in html else "</head>"
+    probed.write_text(html.replace(before, (_WATCH % script) + before, 1), encoding="utf-8")
     done = subprocess.run(
         [
             CHROMIUM,

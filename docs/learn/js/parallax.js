@@ -1,0 +1,26 @@
+{
+  const NOISE = 1 / DEG;
+  const scene = makeScene("parallax", (s) => {
+    for (const from of [before, now]) {
+      const direction = towards(from, mark), far = 14;
+      const edge = (turn) => ({x: from.x + far * Math.cos(direction + turn), y: from.y + far * Math.sin(direction + turn)});
+      s.path([from, edge(-2 * NOISE), edge(2 * NOISE), from], "area");
+      s.line(from, mark);
+    }
+    s.line(before, now, "arc");
+    s.text(before, "before");
+    s.text(now, "now");
+    s.text(mark, "landmark");
+    const parallax = Math.abs(wrap(towards(now, mark) - towards(before, mark)));
+    const distance = apart(now, mark), sigma = (NOISE * Math.hypot(apart(before, mark), distance)) / Math.sin(parallax);
+    s.say(
+      `Odometry says that the robot moved ${apart(before, now).toFixed(1)} m. The landmark's bearing changed by ` +
+      `${degrees(parallax, 1)}: that is the parallax. Its distance is ${distance.toFixed(1)} m, ` +
+      (parallax > 0.02 ? `to ${sigma.toFixed(1)} m or so, where a bearing is good to 1°.` : "but nothing tells it: drive sideways."),
+    );
+  });
+  const before = scene.handle("the robot before", -3.5, -2, "robot");
+  const now = scene.handle("the robot now", -1.5, -2.2, "robot");
+  const mark = scene.handle("landmark", 2.5, 1.2);
+  scene.start();
+}
