@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from homeward.drives.folder import read_folder
 from homeward.drives.foreign.columns import unit_in
@@ -94,6 +96,14 @@ def test_no_header_and_a_sign_are_told(tmp_path):
     assert table["omega"] == pytest.approx(np.radians([-10, -20]))
 
 
+def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text("Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
+    for text, unit in (("t=Time [ms]", "ms"), ("t=Time [ms][s]", "s"), ("t=when", "s")):
+        (found,) = (one for one in understand([file], [text]) if one.column.role == "t")
+        assert (found.unit, found.how) == (unit, "told")
+
+
 def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
     log = tmp_path / "odom.csv"
     head = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.angular.z"
@@ -164,6 +174,23 @@ def test_no_bytes_make_it_stumble(tmp_path, data):
     file.write_bytes(data)
     with pytest.raises(InputError):
         understand([file])
+
+
+@given(
+    st.lists(st.text("tvwxy id,;\t|\"'#%-.019e\n[ms]ΩNa", max_size=40), min_size=1, max_size=12),
+    st.lists(st.text("t=vw[ms]-,x", max_size=12), max_size=2),
+)
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, columns):
+    file = tmp_path / "any.csv"
+    file.write_text("t,v,w\n" + "\n".join(lines), encoding="utf-8")
+    said = ""
+    try:
+        found = understand([file], columns)
+        assert all(one.range is not None for one in found)
+    except InputError as error:
+        said = str(error)
+    assert len(said.splitlines()) <= 1
 
 
 def test_a_decimal_comma_is_none_where_commas_part_fields(tmp_path):

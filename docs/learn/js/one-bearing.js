@@ -5,7 +5,7 @@
     s.ray(robot, heading, "arc", apart(robot, nose));
     s.arc(robot, heading, direction);
     s.robot(robot, heading);
-    for (const far of [1.5, 3, 4.5, 6]) {
+    for (const far of [1.2, 2.4, 3.6, 6]) {
       s.dot({x: robot.x + far * Math.cos(direction), y: robot.y + far * Math.sin(direction)}, "answer", 5);
     }
     s.text(mark, "landmark");

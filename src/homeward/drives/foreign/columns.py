@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from homeward.errors import InputError
@@ -69,14 +69,19 @@ class Column:
         """What it measures: time, speed, rate, angle, length, or a name."""
         return ROLES[self.role][0]
 
+    @property
+    def si(self) -> str:
+        """The SI unit of that."""
+        return next(iter(UNITS[self.quantity]))
 
-def told_columns(texts: Sequence[str]) -> list[Column]:
+
+def told_columns(texts: Sequence[str], there: Collection[str]) -> list[Column]:
     """Return the columns of ``ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
 
     Raises
     ------
     InputError
-        When one has another form, or role or unit are not known.
+        When one has another form, role or unit are not known, or NAME is not among those `there`.
     """
     columns = []
     for text in (part.strip() for whole in texts for part in whole.split(",")):
@@ -85,14 +90,19 @@ def told_columns(texts: Sequence[str]) -> list[Column]:
             raise InputError(f"--columns {text}: must be ROLE=COLUMN[UNIT]")
         if role not in ROLES:
             raise InputError(f"--columns {text}: a column is one of {', '.join(ROLES)}")
-        known, unit = UNITS[ROLES[role][0]], None
-        if bracketed := re.fullmatch(r"(.*?)\s*\[([^\[\]]+)\]", name):
+        units, sign = UNITS[ROLES[role][0]], -1.0 if name.startswith("-") else 1.0
+        name = name.removeprefix("-")
+        unit = unit_in(name, ROLES[role][0])
+        bracketed = re.fullmatch(r"(.*?)\s*\[([^\[\]]+)\]", name)
+        if name not in there and bracketed:
             name, unit = bracketed[1], _unit(bracketed[2])
-            if unit not in known:
-                there = ", ".join(known) or "none"
-                raise InputError(f"--columns {text}: units of {role} are {there}")
-        sign = -1.0 if name.startswith("-") else 1.0
-        columns.append(Column(role, name.removeprefix("-"), unit, sign, told=True))
+            if unit not in units:
+                raise InputError(
+                    f"--columns {text}: units of {role} are {', '.join(units) or 'none'}"
+                )
+        if name not in there:
+            raise InputError(f"--columns {text}: no file has a column {name!r}")
+        columns.append(Column(role, name, unit, sign, told=True))
     return columns
 
 

@@ -45,8 +45,8 @@ class Understood:
         values = self.table[self.column.role]
         if self.column.quantity == "name":
             return f"{len(set(values.tolist()))} names"
-        si, seen = next(iter(UNITS[self.column.quantity])), values[np.isfinite(values)]
-        return f"{seen.min():.6g} to {seen.max():.6g} {si}" if seen.size else ""
+        seen = values[np.isfinite(values)]
+        return f"{seen.min():.6g} to {seen.max():.6g} {self.column.si}" if seen.size else ""
 
 
 def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Understood]:
@@ -64,22 +64,20 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     InputError
         When a file cannot be read, is no part of a drive, or a column may be several things.
     """
-    told = told_columns(columns)
     sheets = [sheet(path) for path in files]
-    known = {name for one in sheets for name in one.names}
-    if unknown := [c.name for c in told if c.name not in known]:
-        raise InputError(f"--columns: no file has a column {unknown[0]!r}")
+    told = told_columns(columns, {name for one in sheets for name in one.names})
+    parts = {(one.path, kind): found for one in sheets for kind, found in _kinds(one, told)}
     found: list[Understood] = []
     clock: str | None = None
     # Odometry first: it comes often, so that its stamps tell their unit.
-    kinds = [(one, _kinds(one, told)) for one in sheets]
-    tables = [(kind, one, made) for one, made in kinds for kind in made]
-    for kind, one, made in sorted(tables, key=lambda entry: list(KINDS).index(entry[0])):
-        if any(other.kind == kind for other in found):
-            raise InputError(f"a second file with {kind}; one is enough", one.path)
-        understood = _read(one, kind, made[kind], clock, alone=len(made) == 1)
-        clock = clock or next((u.unit for u in understood if u.column.role == "t"), None)
-        found += understood
+    for kind in KINDS:
+        mine = [one for one in sheets if (one.path, kind) in parts]
+        for extra in mine[1:]:
+            raise InputError(f"a second file with {kind}; one is enough", extra.path)
+        for one in mine:
+            alone = sum(path == one.path for path, _ in parts) == 1
+            found += _read(one, kind, parts[one.path, kind], clock, alone)
+            clock = clock or next((u.unit for u in found if u.column.role == "t"), None)
     return found
 
 
@@ -115,46 +113,32 @@ def drive_of(found: Sequence[Understood], name: str) -> Drive:
     return on_one_clock(drive, tables["bearings"].file)
 
 
-def _kinds(one: Sheet, told: Sequence[Column]) -> dict[str, dict[str, Column]]:
-    """Return what a file holds of a drive: one kind, or odometry with bearings.
-
-    Raises
-    ------
-    InputError
-        When it is nothing.
-    """
-    mine = [column for column in told if column.name in one.names]
-    made = {}
-    for kind in ("odometry", "bearings"):
-        if parts := assigned(kind, one.names, mine):
-            made[kind] = parts
-    # Poses beside twists are mostly the odometry's own.
-    if not made or {"x", "y", "heading"} <= {column.role for column in mine}:
-        for kind in ("truth", "home"):
-            if not made.keys() & {"bearings", kind} and (parts := assigned(kind, one.names, mine)):
-                made[kind] = parts
-                break
-    if not made:
-        needs = "; ".join(", ".join(roles) for roles in KINDS.values())
-        raise InputError(
-            f"its columns {', '.join(map(repr, one.names[:12]))} are none of: {needs}. "
-            f"Say which is which, as in --columns 't={one.names[0]}'",
-            one.path,
-        )
-    return made
+def _kinds(one: Sheet, told: Sequence[Column]) -> list[tuple[str, dict[str, Column]]]:
+    """Return what a file holds of a drive, with its columns by role: at least one kind."""
+    parts = {kind: assigned(kind, one.names, told) for kind in ("odometry", "bearings")}
+    if not any(parts.values()):  # poses beside twists are the odometry's own
+        parts = {kind: assigned(kind, one.names, told) for kind in ("truth", "home")}
+    if made := [(kind, found) for kind, found in parts.items() if found]:
+        return made
+    needs = "; ".join(", ".join(roles) for roles in KINDS.values())
+    raise InputError(
+        f"its columns {', '.join(map(repr, one.names[:12]))} are none of: {needs}. "
+        f"Say which is which, as in --columns 't={one.names[0]}'",
+        one.path,
+    )
 
 
 def _read(
     one: Sheet, kind: str, parts: dict[str, Column], clock: str | None, alone: bool
 ) -> list[Understood]:
-    """Read one kind of table of a file, in SI units; rows that have nothing of it are left out.
+    """Read one kind of table of a file, in SI units.
 
     Where it is not `alone` in its file, rows that have not all of it are of the other kind.
     """
-    parsers: dict[str, Parser] = {}
-    for column in parts.values():
-        named = column.quantity == "name"
-        parsers[column.name] = _names if named else _decimal if one.decimal_comma else _number
+    number = _decimal if one.decimal_comma else _number
+    parsers: dict[str, Parser] = {
+        c.name: _names if c.quantity == "name" else number for c in parts.values()
+    }
     raw = read_csv(one.path, parsers, form=one.form)
     given = np.stack([_given(raw[parts[role].name]) for role in KINDS[kind]])
     kept = given.any(axis=0) if alone else given.all(axis=0)
@@ -173,29 +157,22 @@ def _read(
 
 
 def _unit(table: Table, column: Column, clock: str | None) -> tuple[str, str]:
-    """Return the unit of a column, and how it is known.
-
-    Raises
-    ------
-    InputError
-        When nothing tells, and a wrong guess could not be noticed later.
-    """
+    """Return the unit of a column, and how it is known, unless a wrong guess would never show."""
     values = np.abs(table[column.role][np.isfinite(table[column.role])])
-    si = next(iter(UNITS[column.quantity]))
     most = float(values.max(initial=0.0))
     if column.unit is not None:
         return column.unit, "named"
     if column.quantity == "time":
         return (clock, "as odometry") if clock else (_clock(table["t"]), "guessed")
     if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
-        return si.replace("rad", "deg"), "guessed: more than a turn"
+        return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.quantity == "speed" and most > FASTEST:
-        say = f"--columns '{column.role}={column.name}[mm/s]'"
         raise InputError(
-            f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in {say}",
+            f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "
+            f"--columns '{column.role}={column.name}[mm/s]'",
             table.file,
         )
-    return si, "guessed"
+    return column.si, "guessed"
 
 
 def _clock(t: np.ndarray) -> str:
