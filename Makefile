@@ -37,10 +37,11 @@ lint: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The site, in out/site: open its index.html. Whatever is wrong with a page fails.
+# The site, in out/site: open its index.html. Whatever is wrong with a page fails (but not with
+# --quiet, which hides it from what counts it).
 docs: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 # Needs pandoc, and a LaTeX for the PDF; without LaTeX it is a page.
 paper:

@@ -36,7 +36,8 @@ found.fetched = performance.getEntriesByType("resource").map((e) => e.name);
 def site(tmp_path_factory):
     pytest.importorskip("mkdocs", reason="the site needs the extra `docs`")
     folder = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", folder]
+    # Not --quiet: it hides warnings from what makes them fail.
+    words = [sys.executable, "-m", "mkdocs", "build", "--site-dir", folder]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return folder
