@@ -30,7 +30,7 @@ from homeward.registry import ESTIMATORS
 from homeward.studies import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [command.__name__ for command in COMMANDS]
+NAMES = [command.__name__.rstrip("_") for command in COMMANDS]
 
 
 def program(*words, **options):

@@ -180,7 +180,9 @@ def test_no_bytes_make_it_stumble(tmp_path, data):
     st.lists(st.text("tvwxy id,;\t|\"'#%-.019e\n[ms]ΩNa", max_size=40), min_size=1, max_size=12),
     st.lists(st.text("t=vw[ms]-,x", max_size=12), max_size=2),
 )
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, columns):
     file = tmp_path / "any.csv"
     file.write_text("t,v,w\n" + "\n".join(lines), encoding="utf-8")
