@@ -7,7 +7,7 @@ import pytest
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
 from homeward.localizer.inputs.reorder import BearingFrame
-from homeward.localizer.map.sightings import COLUMNS, OWN, SIGMA, scale_noise
+from homeward.localizer.map.sightings import COLUMNS, GAP, LANDMARK, OWN, SIGMA, scale_noise
 
 
 def seen_noise(sigma, rate, given=None, seconds=10.0, wrong=0.0):
@@ -71,7 +71,8 @@ class Left:
 
     def told_to(self, noise):
         """Let the noise follow what is left."""
-        return noise.update(self.off, self.sightings[:, OWN], self.sightings[:, SIGMA], 1)
+        own, whole, gaps, of = (self.sightings[:, c] for c in (OWN, SIGMA, GAP, LANDMARK))
+        return noise.update(self.off, own, whole, gaps, of, 1)
 
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():

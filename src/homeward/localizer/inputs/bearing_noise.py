@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import GATE
 
@@ -77,6 +78,8 @@ class BearingNoise:
         """Whether residuals have been looked at, and bear out what is believed."""
         self.scale = 1.0
         """Noise scale: how many times larger than given the deviations are estimated to be [1]."""
+        self.lasting = LastingErrors()
+        """What lasts in their errors."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
         self._last: dict[str, deque[tuple[float, float]]] = {}
 
@@ -126,7 +129,13 @@ class BearingNoise:
             self._by_differences = _scale(np.array(self._differences))
 
     def update(
-        self, residuals: np.ndarray, own: np.ndarray, whole: np.ndarray, keyframes: int
+        self,
+        residuals: np.ndarray,
+        own: np.ndarray,
+        whole: np.ndarray,
+        gaps: np.ndarray,
+        landmarks: np.ndarray,
+        keyframes: int,
     ) -> float:
         """Follow what the map leaves of bearings, after so many keyframes more.
 
@@ -136,6 +145,8 @@ class BearingNoise:
             Measured minus expected [rad].
         own, whole : ndarray, shape (m,)
             Standard deviations without, and with, what the way from the keyframe adds [rad].
+        gaps, landmarks : ndarray, shape (m,)
+            See `LastingErrors.update`.
         keyframes : int
             Since the last time.
 
@@ -146,7 +157,10 @@ class BearingNoise:
         """
         if len(residuals) < RESIDUALS:
             return 1.0
-        off = np.abs(residuals)
+        off, clear = np.abs(residuals), whole <= CLEAR * own
+        if clear.sum() >= RESIDUALS:
+            errors = np.where(clear, residuals / own, np.nan)
+            self.lasting.update(errors, gaps, landmarks, 1.0 - KEPT**keyframes)
         if self._told:
             return self._rescale(off, own, whole)
         self.settled = True

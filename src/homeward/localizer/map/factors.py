@@ -65,6 +65,7 @@ def add_sightings(
     residual: np.ndarray,
     jacobian: np.ndarray,
     sigma: np.ndarray,
+    effective: np.ndarray,
     pose: np.ndarray,
     landmark: np.ndarray,
 ) -> None:
@@ -76,15 +77,15 @@ def add_sightings(
         Of w poses, and the calibration and n landmarks that they share.
     residual, jacobian : ndarray, shape (m,), (m, 12)
         Of `bearing_residuals`.
-    sigma : ndarray, shape (m,)
-        Standard deviations [rad].
+    sigma, effective : ndarray, shape (m,)
+        Standard deviations of each, and by which it counts beside those before it [rad].
     pose, landmark : ndarray, shape (m,), int
         From which pose each was made, and of which landmark.
     """
     if not residual.size:
         return
     w, n = len(e.own), (len(e.common) - NC) // 2
-    scale = 1.0 / (sigma * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
+    scale = 1.0 / (effective * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
     columns = np.concatenate([jacobian, residual[:, None]], axis=1)
     columns *= scale[:, None]
     head, by_landmark = columns[:, : 3 + NC], columns[:, 3 + NC : 5 + NC]

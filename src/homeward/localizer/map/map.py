@@ -13,7 +13,14 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.map.gating import Gated, gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.sightings import LANDMARK, OWN, SIGMA, sighting_rows
+from homeward.localizer.map.sightings import (
+    GAP,
+    LANDMARK,
+    OWN,
+    SIGMA,
+    effective_sigmas,
+    sighting_rows,
+)
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -62,7 +69,7 @@ class Map:
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
-        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, t)
+        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         self.begun = t
         self.solved = True
@@ -72,6 +79,8 @@ class Map:
         """Whether the whole window is to be solved at this keyframe."""
         self._taken: dict[str, int] = {}
         """Sightings of landmarks from the newest keyframe."""
+        self._last_seen: dict[str, float] = {}
+        """When landmarks were last seen [s]."""
         self._between: list[np.ndarray] = []
         """Those of them that the state does not know yet."""
 
@@ -178,7 +187,7 @@ class Map:
         kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
         changed = self.landmarks.reinitialise(refused)
         if gated.new_keyframe or changed:
-            self._correct(None if changed else prediction.only(kept[rows[:, LANDMARK] >= 0]))
+            self._correct(None if changed else self._effective(prediction, rows, kept))
         return gated.new_keyframe or changed
 
     def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:
@@ -232,9 +241,12 @@ class Map:
         kept = np.zeros(len(names), bool)
         for i, name in enumerate(names):
             taken = self._taken[name] = self._taken.get(name, 0) + 1
+            rows[i, GAP] = t - self._last_seen.get(name, -math.inf)
             if taken > MOST_PER_KEYFRAME:
                 stands += 1
-            elif not fits.get(name, True):
+                continue
+            self._last_seen[name] = t
+            if not fits.get(name, True):
                 self._counts.reject(Rejection.OUTSIDE_GATE)
                 self.landmarks.set_aside(t, name, rows[i])
             else:
@@ -248,6 +260,13 @@ class Map:
         self.landmarks.keep(t, fitting, mine, directions[kept])
         self._between.append(mine[mine[:, LANDMARK] >= 0])
         return kept
+
+    def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:
+        """Return what was kept of a prediction, with the deviations by which it counts."""
+        mapped = rows[:, LANDMARK] >= 0
+        rows = rows[mapped & kept]
+        more = effective_sigmas(rows, self._noise.lasting) ** 2 - rows[:, SIGMA] ** 2
+        return seen.only(kept[mapped]).widened(more)
 
     def _correct(self, seen: Prediction | None) -> None:
         """Correct pose and map: by the newest sightings alone, or the whole window when due."""
@@ -283,8 +302,9 @@ class Map:
         since = smoother.newest - self._solved_at
         self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        own, whole = smoother.sightings[:, OWN], smoother.sightings[:, SIGMA]
-        wider = noise.update(residuals, own, whole, since)
+        columns = (smoother.sightings[:, c] for c in (OWN, SIGMA, GAP, LANDMARK))
+        own, whole, gaps, landmarks = columns
+        wider = noise.update(residuals, own, whole, gaps, landmarks, since)
         if wider != 1.0:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)

@@ -11,12 +11,14 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import compose, lever, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.motion.preintegration import NC, Motion
 
-KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN = range(6)
-COLUMNS = 6
+KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP = range(7)
+COLUMNS = 7
 """Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
-bearing [rad], its standard deviation [rad] with and without what the way from the keyframe adds."""
+bearing [rad], its standard deviation [rad] with and without what the way from the keyframe adds,
+and the time since the last sighting of the landmark [s] (infinite: it is the first)."""
 
 
 class Frames:
@@ -115,7 +117,14 @@ def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray
     rows = np.empty((len(frame.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, FRAME], rows[:, LANDMARK] = keyframe, number, -1
     rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
+    rows[:, GAP] = np.inf
     return rows
+
+
+def effective_sigmas(rows: np.ndarray, lasting: LastingErrors) -> np.ndarray:
+    """Return the deviations by which rows (m, COLUMNS) count beside those before, (m,) [rad]."""
+    excess = lasting.excess(rows[:, GAP])
+    return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + rows[:, OWN] ** 2 * excess))
 
 
 def scale_noise(rows: np.ndarray, factor: float) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
+from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
 from homeward.localizer.map.prior import Prior
@@ -29,6 +30,7 @@ from homeward.localizer.map.sightings import (
     SIGMA,
     Frames,
     bearing_residuals,
+    effective_sigmas,
     scale_noise,
 )
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
@@ -63,12 +65,19 @@ class Smoother:
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Of the camera's on the robot, around zero.
+    lasting : LastingErrors
+        What lasts in the errors of bearings, as believed now.
     t : float
         Of the first keyframe, the origin [s].
     """
 
     def __init__(
-        self, odometry_sigmas: np.ndarray, drift: np.ndarray, mount_sigmas: np.ndarray, t: float
+        self,
+        odometry_sigmas: np.ndarray,
+        drift: np.ndarray,
+        mount_sigmas: np.ndarray,
+        lasting: LastingErrors,
+        t: float,
     ) -> None:
         self.first = 0
         """Number of the oldest keyframe that is still open."""
@@ -93,7 +102,7 @@ class Smoother:
         """(w - 1, STEP): the motions from keyframe to keyframe."""
         self._next_id = 0
         self._closed: list[Closed] | None = None
-        self._drift = drift
+        self._drift, self._lasting = drift, lasting
         of_odometry = 1.0 / np.maximum(odometry_sigmas, 1e-6) ** 2
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._first_information = np.diag(information)
@@ -108,7 +117,8 @@ class Smoother:
 
     def whole(self) -> Smoother:
         """Return one in which every keyframe since `keep_closed` is open, not yet solved."""
-        whole = Smoother(np.ones(len(OF_ODOMETRY)), self._drift, self.mount_sigmas, 0.0)
+        unused = np.ones(len(OF_ODOMETRY))
+        whole = Smoother(unused, self._drift, self.mount_sigmas, self._lasting, 0.0)
         closed = self._closed or []
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
@@ -192,7 +202,7 @@ class Smoother:
 
     def predict(self, rows: np.ndarray) -> Prediction:
         """Predict sightings from the newest keyframe, rows of the table."""
-        seen = rows[:, BEARING], rows[:, SIGMA]
+        seen = rows[:, BEARING], effective_sigmas(rows, self._lasting)
         return self.state.predict_bearings(*seen, self.cameras(rows), self.index(rows[:, LANDMARK]))
 
     def solve(self) -> None:
@@ -279,7 +289,8 @@ class Smoother:
         add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
         pose = rows[:, KEYFRAME].astype(int) - self.first
         numbers = pose, self.index(rows[:, LANDMARK])
-        add_sightings(equations, *self._linearised(rows), rows[:, SIGMA], *numbers)
+        sigmas = rows[:, SIGMA], effective_sigmas(rows, self._lasting)
+        add_sightings(equations, *self._linearised(rows), *sigmas, *numbers)
         return equations
 
     def _all(self) -> elimination.NormalEquations:

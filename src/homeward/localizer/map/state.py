@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +41,11 @@ class Prediction:
             self.correlated[keep],
             self.innovation_covariance[np.ix_(keep, keep)],
         )
+
+    def widened(self, variances: np.ndarray) -> Prediction:
+        """Return it with so much more variance in each bearing, shape (m,) [rad^2]."""
+        covariance = self.innovation_covariance + np.diag(variances)
+        return replace(self, innovation_covariance=covariance)
 
 
 @dataclass(frozen=True)

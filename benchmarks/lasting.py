@@ -1,0 +1,249 @@
+"""Bearing errors that last, as real ones do: does the map keep its scale, the pose its honesty?
+
+`python -m benchmarks.lasting [--seeds 3] [--first 0] [--only NAME ...] [--smooth]` drives an
+all-round camera (240 deg, 10 Hz, 17 landmarks, 460 s, odometry good to 1 %, nothing told) whose
+bearing errors are white, last, or lean, and a narrow one (60 deg, 5 Hz, 30 min, a minute without
+bearings in every five). It prints the map's scale and RMSE, NEES and the share of time beyond 3
+sigma, of the last three quarters of a drive, as medians over the seeds; NEES's worst, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
+from homeward.frames import Pose, bearing, compose
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.smoothing import smooth
+from homeward.scoring import errors
+from homeward.simulation.scenario import (
+    Noise,
+    OdometryErrors,
+    Rates,
+    Ring,
+    Scenario,
+    StartPose,
+    Visibility,
+    Waypoints,
+)
+from homeward.simulation.simulate import Simulation, simulate
+from homeward.track import Track, run
+
+ODOMETRY = OdometryErrors(speed_sigma=0.005, turn_sigma=0.005)
+WHITE = math.radians(0.4)
+
+
+@dataclass(frozen=True)
+class Lasting:
+    """What lasts in the errors of bearings."""
+
+    slow: float = 0.0
+    """Deviation of a first-order process of each landmark [rad] ..."""
+    slow_s: float = 2.0
+    """... and how long it lasts [s]."""
+    extent: float = 0.0
+    """Deviation of what is seen of a landmark from its centre, across the sight line [m]; so slow.
+    """
+    lean: float = 0.0
+    """Amplitude of an error that is the sine of the bearing [rad]; home's has it, too."""
+
+
+ALL_ROUND = {
+    "white": Lasting(),
+    "slow": Lasting(slow=math.radians(0.9)),
+    "slow, extent": Lasting(slow=math.radians(0.9), extent=0.03),
+    "slow, lean": Lasting(slow=math.radians(0.9), lean=math.radians(0.4)),
+    "all": Lasting(slow=math.radians(0.9), extent=0.03, lean=math.radians(0.4)),
+}
+NARROW = {
+    "narrow, white": (Lasting(), Mount(), False),
+    "narrow, all": (ALL_ROUND["all"], Mount(), False),
+    "narrow, mount": (ALL_ROUND["all"], Mount(x=0.11, y=0.03, yaw=0.012), False),
+    "narrow, slip": (ALL_ROUND["all"], Mount(), True),
+    "narrow, slip, mount": (ALL_ROUND["all"], Mount(x=0.11, y=0.03, yaw=0.012), True),
+}
+"""Errors, the camera's place, and whether wheels slip in bends, turn too little, and lag."""
+SLIP_M, TURN_SCALE, LAG_S = 0.09, 1.06, 0.2
+
+
+def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
+    """Return a random way among landmarks, of white noise."""
+    rng = np.random.default_rng([seed, 7])
+    count = 260 if narrow else 80
+    far, way = rng.uniform(0.3, 2.5, count), rng.uniform(-math.pi, math.pi, count)
+    points = [
+        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
+    ]
+    return Scenario(
+        name="lasting",
+        seed=seed,
+        landmarks=Ring(count=17, distance=(1.5, 4.5)),
+        visibility=Visibility(
+            probability=0.8, field_of_view=math.radians(60.0 if narrow else 240.0)
+        ),
+        noise=Noise(bearing_sigma=WHITE, home_sigma=WHITE),
+        rates=Rates(odometry=20.0, bearings=5.0 if narrow else 10.0, truth=10.0),
+        odometry=ODOMETRY,
+        sensor=mount,
+        start=StartPose(x=points[0][0], y=points[0][1], heading=float(way[0]), prior=False),
+        trajectory=Waypoints(speed=0.25, duration=1800.0 if narrow else 460.0, points=points[1:]),
+    )
+
+
+def lasting(whole: Simulation, errors: Lasting, seed: int) -> Drive:
+    """Return the drive of a simulation with what lasts added to its bearings."""
+    drive, world, seen = whole.drive, whole.world, whole.drive.sightings
+    assert drive.truth is not None
+    rng = np.random.default_rng([seed, 8])
+    stamps, row = np.unique(seen.t, return_inverse=True)
+    ids = list(world.ids)
+    column = np.array([ids.index(n) for n in seen.landmark])
+    poses = np.stack(drive.truth.at(stamps), axis=1)
+    camera = compose(Pose(*poses[row].T), whole.scenario.sensor.pose)
+    at = world.in_home_frame[column]
+    true = bearing(camera, *at.T)
+    distance = np.hypot(at[:, 0] - camera.x, at[:, 1] - camera.y)
+    off = errors.slow * _process(rng, stamps, len(ids), errors.slow_s)[row, column]
+    off += errors.extent / distance * _process(rng, stamps, len(ids), errors.slow_s)[row, column]
+    off += errors.lean * np.sin(true)
+    home = {
+        n: HomeBearing(float(wrap(h.bearing + errors.lean * math.sin(h.bearing))), h.sigma)
+        for n, h in drive.home.items()
+    }
+    return dataclasses.replace(
+        drive, sightings=dataclasses.replace(seen, bearing=wrap(seen.bearing + off)), home=home
+    )
+
+
+def _process(
+    rng: np.random.Generator, stamps: np.ndarray, count: int, lasts_s: float
+) -> np.ndarray:
+    """Return stationary first-order processes of unit variance (k, count) at stamps (k,) [s]."""
+    kept = np.exp(-np.diff(stamps, prepend=stamps[0]) / lasts_s)
+    drawn, now = rng.standard_normal((len(stamps), count)), np.zeros(count)
+    found = np.empty_like(drawn)
+    for i, (k, fresh) in enumerate(zip(kept.tolist(), drawn, strict=True)):
+        now = fresh if i == 0 else k * now + math.sqrt(1.0 - k * k) * fresh
+        found[i] = now
+    return found
+
+
+def _blacked_out(drive: Drive) -> Drive:
+    """Return it without the bearings of the last minute of every five."""
+    seen = drive.sightings
+    use = (seen.t - drive.odometry.t[0]) % 300.0 < 240.0
+    parts = {f.name: getattr(seen, f.name)[use] for f in dataclasses.fields(seen)}
+    return dataclasses.replace(drive, sightings=dataclasses.replace(seen, **parts))
+
+
+def _slipping(drive: Drive) -> Drive:
+    """Return it with wheels that slip in bends, turn less than they say, and act late."""
+    o = drive.odometry
+    v = (o.v + SLIP_M * np.abs(o.omega)) * (o.v != 0)
+    late = dataclasses.replace(o, t=o.t - LAG_S, v=v, omega=o.omega * TURN_SCALE)
+    return dataclasses.replace(drive, odometry=late)
+
+
+def drive_of(name: str, seed: int) -> tuple[Drive, Simulation]:
+    """Return the drive of a row, of which nothing is told, and what it was made of."""
+    narrow = name in NARROW
+    wrong, mount, slips = NARROW[name] if narrow else (ALL_ROUND[name], Mount(), False)
+    whole = simulate(_scenario(seed, narrow, mount))
+    drive = lasting(whole, wrong, seed)
+    drive = _blacked_out(drive) if narrow else drive
+    drive = _slipping(drive) if slips else drive
+    home = {n: HomeBearing(h.bearing) for n, h in drive.home.items()}
+    if narrow:  # home was looked at all round
+        noise = WHITE * np.random.default_rng([seed, 9]).standard_normal(len(whole.world.ids))
+        all_round = bearing(mount.pose, *whole.world.in_home_frame.T) + noise
+        lean = wrong.lean * np.sin(all_round)
+        ids = whole.world.ids
+        home = {n: HomeBearing(float(b)) for n, b in zip(ids, wrap(all_round + lean), strict=True)}
+    untold = {"sensor": Sensor(), "odometry": OdometryNoise()}
+    return dataclasses.replace(
+        drive, home=home, settings=drive.settings.model_copy(update=untold)
+    ), whole
+
+
+def map_scale(track: Track, whole: Simulation) -> float:
+    """Return how many times too large the map is, by a similarity transform of its landmarks."""
+    at = dict(zip(whole.world.ids, whole.world.in_home_frame, strict=True))
+    found = [m for m in track.landmarks if np.isfinite(m.x)]
+    if len(found) < 3:
+        return math.nan
+    ours = np.array([m.x + 1j * m.y for m in found])
+    true = np.array([complex(*at[m.landmark]) for m in found])
+    ours, true = ours - ours.mean(), true - true.mean()
+    return float(abs(np.vdot(true, ours)) / np.vdot(true, true).real)
+
+
+def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
+    """Return what one track is like."""
+    e = errors(track, drive.truth)
+    late = e.t > track.t[0] + 0.25 * (track.t[-1] - track.t[0])
+    weight = e.weight[late] / e.weight[late].sum() if late.any() else e.weight[late]
+    if not weight.size:
+        return {"scale": math.nan}
+    return {
+        "scale": 100.0 * (map_scale(track, whole) - 1.0),
+        "rmse": math.sqrt(float(weight @ e.position[late] ** 2)),
+        "nees": float(weight @ np.minimum(e.nees[late], 300.0)),
+        "beyond": 100.0 * float(weight @ (e.nees_position[late] > 11.83)),
+        "inside": 100.0 * float(weight @ (e.nees_position[late] < 1.0)),
+        "pose": 100.0 * float(track.has_pose.mean()),
+        "nis": float(np.mean((track.innovations.value / track.innovations.sigma) ** 2)),
+    }
+
+
+def rows(
+    names: list[str], seeds: range, final: bool, settings: LocalizerSettings
+) -> Iterator[tuple[str, int, dict[str, float]]]:
+    """Run all; give name, seed and figures of each."""
+    for name in names:
+        for seed in seeds:
+            drive, whole = drive_of(name, seed)
+            if final:
+                track = smooth(drive, settings)
+            else:
+                robot = drive.settings.robot
+                track = run(drive, Localizer(drive.home, settings=settings, **robot))
+            yield name, seed, figures(track, drive, whole)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    every = [*ALL_ROUND, *NARROW]
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", nargs="+", choices=every, default=every)
+    parser.add_argument("--smooth", action="store_true")
+    parser.add_argument("--each", action="store_true")
+    given = parser.parse_args()
+    seeds = range(given.first, given.first + given.seeds)
+    columns = ("scale", "rmse", "nees", "beyond", "inside", "pose", "nis")
+    print(f"{'':20}" + "".join(f"{c:>9}" for c in columns) + "    worst nees")
+    found: dict[str, list[dict[str, float]]] = {}
+    for name, seed, one in rows(given.only, seeds, given.smooth, LocalizerSettings()):
+        found.setdefault(name, []).append(one)
+        if given.each:
+            print(
+                f"  {name} {seed}: " + " ".join(f"{c} {one.get(c, math.nan):.3f}" for c in columns),
+                flush=True,
+            )
+        if seed == seeds[-1]:
+            of = {c: np.array([one.get(c, math.nan) for one in found[name]]) for c in columns}
+            line = "".join(f"{np.nanmedian(of[c]):9.3f}" for c in columns)
+            print(f"{name:20}{line}{np.nanmax(of['nees']):12.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
