@@ -33,8 +33,9 @@ SPAN_S = 1.05
 NO_CAMERA = 1e-6
 """No camera is better [rad]; a smaller deviation is as good as none given."""
 MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
-KEPT = 0.9
-"""So much of what was believed is kept from keyframe to keyframe [1]."""
+KEPT, KEPT_OF_LASTING = 0.9, 0.97
+"""So much of what was believed is kept from keyframe to keyframe [1]; of what lasts for seconds, and
+what a camera elsewhere than thought does alike until that is found out, more."""
 CLEAR = 1.1
 """Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
 LATEST = 300
@@ -160,7 +161,7 @@ class BearingNoise:
         off, clear = np.abs(residuals), whole <= CLEAR * own
         if clear.sum() >= RESIDUALS:
             errors = np.where(clear, residuals / own, np.nan)
-            self.lasting.update(errors, gaps, landmarks, 1.0 - KEPT**keyframes)
+            self.lasting.update(errors, gaps, landmarks, 1.0 - KEPT_OF_LASTING**keyframes)
         if self._told:
             return self._rescale(off, own, whole)
         self.settled = True
