@@ -34,8 +34,8 @@ NO_CAMERA = 1e-6
 """No camera is better [rad]; a smaller deviation is as good as none given."""
 MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
 KEPT, KEPT_OF_LASTING = 0.9, 0.97
-"""So much of what was believed is kept from keyframe to keyframe [1]; of what lasts for seconds, and
-what a camera elsewhere than thought does alike until that is found out, more."""
+"""So much of what was believed is kept from keyframe to keyframe [1]; more of what lasts, since a
+camera elsewhere than thought makes such errors, too, until that is found out."""
 CLEAR = 1.1
 """Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
 LATEST = 300
