@@ -32,7 +32,7 @@ _Maker = Callable[[Drive, Any], Estimator]
 
 def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     """Return the robust localiser for a drive; with an eye on home's picture where there is one."""
-    localizer = Localizer(drive.home, settings=settings, **drive.settings.robot)
+    localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     if type(drive) is Drive:
         return localizer
     # Imported here alone: what only reads logs needs no images.

@@ -88,7 +88,7 @@ def test_a_pose_that_nothing_fixes_is_an_error():
 
 
 def test_motion_is_linear_in_its_calibration_as_it_says():
-    at = np.array([0.02, 0.003, 0.01, 0.13, 0.0, 0.1, -0.1])
+    at = np.array([0.02, 0.003, 0.01, 0.13, 0.05, 0.0, 0.1, -0.1])
     motion = integrated(at)
     for i in range(len(CALIBRATION)):
         step = np.zeros(len(CALIBRATION))
@@ -145,7 +145,7 @@ def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
     odometry = Wheels()
     drive(odometry)
-    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.02, 0.03, -0.02])
+    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.04, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
@@ -280,7 +280,7 @@ def test_more_must_fit_from_elsewhere_than_from_here():
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
-    landmarks = Landmarks(Smoother(np.ones(4), np.ones(NC), np.ones(3), LastingErrors(), 0.0), 0.06)
+    landmarks = Landmarks(Smoother(np.ones(5), np.ones(NC), np.ones(3), LastingErrors(), 0.0), 0.06)
     landmarks.mapped["a"] = Landmark("a", 0)
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, True])
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, True])

@@ -14,7 +14,7 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC, Motion, camera_on_robot
 from homeward.localizer.smoothing import bridged
 
-SIGMAS = np.array([0.02, 0.002, 0.02, 0.05])
+SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.001])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])
 POINTS = np.array([[3.0, 1.0], [-1.0, 3.0], [2.0, -2.5]])
 MOUNT = np.array([0.1, 0.0, 0.0])

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, Literal, Self, TypedDict
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from homeward.angles import interpolate, wrap
 from homeward.by_value import ByValue
@@ -18,6 +18,8 @@ from homeward.frames import Polar, Pose
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
+Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
 
 
 class Strict(BaseModel):
@@ -130,6 +132,54 @@ class DriveSettings(Strict):
         return self.sensor if self.home_sensor is None else self.home_sensor
 
 
+class SurveyedLandmark(Strict):
+    """Where a landmark was surveyed."""
+
+    x: Surveyed
+    """[m]"""
+    y: Surveyed
+    """[m]"""
+    sigma: Sigma | None = None
+    """Standard deviation of each of the two [m]; None: as of all."""
+
+
+class KnownDistance(Strict):
+    """How far two landmarks are apart."""
+
+    between: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)]
+    """Their ids."""
+    distance: Annotated[float, Field(gt=0, le=1e7)]
+    """[m]"""
+    sigma: Sigma | None = None
+    """Its standard deviation [m]; None: as of all."""
+
+
+class KnownLandmarks(Strict):
+    """Everything that landmarks.yaml may say: a survey of landmarks, and distances of pairs."""
+
+    frame: Literal["own", "home"] = "own"
+    """Of the survey: home's, or one of its own, whose place in the map is found."""
+    sigma: Sigma = 0.02
+    """Standard deviation of coordinates and distances that come without one [m]."""
+    landmarks: dict[str, SurveyedLandmark] = {}
+    """The surveyed ones, by id."""
+    distances: tuple[KnownDistance, ...] = ()
+    """Of pairs."""
+
+    @model_validator(mode="after")
+    def _tells(self) -> Self:
+        if any(a == b for a, b in (d.between for d in self.distances)):
+            raise ValueError("a distance is between two landmarks, not one")
+        if len(self.landmarks) == 1 and self.frame == "own":
+            raise ValueError("one landmark in a frame of its own tells nothing: survey two")
+        return self
+
+    @property
+    def tells(self) -> bool:
+        """Whether anything is known."""
+        return bool(self.landmarks or self.distances)
+
+
 @dataclass(frozen=True)
 class Odometry:
     """Twists; each holds from its stamp to the next. All arrays have shape (n,)."""
@@ -209,6 +259,8 @@ class Drive:
     truth: Truth | None = None
     remarks: dict[str, int] = field(default_factory=dict)
     """What the reader counted on the way, by reason in words: equal stamps, unknown ids."""
+    known: KnownLandmarks = field(default_factory=KnownLandmarks)
+    """What is known of landmarks beforehand."""
 
     def home_bearings(self) -> dict[str, float]:
         """Return beta* of each landmark in the robot's own home frame [rad].

@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    KnownLandmarks,
+    Odometry,
+    Sightings,
+    Truth,
+)
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.drives.text.settings import read_settings, settings_yaml
@@ -27,8 +35,8 @@ from homeward.drives.text.table import (
 from homeward.errors import InputError
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
-SETTINGS, TRUTH = "drive.yaml", "truth.csv"
-REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH)
+SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
+REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
 REPEATED_SIGHTINGS = "sightings of a landmark already seen at the same stamp; the last counts"
@@ -47,8 +55,9 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     ----------
     path : path-like
         Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
-        home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml and truth.csv
+        home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv
         (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
+        A survey in home's frame serves without home.csv, too.
 
     Returns
     -------
@@ -66,17 +75,21 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     folder = Path(path)
     require_folder(folder)
     missing = [name for name in REQUIRED if not is_there(folder / name)]
-    if missing:
+    surveyed = is_there(folder / KNOWN)
+    known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
+    homeless = missing == [HOME] and known.frame == "home"
+    if missing and not homeless:
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
     remarks: dict[str, int] = {}
     return Drive(
         name=folder.resolve().name,
         odometry=read_odometry(folder / ODOMETRY, remarks),
         sightings=read_sightings(folder / BEARINGS, remarks),
-        home=read_home(folder / HOME, remarks),
+        home={} if homeless else read_home(folder / HOME, remarks),
         settings=read_drive_settings(folder / SETTINGS),
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
+        known=known,
     )
 
 
@@ -226,8 +239,9 @@ def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
     for name, columns in _columns(drive).items():
         cells = [_cells(column, values, folder / name) for column, values in columns.items()]
         write_csv(staging / name, columns, zip(*cells, strict=True))
-    if text := settings_yaml(drive.settings):
-        (staging / SETTINGS).write_text(text, encoding="utf-8")
+    for name, model in ((SETTINGS, drive.settings), (KNOWN, drive.known)):
+        if text := settings_yaml(model):
+            (staging / name).write_text(text, encoding="utf-8")
 
 
 def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:

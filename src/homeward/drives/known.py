@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from homeward.drives.drive import DriveSettings, HomeBearing, Robot
+from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks, Robot
 from homeward.drives.text.settings import Model, validated
 from homeward.errors import InputError
 from homeward.estimator import real
@@ -36,6 +36,13 @@ def known_home(home: Home) -> dict[str, HomeBearing]:
 def known_robot(robot: Robot) -> DriveSettings:
     """Return what is known of a robot, checked; `InputError` names the key that is wrong."""
     return validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
+
+
+def known_landmarks(known: KnownLandmarks | dict[str, Any] | None) -> KnownLandmarks:
+    """Return what is known of landmarks, checked; `InputError` names the key that is wrong."""
+    if known is not None and not isinstance(known, (KnownLandmarks, dict)):
+        raise InputError(f"known: KnownLandmarks or its keys and values, not {known!r:.40}")
+    return validated(KnownLandmarks, known or {})
 
 
 def known_settings(model: type[Model], settings: Model | dict[str, Any] | None) -> Model:

@@ -38,7 +38,7 @@ def save_drive(
     Raises
     ------
     InputError
-        When it exists or cannot be written.
+        When it exists or cannot be written, or a log has no place for what is known of landmarks.
     """
     place = Path(path)
     if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
@@ -46,6 +46,8 @@ def save_drive(
     if place.suffix not in LOG_SUFFIXES:
         write_folder(drive, place)
         return "drive folder"
+    if drive.known.tells:
+        raise InputError("a log has no place for landmarks.yaml; write a drive folder", place)
     # Imported here alone: rosbags takes a while.
     from homeward.drives.ros.writing import write_log
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.home.tracker import HomeTracker
@@ -45,6 +45,8 @@ class Chart:
         Where to count sightings.
     twists : Twists
         The history of odometry.
+    known : KnownLandmarks
+        What is known of landmarks beforehand.
     """
 
     def __init__(
@@ -54,14 +56,15 @@ class Chart:
         settings: LocalizerSettings,
         counts: Counts,
         twists: Twists,
+        known: KnownLandmarks,
     ) -> None:
         self.counts, self._twists = counts, twists
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self.odometry = Odometry(twists, noise_rates(drive.odometry, settings.odometry))
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
-        self._drive, self._settings = drive, settings
-        self._integrity = IntegrityMonitor(settings, drive.odometry)
+        self._drive, self._settings, self._known = drive, settings, known
+        self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
         self._last_accepted = -math.inf
         self._keeps = False
         self._begin_map(0.0)
@@ -168,6 +171,8 @@ class Chart:
             self.map.landmarks,
             self.home.names,
             hypotheses,
+            self.map.from_home(self.map.state),
+            self.map.survey,
         ).landmarks()
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -248,7 +253,8 @@ class Chart:
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
         arguments = self._drive, self._settings, self.noise, self.extrinsics, self.counts
-        self.map, self.monitor = Map(*arguments, t), Monitor(self._drive.start is not None)
+        self.map = Map(*arguments, t, self._known)
+        self.monitor = Monitor(self._drive.start is not None)
         self.odometry.restart(t)
         if self._keeps:
             self.map.smoother.keep_closed()

@@ -14,8 +14,14 @@ from collections.abc import Mapping
 from typing import Any, Unpack
 
 from homeward.drives.clock import LATE_S, Clock
-from homeward.drives.drive import Robot
-from homeward.drives.known import Home, known_home, known_robot, known_settings
+from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
+from homeward.drives.known import (
+    Home,
+    known_home,
+    known_landmarks,
+    known_robot,
+    known_settings,
+)
 from homeward.estimator import (
     FASTEST,
     Counts,
@@ -51,6 +57,8 @@ class Localizer:
         What the camera saw at home: bearings [rad] by landmark, with a deviation where it is known.
     settings : LocalizerSettings or dict, optional
         Everything else.
+    known : KnownLandmarks or dict, optional
+        What is known of landmarks beforehand: a survey, distances of pairs.
     **robot : Robot
         What is known of the robot: `sensor`, `home_sensor`, `odometry`, `start`.
 
@@ -67,14 +75,15 @@ class Localizer:
         home: Home,
         *,
         settings: LocalizerSettings | dict[str, Any] | None = None,
+        known: KnownLandmarks | dict[str, Any] | None = None,
         **robot: Unpack[Robot],
     ) -> None:
         self.counts, self._turn = Counts(), threading.RLock()
         self._notes = (SCALE_NOTE,)
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
-        self._twists = Twists()
-        self._chart = Chart(self._home, self._robot, self.settings, self.counts, self._twists)
+        self._twists, self._known = Twists(), known_landmarks(known)
+        self._chart = self._new_chart(self._robot, self.counts)
         self._beside: Chart | None = None
         """Another one, begun where the robot was lost in the first."""
         self._lead = 0
@@ -262,12 +271,15 @@ class Localizer:
     def _begin_beside(self, t: float) -> None:
         """Begin another map at the robot, at `t` [s]."""
         anywhere = self._robot.model_copy(update={"start": None})
-        counts = copy.deepcopy(self.counts)
-        self._beside = Chart(self._home, anywhere, self.settings, counts, self._twists)
+        self._beside = self._new_chart(anywhere, copy.deepcopy(self.counts))
         self._lead = 0
         if self._keeps:
             self._beside.keep_closed()
         self._beside.begin(t)
+
+    def _new_chart(self, robot: DriveSettings, counts: Counts) -> Chart:
+        """Return a chart of its own."""
+        return Chart(self._home, robot, self.settings, counts, self._twists, self._known)
 
     def _advance(self, t: float) -> None:
         """Let time come to `t` [s], unless it was there."""

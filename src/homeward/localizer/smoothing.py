@@ -51,7 +51,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
         map was begun, rows are those of the causal one.
     """
     settings = settings or LocalizerSettings()
-    localizer = Localizer(drive.home, settings=settings, **drive.settings.robot)
+    localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     localizer.keep_closed()
     track = run(drive, localizer)
     if localizer.signs_reversed:
@@ -127,7 +127,7 @@ def _rows(
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        integrity = IntegrityMonitor(settings, drive.settings.odometry)
+        integrity = IntegrityMonitor(settings, drive.settings.odometry, drive.known.tells)
         integrity.update(there[k], firm=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,8 @@ from homeward.localizer.tunables import HOME_SHARE, POSE, REACH
 POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
+SURVEYED = 1e-4
+"""Home is the origin of what is surveyed from there as nearly as this [m, rad]."""
 LONGEST_SHARE = 0.2
 """A fit moves home by so much at once at most [of the range] ..."""
 LONGEST_TURN = 1.0
@@ -44,6 +47,21 @@ class HomeProblem:
     """(3,): home's pose in the odometry frame, from the start prior."""
     prior_information: np.ndarray | None = None
     """(3, 3)"""
+    surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(k, 2): surveyed landmarks that fix home without its bearings [m]; see `at_origin`."""
+
+    def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
+        """Return it with home where the survey is from, what is known being in its frame.
+
+        Parameters
+        ----------
+        surveyed : ndarray, shape (k, 2)
+            The landmarks that say so [m].
+        """
+        exactly = np.eye(3) * SURVEYED**-2
+        return dataclasses.replace(
+            self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed
+        )
 
     @property
     def landmarks(self) -> np.ndarray:

@@ -60,15 +60,18 @@ class HomeTracker:
         """Where home may be; None where it is not found."""
         self.names: list[str] = []
         """Of the q landmarks among which it is looked for."""
-        self._noise = noise
+        self._noise, self._surveyed = noise, False
         self._seeds: deque[Seed] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
 
     def update(self, known: Map) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
-        now, before = self.hypotheses, self.names
+        now, before, frame = self.hypotheses, self.names, self._surveyed
         self.names = known.landmarks.seen_from(self.observation.bearings)
+        self._surveyed = known.has_home_survey
+        if self._surveyed is not frame:  # home is in another frame now
+            now = None
         problem = self.problem(known, known.state)
         if now is not None and before == self.names:
             self.hypotheses = self._follow(problem, now, known)
@@ -78,10 +81,15 @@ class HomeTracker:
             self._seeds.clear()
 
     def problem(self, known: Map, state: Marginal) -> HomeProblem:
-        """Return what is known of home's landmarks by a state of the map."""
-        return self.observation.problem(
+        """Return what is known of home's landmarks by a state of the map.
+
+        It is in the odometry frame; where the map has a survey in home's frame, in that.
+        """
+        state = known.from_home(state)
+        problem = self.observation.problem(
             self.names, known.as_home_saw(self.names), state, self._noise
         )
+        return problem.at_origin(known.stayed_surveyed(state)) if self._surveyed else problem
 
     def conclude(self, known: Map, state: Marginal) -> bool:
         """Find home anew by what a whole drive says; return whether it is found.

@@ -7,7 +7,7 @@ from scipy.sparse import csc_array
 
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.tunables import GATE
 
 LEAST_VARIANCE = 1e-10
@@ -15,7 +15,7 @@ LEAST_VARIANCE = 1e-10
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
 """Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
-the inverse of its covariance (3, 3), and its derivative by the calibration (3, 7)."""
+the inverse of its covariance (3, 3), and its derivative by the calibration (3, 8)."""
 
 
 def step_row(motion: Motion) -> np.ndarray:
@@ -30,19 +30,24 @@ def step_row(motion: Motion) -> np.ndarray:
 def add_odometry(
     e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (7,).
+    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,).
 
-    Those far off have less weight, as sightings do: wheels slip, and robots are shoved.
+    Those far off have less weight, as sightings do: wheels slip, and robots are shoved. Errors are
+    measured in the odometry's own metres: else all of them would shrink with the scale of its
+    speed, which nothing else may hold, and the map with it (errors in variables).
     """
     if len(poses) < 2:
         return
     a, b = poses[:-1], poses[1:]
     by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
-    error = steps[:, FREE] + by_calibration @ calibration - between(a, b)
+    size = np.array([1.0 + calibration[SPEED_SCALE], 1.0 + calibration[SPEED_SCALE], 1.0])
+    error = (steps[:, FREE] + by_calibration @ calibration - between(a, b)) / size
     back = rotation(a[:, 2]).transpose(0, 2, 1)
     jacobian = np.empty((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
     jacobian[:, :, :3], jacobian[:, :, 3:6] = -back @ lever(b - a), back
     jacobian[:, :, 6:] = -by_calibration
+    jacobian[:, :2, 6 + SPEED_SCALE] += error[:, :2]
+    jacobian /= size[:, None]
     information = steps[:, INFORMATION].reshape(-1, 3, 3)
     square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
     weight = 1.0 / np.maximum(square / GATE**2, 1.0)
@@ -75,7 +80,7 @@ def add_sightings(
     ----------
     e : NormalEquations
         Of w poses, and the calibration and n landmarks that they share.
-    residual, jacobian : ndarray, shape (m,), (m, 12)
+    residual, jacobian : ndarray, shape (m,), (m, 13)
         Of `bearing_residuals`.
     sigma, effective : ndarray, shape (m,)
         Standard deviations of each, and by which it counts beside those before it [rad].

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings
+from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.map.gating import Gated, gate_bearings
@@ -23,6 +23,8 @@ from homeward.localizer.map.sightings import (
 )
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal, Prediction
+from homeward.localizer.map.survey import Survey
+from homeward.localizer.map.survey_factors import in_survey_frame
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
@@ -53,6 +55,8 @@ class Map:
         Where to count sightings.
     t : float
         When it begins [s].
+    known : KnownLandmarks
+        What is known of landmarks beforehand.
     """
 
     def __init__(
@@ -63,11 +67,13 @@ class Map:
         extrinsics: Extrinsics,
         counts: Counts,
         t: float,
+        known: KnownLandmarks,
     ) -> None:
+        self.survey = Survey(known, settings)
         self._settings, self._counts = settings, counts
         self._noise, self._extrinsics = noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
-        sigmas = calibration_sigmas(drive, settings)
+        sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
@@ -91,7 +97,7 @@ class Map:
 
     @property
     def calibration(self) -> np.ndarray:
-        """(7,), of odometry and camera, as believed now."""
+        """(8,), of odometry and camera, as believed now."""
         return self.smoother.calibration
 
     def camera(self, motion: Motion) -> Motion:
@@ -102,6 +108,23 @@ class Map:
         """Return the indices in the state of landmarks where home saw them, for all one knows."""
         known = self.landmarks
         return known.index(known.former.get(n) or known.mapped[n] for n in names)
+
+    @property
+    def has_home_survey(self) -> bool:
+        """Whether a survey in home's frame agrees with the map, so that this frame is known."""
+        return self.survey.known.frame == "home" and bool(self.smoother.known.ids.size)
+
+    def from_home(self, state: Marginal) -> Marginal:
+        """Return a state in home's frame, if that is known; else as it is."""
+        if not self.has_home_survey:
+            return state
+        return in_survey_frame(state, self.smoother.known, self.smoother.ids)
+
+    def stayed_surveyed(self, state: Marginal) -> np.ndarray:
+        """Return the places in a state of the landmarks that fix that frame, and stayed, (k, 2)."""
+        known = self.landmarks
+        stayed = [n for n in self.survey.used if n in known.mapped and n not in known.former]
+        return np.asarray(state.positions[known.index(known.mapped[n] for n in stayed)])
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
@@ -293,6 +316,8 @@ class Map:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
         smoother, noise = self.smoother, self._noise
         smoother.solve()
+        if self.survey.known.tells and smoother.settled:
+            self._judge_survey()
         residuals = smoother.residuals()
         misfits = self.landmarks.drop_misfits(residuals) if smoother.settled else 0
         if misfits:
@@ -312,6 +337,17 @@ class Map:
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas
             self._solve()
+
+    def _judge_survey(self) -> None:
+        """Let what is known of landmarks count as far as the map without it agrees."""
+        smoother, before = self.smoother, self.smoother.known
+        came = {**self.landmarks.mapped, **self.landmarks.former}  # where they stood first
+        numbers = {name: landmark.number for name, landmark in came.items()}
+        now = self.survey.judge(smoother.without_known(), numbers, smoother.ids)
+        smoother.known = now
+        same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
+        if not same:
+            smoother.solve()
 
     def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

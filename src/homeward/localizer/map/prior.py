@@ -13,7 +13,7 @@ class Prior:
 
     Parameters
     ----------
-    information : ndarray, shape (10 + 2 n, 10 + 2 n)
+    information : ndarray, shape (11 + 2 n, 11 + 2 n)
         On oldest pose, calibration and landmarks, around zero.
     """
 
@@ -23,7 +23,7 @@ class Prior:
         self._at = np.zeros(len(information))
 
     def add_to(self, e: NormalEquations, now: np.ndarray) -> None:
-        """Add it to the normal equations around `now`, shape (10 + 2 n,)."""
+        """Add it to the normal equations around `now`, shape (11 + 2 n,)."""
         information = self._information
         downhill = self._gradient - information @ (now - self._at)
         e.own[0] += information[:3, :3]
@@ -43,7 +43,7 @@ class Prior:
         self._at = np.append(self._at, position)
 
     def drop_landmark(self, index: int, now: np.ndarray) -> None:
-        """Marginalise a landmark, linearised at `now`, shape (10 + 2 n,)."""
+        """Marginalise a landmark, linearised at `now`, shape (11 + 2 n,)."""
         out = HEAD + 2 * index + np.arange(2)
         keep = np.delete(np.arange(now.size), out)
         information = self._information
@@ -56,7 +56,7 @@ class Prior:
     def replace(self, left: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
         """Take what is left of keyframes that were eliminated, linearised at `at`.
 
-        The calibration drifts by variances (7,) meanwhile: the old one is marginalised, the new one
+        The calibration drifts by variances (8,) meanwhile: the old one is marginalised, the new one
         takes its place.
         """
         c = slice(3, HEAD)

@@ -32,7 +32,7 @@ class Frames:
         self.free = np.zeros((0, 3))
         """(f, 3): the camera in its keyframe's frame, were the calibration zero ..."""
         self.jacobians = np.zeros((0, 3, NC))
-        """(f, 3, 7): ... and the derivative by it."""
+        """(f, 3, 8): ... and the derivative by it."""
 
     @property
     def next(self) -> int:
@@ -84,13 +84,13 @@ class Frames:
         ----------
         poses : ndarray, shape (f, 3) or (3,)
             Of the frames' keyframes.
-        calibration : ndarray, shape (7,)
+        calibration : ndarray, shape (8,)
             As it is believed to be.
 
         Returns
         -------
         eyes : ndarray, shape (f, 3)
-        by_head : ndarray, shape (f, 3, 10)
+        by_head : ndarray, shape (f, 3, 11)
             By keyframe's pose and calibration.
         """
         eyes = compose(poses, self.free + self.jacobians @ calibration)
@@ -143,7 +143,7 @@ def bearing_residuals(
     ----------
     bearings : ndarray, shape (m,)
         Measured from the camera's axis [rad].
-    eyes, by_head : ndarray, shape (m, 3), (m, 3, 10), or (3,), (3, 10)
+    eyes, by_head : ndarray, shape (m, 3), (m, 3, 11), or (3,), (3, 11)
         The camera then, and its Jacobian; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
         Of the landmarks [m].
@@ -152,7 +152,7 @@ def bearing_residuals(
     -------
     residual : ndarray, shape (m,)
         [rad], wrapped.
-    jacobian : ndarray, shape (m, 12)
+    jacobian : ndarray, shape (m, 13)
         By keyframe's pose, calibration and landmark.
     """
     seen = sight(eyes, positions)

@@ -34,6 +34,7 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.map.survey_factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
 from homeward.localizer.motion.preintegration import CAMERA_X, MOUNT, NC, OF_ODOMETRY, Motion
 from homeward.localizer.tunables import LINEAR
@@ -59,9 +60,9 @@ class Smoother:
 
     Parameters
     ----------
-    odometry_sigmas : ndarray, shape (4,)
+    odometry_sigmas : ndarray, shape (5,)
         Of the odometry's calibration a priori, around zero.
-    drift : ndarray, shape (7,)
+    drift : ndarray, shape (8,)
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Of the camera's on the robot, around zero.
@@ -95,7 +96,9 @@ class Smoother:
         self.settled = True
         """Whether the last `solve` came to rest."""
         self.mount_sigmas = mount_sigmas
-        """What is believed beforehand may change; so it is never marginalised."""
+        """What is believed beforehand may change; so it is never marginalised ..."""
+        self.known = SurveyFactors.none()
+        """... and neither is what is known of landmarks."""
         self._older = np.zeros((0, 3))
         """(w - 1, 3), poses of the open keyframes but the newest."""
         self._steps = np.zeros((0, STEP))
@@ -127,7 +130,7 @@ class Smoother:
         whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
-        whole.ids, whole.state = self.ids, self.state
+        whole.ids, whole.state, whole.known = self.ids, self.state, self.known
         information = np.eye(self.state.mean.size) * (FAR * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
@@ -140,7 +143,7 @@ class Smoother:
 
     @property
     def calibration(self) -> np.ndarray:
-        """(7,), of odometry and camera."""
+        """(8,), of odometry and camera."""
         return self.state.calibration
 
     @property
@@ -158,7 +161,7 @@ class Smoother:
         return np.searchsorted(self.ids, ids)
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 10)."""
+        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 11)."""
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
         some = self.frames.since(begin)
@@ -198,6 +201,7 @@ class Smoother:
         self._prior.drop_landmark(index, self._head_and_map())
         self.state = self.state.without_landmark(index)
         self.ids = np.delete(self.ids, index)
+        self.known = self.known.among(self.ids)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
     def predict(self, rows: np.ndarray) -> Prediction:
@@ -220,6 +224,17 @@ class Smoother:
             self.settled = self._move(poses, common, covariance) < SETTLED
             if self.settled:
                 break
+
+    def without_known(self) -> Marginal:
+        """Return the state by all but what is known of landmarks, after `solve`.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When the normal equations are singular.
+        """
+        poses, common, covariance = elimination.solve(self._measured())
+        return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self) -> list[Marginal]:
         """Return what is known of each open pose, as the state is of the newest, after `solve`."""
@@ -295,6 +310,12 @@ class Smoother:
 
     def _all(self) -> elimination.NormalEquations:
         """Return everything that is known."""
+        equations = self._measured()
+        self.known.add_to(equations, self.positions, self.ids)
+        return equations
+
+    def _measured(self) -> elimination.NormalEquations:
+        """Return everything but what is known of landmarks."""
         equations = self._normal_equations(len(self.poses), self.sightings)
         at, information = np.arange(NC)[MOUNT], self.mount_sigmas**-2.0
         equations.common[at, at] += information

@@ -25,9 +25,9 @@ class Prediction:
     residual: np.ndarray
     """(m,): measured minus expected [rad]."""
     jacobian: np.ndarray
-    """(m, 12): of the expected bearings, as of `bearing_residuals`."""
+    """(m, 13): of the expected bearings, as of `bearing_residuals`."""
     correlated: np.ndarray
-    """(m, 3 + 7 + 2 n): covariance of the expected bearings with everything."""
+    """(m, 3 + 8 + 2 n): covariance of the expected bearings with everything."""
     innovation_covariance: np.ndarray
     """(m, m): covariance of the residuals."""
 
@@ -53,18 +53,18 @@ class Marginal:
     """The Gaussian on the newest pose, the calibration and the landmarks."""
 
     mean: np.ndarray
-    """(3 + 7 + 2 n,)"""
+    """(3 + 8 + 2 n,)"""
     covariance: np.ndarray
-    """(3 + 7 + 2 n, 3 + 7 + 2 n)"""
+    """(3 + 8 + 2 n, 3 + 8 + 2 n)"""
 
     @property
     def calibration(self) -> np.ndarray:
-        """Of odometry and camera, shape (7,)."""
+        """Of odometry and camera, shape (8,)."""
         return self.mean[3:HEAD]
 
     @property
     def calibration_variances(self) -> np.ndarray:
-        """(7,): of each part of the calibration."""
+        """(8,): of each part of the calibration."""
         return self.covariance.diagonal()[3:HEAD]
 
     @property
@@ -88,7 +88,7 @@ class Marginal:
         return self.distances + CLOSE * self.scale
 
     def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose after a motion from the newest one, and its Jacobian (3, 10)."""
+        """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
         pose = self.mean[:3]
         there = compose(pose, motion.free + motion.jacobian @ self.calibration)
         by_head = np.empty((3, HEAD))
@@ -118,7 +118,7 @@ class Marginal:
         ----------
         bearings, sigmas : ndarray, shape (m,)
             Measured from the camera's axis, and their standard deviations [rad].
-        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 10), or (3,) and (3, 10)
+        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11), or (3,) and (3, 11)
             The camera's poses by that of the newest keyframe; see `Frames.eyes`, `after`.
         index : ndarray, shape (m,), int
             Which landmarks were seen.

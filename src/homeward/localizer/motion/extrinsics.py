@@ -45,7 +45,7 @@ class Extrinsics:
         self._untold = np.array([part not in told for part in ("yaw", "x", "y")])
 
     def found(self, calibration: np.ndarray) -> Pose | None:
-        """Return the camera on the robot by a calibration (7,); None where it was as expected."""
+        """Return the camera on the robot by a calibration (8,); None where it was as expected."""
         off = calibration[MOUNT]
         if not self.denied or (np.abs(off) < self._least).all():
             return None
@@ -54,7 +54,7 @@ class Extrinsics:
         return Pose(said.x + x, said.y + y, said.yaw + yaw)
 
     def words(self, calibration: np.ndarray) -> tuple[str, ...]:
-        """Return what the user must know of it, a calibration (7,) being the present one."""
+        """Return what the user must know of it, a calibration (8,) being the present one."""
         found = self.found(calibration)
         if found is None:
             return ()
@@ -71,7 +71,7 @@ class Extrinsics:
 
         Parameters
         ----------
-        calibration, variances : ndarray, shape (7,)
+        calibration, variances : ndarray, shape (8,)
             As the map has it, and how certain it is of each part.
         scale : float
             Median distance of the landmarks [m].

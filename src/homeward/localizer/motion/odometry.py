@@ -30,9 +30,15 @@ LONGEST_LAG = 0.8
 """A lag beyond this is not believed [s]."""
 
 
-def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.ndarray:
-    """Return how unknown the odometry's calibration is a priori, shape (4,)."""
+def calibration_sigmas(
+    drive: DriveSettings, settings: LocalizerSettings, scale_tells: bool
+) -> np.ndarray:
+    """Return how unknown the odometry's calibration is a priori, shape (5,).
+
+    The scale of the speed is among it where something `scale_tells`: bearings cannot.
+    """
     given, default = drive.odometry, settings.odometry
+    speed = default.speed_scale if given.speed_scale_sigma is None else given.speed_scale_sigma
     scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
     return np.array(
         [
@@ -40,12 +46,13 @@ def calibration_sigmas(drive: DriveSettings, settings: LocalizerSettings) -> np.
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
             settings.lag_sigma,
+            speed if scale_tells else 0.0,
         ]
     )
 
 
 def lag_words(calibration: np.ndarray) -> tuple[str, ...]:
-    """Return what the user must know of the lag in a calibration (7,), if it is notable."""
+    """Return what the user must know of the lag in a calibration (8,), if it is notable."""
     lag = float(calibration[LAG])
     if abs(lag) < NOTABLE_LAG:
         return ()
@@ -103,7 +110,7 @@ class Odometry:
         ----------
         t : float
             A time before the end of what is done counts as that end.
-        calibration : ndarray, shape (7,)
+        calibration : ndarray, shape (8,)
             Where to linearise.
         """
         if t <= self._done:

@@ -3,6 +3,7 @@
 The unknowns are one vector, constant or nearly so (`CALIBRATION`): the true turn rate is
 ``(1 + turn_scale) omega + turn_bias`` while the robot moves, the true speed is less in bends than
 on the straight, by ``turn_slip (|omega| - r |v|)``, twists act ``lag`` seconds after their stamps,
+all speeds are ``1 + speed_scale`` times as large, which nothing but known landmarks can tell,
 and the camera is turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from where
 it is said to sit. A robot whose twist is exactly zero stands, and neither drifts nor gathers noise.
 
@@ -23,11 +24,11 @@ import numpy as np
 
 from homeward.localizer.geometry import between, compose, lever, rotation
 
-OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag")
+OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
 CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
-"""The unknowns of odometry and camera: [1], [rad/s], [m], [s], [rad], [m], [m]."""
+"""The unknowns of odometry and camera: [1], [rad/s], [m], [s], [1], [rad], [m], [m]."""
 NC = len(CALIBRATION)
-TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(len(CALIBRATION))
+TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 BEND, BENDS = 0.125, 33
 """The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
@@ -42,13 +43,13 @@ class Motion:
     covariance: np.ndarray
     """(3, 3), of `delta`, from white noise alone."""
     jacobian: np.ndarray
-    """(3, 7), of `delta` with respect to the calibration."""
+    """(3, 8), of `delta` with respect to the calibration."""
     path: float = 0.0
     """Length driven [m]."""
     turned: float = 0.0
     """Sum of the sizes of all turns [rad]."""
     calibration: np.ndarray = field(default_factory=lambda: np.zeros(NC))
-    """(7,): where it is linearised."""
+    """(8,): where it is linearised."""
 
     @property
     def free(self) -> np.ndarray:
@@ -115,7 +116,7 @@ def integrate(
     ----------
     pieces : sequence of Piece
         At least one.
-    calibration : ndarray, shape (7,)
+    calibration : ndarray, shape (8,)
         Where to linearise; the lag is in the pieces' times.
     rates : ndarray, shape (3, 3)
         Of the noise; see `homeward.drives.odometry_noise.noise_rates`.
@@ -130,22 +131,24 @@ def integrate(
         Its length by how much the robot turned per metre [m].
     """
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
+    size = 1.0 + float(calibration[SPEED_SCALE])
     x = y = psi = path = turned = 0.0
     by_bend, chords, ends = [0.0] * BENDS, [], []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
         _, _, dt, v, omega = piece
         rate = (1.0 + scale) * omega + bias if v or omega else 0.0
         slips = (math.copysign(abs(omega), v) if v else 0.0) - v * straightest
-        speed, half = v - slip * slips, 0.5 * rate * dt
+        speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
         chord = speed * dt * (math.sin(half) / half if half else 1.0)
-        chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, slips))
+        chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips))
         ends.append((speed, rate))
         x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
         path, turned = path + abs(v) * dt, turned + 2.0 * abs(half)
         by_bend[min(int(abs(omega) / max(abs(v), 1e-6) / BEND), BENDS - 1)] += abs(v) * dt
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
+    jacobian[:2, SPEED_SCALE] = delta[:2] / size
     jacobian[:, LAG] = _shift(delta, *ends[0], *ends[-1])
     return Motion(delta, covariance, jacobian, path, turned, calibration), np.array(by_bend)
 

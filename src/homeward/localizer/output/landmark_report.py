@@ -14,6 +14,8 @@ from homeward.estimator import LandmarkEstimate
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.range_mixture import RangeMixture
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey import Survey
 from homeward.naming import natural
 
 
@@ -31,6 +33,10 @@ class LandmarkReport:
     """The landmarks among which home was found."""
     hypotheses: Hypotheses | None
     """None while home is not found."""
+    state: Marginal
+    """Of the map, in the frame in which home is."""
+    survey: Survey
+    """What is known beforehand."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in natural order of name."""
@@ -44,7 +50,8 @@ class LandmarkReport:
         self, name: str, probability: float, place: tuple[float, float, float]
     ) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""
-        stored = math.nan
+        stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
+        probability = surveyed if math.isnan(probability) else max(probability, surveyed)
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
         moved_at = self.known.moved_at.get(name, math.nan)
@@ -91,8 +98,11 @@ class LandmarkReport:
     def _where(self, name: str) -> RangeMixture | None:
         """Return where a landmark may stand; None where nothing is known of that."""
         if name not in self.known.mapped:
-            return self.known.range_mixtures.get(name)
-        return RangeMixture(*self.known.places([self.known.mapped[name]]), np.ones(1))
+            # Rays are in the odometry frame, where home is not if there is a survey from it.
+            surveyed = self.hypotheses is not None and self.hypotheses.best.problem.surveyed.size
+            return None if surveyed else self.known.range_mixtures.get(name)
+        index = self.known.index([self.known.mapped[name]])
+        return RangeMixture(*self.state.places(index), np.ones(1))
 
     def _from_home(self) -> dict[str, tuple[float, float, float]]:
         """Return where landmarks stand in the home frame [m], and the deviation of the distance."""
@@ -100,7 +110,7 @@ class LandmarkReport:
         if self.hypotheses is None or not mapped:
             return {}
         best = self.hypotheses.best
-        at, covariance = self.known.places(mapped.values())
+        at, covariance = self.state.places(self.known.index(mapped.values()))
         index = {name: i for i, name in enumerate(mapped)}
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:

@@ -169,6 +169,6 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
 
 def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:
     """Return the median distance of home's landmarks from a place [m]; infinite without any."""
-    d = fit.problem.landmarks - place[:2]
+    d = np.concatenate([fit.problem.landmarks, fit.problem.surveyed]) - place[:2]
     squares = sorted((d * d).sum(axis=1).tolist())
     return math.sqrt(squares[len(squares) // 2]) if squares else math.inf

@@ -62,12 +62,18 @@ class IntegrityMonitor:
         Of the localiser.
     odometry : OdometryNoise
         Of the drive, as far as known.
+    scale_mapped : bool
+        Whether the map knows by itself how uncertain its scale is.
     """
 
-    def __init__(self, settings: LocalizerSettings, odometry: OdometryNoise) -> None:
+    def __init__(
+        self, settings: LocalizerSettings, odometry: OdometryNoise, scale_mapped: bool = False
+    ) -> None:
         given = odometry.speed_scale_sigma
         self._settings = settings
         self._speed_scale = settings.odometry.speed_scale if given is None else given
+        if scale_mapped:
+            self._speed_scale = 0.0
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
         self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
@@ -151,12 +157,13 @@ class IntegrityMonitor:
 
     def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
-        agreeing, checked = int(best.inliers.sum()), int(self._checked.sum())
+        surveyed = len(best.problem.surveyed)
+        agreeing, checked = int(best.inliers.sum()) + surveyed, int(self._checked.sum()) + surveyed
         if agreeing < CHECKED:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
-        stayed = int((best.inliers & self._stayed).sum())
+        stayed = int((best.inliers & self._stayed).sum()) + surveyed
         if stayed < POSE:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
@@ -166,6 +173,9 @@ class IntegrityMonitor:
             return Status.COASTING, Reason.NO_BEARINGS.words
         if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > self._most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
+        if surveyed:
+            words = f"{surveyed} surveyed landmarks and {agreeing - surveyed} home bearings agree"
+            return Status.LOCALISED, words
         return Status.LOCALISED, f"{agreeing} home bearings agree"
 
     def _is_fixed(self, best: HomeFit) -> bool:

@@ -1,0 +1,163 @@
+"""Survey factors: surveyed places and known distances of landmarks, on the map's landmarks.
+
+A survey in a frame of its own is a rigid body whose pose in the map, the datum, is not known: for
+given landmarks it follows by weighted least squares (Procrustes; a 2-D Helmert transformation
+without scale), and is eliminated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.localizer.geometry import between, lever, rotation
+from homeward.localizer.map.elimination import NormalEquations
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import NC
+
+
+class Datum(NamedTuple):
+    """Where a survey lies in the map, by k landmarks; it is linear in their places."""
+
+    pose: np.ndarray
+    """(3,): of its frame."""
+    residual: np.ndarray
+    """(k, 2): of the landmarks' places, mapped less surveyed [m]."""
+    by_pose: np.ndarray
+    """(2 k, 3): derivative of the surveyed places by the pose."""
+    by_places: np.ndarray
+    """(3, 2 k): derivative of the pose by the mapped places."""
+    covariance: np.ndarray
+    """(3, 3): of the pose, were these exact."""
+    information: np.ndarray
+    """(2 k, 2 k): on the mapped places, the datum being free."""
+
+
+def align(mapped: np.ndarray, surveyed: np.ndarray, sigmas: np.ndarray) -> Datum:
+    """Align a survey with the map: the rigid motion that fits best, in closed form.
+
+    Parameters
+    ----------
+    mapped, surveyed : ndarray, shape (k, 2)
+        Of the same landmarks, two at least, in the map and in the frame of the survey [m].
+    sigmas : ndarray, shape (k,)
+        Standard deviations of the surveyed coordinates [m].
+    """
+    weight = sigmas**-2.0
+    p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
+    p0, q0 = (np.average(a, weights=weight) for a in (p, q))
+    turn = np.exp(1j * np.angle((weight * (p - p0) * (q - q0).conj()).sum()))
+    origin, out = p0 - turn * q0, turn * q
+    by_pose = lever(out[:, None].view(float))[:, :2].reshape(-1, 3)
+    weights = np.repeat(weight, 2)
+    weighted = by_pose * weights[:, None]
+    covariance = np.linalg.inv(by_pose.T @ weighted)
+    by_places = covariance @ weighted.T
+    information = np.diag(weights) - weighted @ by_places
+    residual = (p - origin - out)[:, None].view(float)
+    pose = np.array([origin.real, origin.imag, np.angle(turn)])
+    return Datum(pose, residual, by_pose, by_places, covariance, information)
+
+
+@dataclass(frozen=True)
+class SurveyFactors:
+    """What is taken for right of what is known: of k surveyed landmarks, and of m distances."""
+
+    ids: np.ndarray
+    """(k,): of the landmarks in the smoother; none, or two at least."""
+    places: np.ndarray
+    """(k, 2): in the frame of the survey [m]."""
+    sigmas: np.ndarray
+    """(k,) [m]"""
+    pairs: np.ndarray
+    """(m, 2): ids of those whose distance is known."""
+    distances: np.ndarray
+    """(m,) [m]"""
+    distance_sigmas: np.ndarray
+    """(m,) [m]"""
+
+    def datum(self, positions: np.ndarray, index: np.ndarray) -> Datum:
+        """Return the datum by places (n, 2) of a state, those of the ids at `index` (k,)."""
+        return align(positions[index], self.places, self.sigmas)
+
+    def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> None:
+        """Add them to the normal equations.
+
+        Parameters
+        ----------
+        e : NormalEquations
+            Of poses, and the calibration and n landmarks that they share.
+        positions, ids : ndarray, shape (n, 2), (n,)
+            Of the landmarks, the ids ascending.
+        """
+        if self.ids.size:
+            index = np.searchsorted(ids, self.ids)
+            datum, at = self.datum(positions, index), columns(index)
+            e.common[np.ix_(at, at)] += datum.information
+            e.common_slope[at] -= datum.information @ datum.residual.ravel()
+        for pair, distance, sigma in zip(
+            np.searchsorted(ids, self.pairs), self.distances, self.distance_sigmas, strict=True
+        ):
+            at, (apart, along) = columns(pair), apart_along(positions[pair])
+            e.common[np.ix_(at, at)] += np.outer(along, along) / sigma**2
+            e.common_slope[at] += along * (distance - apart) / sigma**2
+
+    def among(self, ids: np.ndarray) -> SurveyFactors:
+        """Return those of landmarks that are still in the smoother."""
+        k, m = np.isin(self.ids, ids), np.isin(self.pairs, ids).all(axis=1)
+        k &= k.sum() >= 2
+        survey = self.ids[k], self.places[k], self.sigmas[k]
+        return SurveyFactors(*survey, self.pairs[m], self.distances[m], self.distance_sigmas[m])
+
+    @staticmethod
+    def none() -> SurveyFactors:
+        """Return nothing known."""
+        nothing, two = np.zeros(0), np.zeros((0, 2))
+        return SurveyFactors(nothing.astype(int), two, nothing, two.astype(int), nothing, nothing)
+
+
+def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) -> Marginal:
+    """Return a state of the map in the frame of the survey, the datum's uncertainty included.
+
+    Parameters
+    ----------
+    state : Marginal
+        In the odometry frame.
+    factors : SurveyFactors
+        Of two surveyed landmarks at least.
+    ids : ndarray, shape (n,)
+        Of the state's landmarks, ascending.
+    """
+    index = np.searchsorted(ids, factors.ids)
+    datum = factors.datum(state.positions, index)
+    points = np.zeros((1 + len(ids), 3))
+    points[0], points[1:, :2] = state.mean[:3], state.positions
+    there = between(datum.pose, points)
+    back = rotation(datum.pose[2]).T
+    mean, jacobian = state.mean.copy(), np.eye(state.mean.size)
+    mean[:3], mean[HEAD:] = there[0], there[1:, :2].ravel()
+    by_datum = np.zeros((state.mean.size, 3))
+    by_datum[:3] = -back @ lever(points[0] - datum.pose)
+    by_datum[HEAD:] = (-back @ lever(points[1:] - datum.pose))[:, :2].reshape(-1, 3)
+    jacobian[:3, :3] = back
+    at = np.arange(HEAD, mean.size).reshape(-1, 2)
+    jacobian[at[:, :, None], at[:, None, :]] = back[:2, :2]
+    jacobian[:, 3 + columns(index)] += by_datum @ datum.by_places
+    covariance = jacobian @ state.covariance @ jacobian.T
+    covariance += by_datum @ datum.covariance @ by_datum.T
+    return Marginal(mean, 0.5 * (covariance + covariance.T))
+
+
+def columns(index: np.ndarray) -> np.ndarray:
+    """Return where landmarks (k,) are among the shared unknowns, (2 k,)."""
+    return np.asarray((NC + 2 * index[:, None] + np.arange(2)).ravel())
+
+
+def apart_along(two: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the distance of two places (2, 2), and its derivative by them, (4,)."""
+    off = two[1] - two[0]
+    apart = max(math.hypot(*off.tolist()), 1e-6)
+    return apart, np.concatenate([-off, off]) / apart
