@@ -14,6 +14,9 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks
 from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
+from homeward.localizer.geometry import between, compose
+from homeward.localizer.home.hypotheses import search
+from homeward.localizer.home.problem import POSE_AND_YAW, SURVEYED, HomeProblem
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
@@ -31,6 +34,7 @@ from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.monitor import Health, Monitor
 from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import AGREES, PROOF
 from homeward.reasons import Rejection
 
 
@@ -107,6 +111,7 @@ class Chart:
         if reset:
             motion = self._reset_map(seen.t)
         if reset or health is Health.OK:
+            self._take_first_fix(seen, motion)
             gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
@@ -174,6 +179,32 @@ class Chart:
             self.map.from_home(self.map.state),
             self.map.survey,
         ).landmarks()
+
+    def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
+        """Take a first fix in a survey: where one look, after a motion, was made from."""
+        survey, known = self.map.survey, [n in self.map.survey.places for n in seen.names]
+        if self.map.landmarks.mapped or self.map.landmarks.expected or sum(known) < PROOF:
+            return
+        names = [n for n, k in zip(seen.names, known, strict=True) if k]
+        look = survey.factors(names, [], {n: i for i, n in enumerate(names)})
+        sigmas = np.concatenate([np.full(POSE_AND_YAW, SURVEYED), np.repeat(look.sigmas, 2)])
+        found = search(
+            HomeProblem(
+                mean=np.concatenate([np.zeros(POSE_AND_YAW), look.places.ravel()]),
+                covariance=np.diag(sigmas**2),
+                bearings=seen.bearings[known],
+                sigmas=seen.sigmas[known],
+                mount=np.array(self._drive.sensor.pose),
+                same_camera=False,
+                moved_prior=self._settings.moved_prior,
+            )
+        )
+        if found is None or found.best.inliers.sum() < PROOF:
+            return
+        if found.rivals(AGREES) <= 1.0 - self._settings.sure:
+            datum = between(found.best.home, np.zeros(3))
+            fits = [n for n, right in zip(names, found.best.inliers, strict=True) if right]
+            self.map.expect(compose(self.map.state.after(motion)[0], datum), fits)
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame that was seen after a motion, at a new keyframe where one is due."""

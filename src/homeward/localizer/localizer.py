@@ -101,7 +101,9 @@ class Localizer:
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
         noisy = (NOISY_NOTE,) if self.chart.noise.scale > 1.0 else ()
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
-        return (*self._notes, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
+        survey = self.chart.map.survey
+        scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes
+        return (*scale, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:

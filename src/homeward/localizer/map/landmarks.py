@@ -31,6 +31,7 @@ from homeward.localizer.tunables import (
     GATE,
     LINEAR,
     MAJORITY,
+    TINY,
 )
 
 MOST_STARTS = 6
@@ -111,6 +112,8 @@ class Landmarks:
         """When they moved [s]."""
         self.range_mixtures: dict[str, RangeMixture] = {}
         """Rays on which landmarks stand that have no place in the map."""
+        self.expected: dict[str, np.ndarray] = {}
+        """Where surveyed landmarks are to be that are not mapped yet, (2,) [m]."""
         self._candidates: dict[str, Candidate] = {}
 
     def seen_from(self, home: Collection[str]) -> list[str]:
@@ -178,7 +181,7 @@ class Landmarks:
         """Let one landmark enter if its sight lines agree, even if it is mapped elsewhere."""
         waiting = self._candidates.pop(name)
         rows = np.array(waiting.rows)
-        found = self._triangulate(rows)
+        found = self._as_expected(name, rows) or self._triangulate(rows)
         known = name in self.mapped
         if found is None or (known and not self._has_moved(name, rows[found[1]], found[0])):
             waiting.due = MORE * len(rows)
@@ -210,6 +213,14 @@ class Landmarks:
         seen = range_mixture(eyes, rows[:, BEARING], self._line_sigmas(rows), now, scale)
         if seen is not None:
             self.range_mixtures[name] = seen
+
+    def _as_expected(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return a place that is known beforehand, and which sightings agree, if most do."""
+        place = self.expected.get(name)
+        if place is None or name in self.mapped:
+            return None
+        agree = self._off(rows, place[None])[0] < AGREES * self._line_sigmas(rows) + TINY
+        return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position and agreeing sightings of a landmark, if its base is long enough."""

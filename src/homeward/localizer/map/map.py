@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
+from homeward.localizer.geometry import compose
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.map.gating import Gated, gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
@@ -29,7 +30,7 @@ from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, STANDS, TINY
+from homeward.localizer.tunables import DRIFT, POSE, STANDS, TINY
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -126,6 +127,12 @@ class Map:
         stayed = [n for n in self.survey.used if n in known.mapped and n not in known.former]
         return np.asarray(state.positions[known.index(known.mapped[n] for n in stayed)])
 
+    def expect(self, datum: np.ndarray, names: Collection[str]) -> None:
+        """Expect surveyed landmarks where they are by the pose of the survey's frame, (3,)."""
+        places = {n: p for n, p in self.survey.places.items() if n in names}
+        there = compose(datum, np.array([(*p, 0.0) for p in places.values()]))[:, :2]
+        self.landmarks.expected = dict(zip(places, there, strict=True))
+
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe."""
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
@@ -208,7 +215,8 @@ class Map:
             self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
         kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
-        changed = self.landmarks.reinitialise(refused)
+        fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
+        changed = self.landmarks.reinitialise(refused) or fixed
         if gated.new_keyframe or changed:
             self._correct(None if changed else self._effective(prediction, rows, kept))
         return gated.new_keyframe or changed
@@ -343,8 +351,11 @@ class Map:
         smoother, before = self.smoother, self.smoother.known
         came = {**self.landmarks.mapped, **self.landmarks.former}  # where they stood first
         numbers = {name: landmark.number for name, landmark in came.items()}
-        now = self.survey.judge(smoother.without_known(), numbers, smoother.ids)
+        now = self.survey.judge(smoother.without_known(self.survey.size), numbers, smoother.ids)
         smoother.known = now
+        if now.ids.size >= POSE:
+            datum = now.datum(smoother.positions, smoother.index(now.ids))
+            self.expect(datum.pose, set(self.survey.places))
         same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
         if not same:
             smoother.solve()

@@ -225,15 +225,23 @@ class Smoother:
             if self.settled:
                 break
 
-    def without_known(self) -> Marginal:
+    def without_known(self, size: float) -> Marginal:
         """Return the state by all but what is known of landmarks, after `solve`.
+
+        Parameters
+        ----------
+        size : float
+            Landmarks that are hardly mapped yet are thought to be off by so much at most [m].
 
         Raises
         ------
         numpy.linalg.LinAlgError
             When the normal equations are singular.
         """
-        poses, common, covariance = elimination.solve(self._measured())
+        equations = self._measured()
+        at = np.arange(NC, len(equations.common))
+        equations.common[at, at] += size**-2.0
+        poses, common, covariance = elimination.solve(equations)
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self) -> list[Marginal]:
