@@ -205,6 +205,7 @@ class Chart:
             datum = between(found.best.home, np.zeros(3))
             fits = [n for n, right in zip(names, found.best.inliers, strict=True) if right]
             self.map.expect(compose(self.map.state.after(motion)[0], datum), fits)
+            self._last_accepted = seen.t
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame that was seen after a motion, at a new keyframe where one is due."""

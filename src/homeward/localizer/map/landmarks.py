@@ -163,7 +163,8 @@ class Landmarks:
         are never seen again.
         """
         waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
-        due = nlargest(MOST_STARTS, waiting, key=lambda name: len(self._candidates[name].rows))
+        most = max(MOST_STARTS, sum(name in self.expected for name in waiting))
+        due = nlargest(most, waiting, key=lambda name: len(self._candidates[name].rows))
         started = [name for name in due if self._initialise(name)]
         for name in due:
             if name in started:

@@ -107,7 +107,7 @@ class Survey:
         if self.places:
             off = ", ".join(quoted(n) for n, p in self.wrong.items() if p > 0.5)
             words.append(f"{len(self.used)} of {len(self.places)} surveyed landmarks agree")
-            words[-1] += f"; not where they were surveyed: {', '.join(off)}." if off else "."
+            words[-1] += f"; not where they were surveyed: {off}." if off else "."
         for i in (i for i, p in self.wrong_distances.items() if p > 0.5):
             a, b = map(quoted, self.known.distances[i].between)
             words.append(f"{a} and {b} are not {self.known.distances[i].distance:g} m apart.")
@@ -187,7 +187,8 @@ def _weigh(
     """Return the log evidence of a set, up to a constant, and what flipping each one gains."""
     at = right[item]
     inverse = np.zeros_like(covariance)
-    inverse[np.ix_(at, at)] = positive_inverse(covariance[np.ix_(at, at)])
+    if at.any():
+        inverse[np.ix_(at, at)] = positive_inverse(covariance[np.ix_(at, at)])
     weighted = inverse @ z
     off, spread = z - covariance @ weighted, covariance - covariance @ inverse @ covariance
     odds = labels.copy()

@@ -1,0 +1,78 @@
+"""landmarks.yaml of a drive folder: read, written back, and refused in one line."""
+
+import pytest
+from valid_drive import put
+
+from homeward.drives.drive import KnownDistance, KnownLandmarks, SurveyedLandmark
+from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.saving import save_drive
+from homeward.errors import InputError
+
+KNOWN = b"""frame: home
+sigma: 0.01
+landmarks:
+  7: {x: 1.5, y: -2}
+  door: {x: 0, y: 3.25, sigma: 0.05}
+distances:
+  - {between: [3, 7], distance: 2.40, sigma: 0.005}
+"""
+
+
+def test_what_is_known_of_landmarks_is_read_and_written_back(tmp_path):
+    drive = read_folder(put(tmp_path / "a", landmarks_yaml=KNOWN))
+    assert drive.known == KnownLandmarks(
+        frame="home",
+        sigma=0.01,
+        landmarks={
+            "7": SurveyedLandmark(x=1.5, y=-2.0),
+            "door": SurveyedLandmark(x=0.0, y=3.25, sigma=0.05),
+        },
+        distances=(KnownDistance(between=("3", "7"), distance=2.4, sigma=0.005),),
+    )
+    write_folder(drive, tmp_path / "b")
+    assert read_folder(tmp_path / "b").known == drive.known
+
+
+def test_nothing_is_known_without_the_file_or_with_an_empty_one(tmp_path):
+    assert not read_folder(put(tmp_path / "a")).known.tells
+    assert not read_folder(put(tmp_path / "b", landmarks_yaml=b"")).known.tells
+    write_folder(read_folder(tmp_path / "a"), tmp_path / "c")
+    assert not (tmp_path / "c" / "landmarks.yaml").exists()
+
+
+def test_a_survey_from_home_is_a_home(tmp_path):
+    folder = put(tmp_path / "a", landmarks_yaml=KNOWN, home_csv=None)
+    assert read_folder(folder).home == {}
+    with pytest.raises(InputError, match=r"no home.csv"):
+        read_folder(put(tmp_path / "b", landmarks_yaml=KNOWN[12:], home_csv=None))
+
+
+def test_a_log_has_no_place_for_it_and_says_so(tmp_path):
+    drive = read_folder(put(tmp_path / "a", landmarks_yaml=KNOWN))
+    with pytest.raises(InputError, match=r"no place for landmarks.yaml"):
+        save_drive(drive, tmp_path / "a.mcap")
+    assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"landmarks: {7: {x: 1}}", "landmarks.7.y: is needed"),
+        (b"landmarks: {7: {x: 1, y: here}}", "landmarks.7.y: must be a number, not here"),
+        (b"landmarks: {7: {x: 1, y: 1e300}, 8: {x: 1, y: 1}}", "landmarks.7.y: must be at most"),
+        (b"landmarks: [7]", "landmarks: must be keys and values"),
+        (b"distances: [{between: [7], distance: 2}]", "at least 2"),
+        (b"distances: [{between: [7, 7], distance: 2}]", "between two landmarks"),
+        (b"distances: [{between: [7, 8], distance: far}]", "distance: must be a number"),
+        (b"frame: map", "frame: must be own or home"),
+        (b"surveyed: {}", "surveyed: there is no such key"),
+        (b"landmarks: {7: {x: 1, y: 2}", "landmarks.yaml"),
+        (b"\xff\xfe\x00", "landmarks.yaml"),
+        (b"a", "not a mapping"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused_in_one_line(tmp_path, content, words):
+    with pytest.raises(InputError, match=words) as error:
+        read_folder(put(tmp_path / "a", landmarks_yaml=content))
+    assert "\n" not in str(error.value)
+    assert "landmarks.yaml" in str(error.value)
