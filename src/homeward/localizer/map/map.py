@@ -351,7 +351,11 @@ class Map:
         smoother, before = self.smoother, self.smoother.known
         came = {**self.landmarks.mapped, **self.landmarks.former}  # where they stood first
         numbers = {name: landmark.number for name, landmark in came.items()}
-        now = self.survey.judge(smoother.without_known(self.survey.size), numbers, smoother.ids)
+        free = smoother.without_known(self.survey.size)
+        try:
+            now = self.survey.judge(free, numbers, smoother.ids)
+        except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now
+            return
         smoother.known = now
         if now.ids.size >= POSE:
             datum = now.datum(smoother.positions, smoother.index(now.ids))

@@ -10,11 +10,11 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.geometry import lever, rotation
-from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey_factors import SurveyFactors, align, apart_along, columns
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE
@@ -186,11 +186,13 @@ def _weigh(
 ) -> tuple[float, np.ndarray]:
     """Return the log evidence of a set, up to a constant, and what flipping each one gains."""
     at = right[item]
-    inverse = np.zeros_like(covariance)
-    if at.any():
-        inverse[np.ix_(at, at)] = positive_inverse(covariance[np.ix_(at, at)])
-    weighted = inverse @ z
-    off, spread = z - covariance @ weighted, covariance - covariance @ inverse @ covariance
+    # By triangular factors: vague as the datum is, what is left of a covariance is small.
+    root = np.linalg.cholesky(covariance[np.ix_(at, at)])
+    of_set = np.column_stack([np.eye(len(z)), z, covariance])[at]
+    whitened = solve_triangular(root, of_set, lower=True)
+    left, residual, across = whitened[:, : len(z)], whitened[:, len(z)], whitened[:, len(z) + 1 :]
+    inverse, weighted = left.T @ left, left.T @ residual
+    off, spread = z - across.T @ residual, covariance - across.T @ across
     odds = labels.copy()
     for i in range(right.size):
         mine = item == i
@@ -199,7 +201,8 @@ def _weigh(
             odds[i] += _log_normal(own @ weighted[mine], own)
         else:
             odds[i] += _log_normal(off[mine], spread[np.ix_(mine, mine)])
-    evidence = _log_normal(z[at], covariance[np.ix_(at, at)]) + float(labels[right].sum())
+    log_volume = np.log(root.diagonal()).sum() + 0.5 * at.sum() * math.log(math.tau)
+    evidence = float(labels[right].sum() - 0.5 * residual @ residual - log_volume)
     return evidence, np.where(right, -odds, odds)
 
 

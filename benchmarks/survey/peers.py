@@ -1,0 +1,100 @@
+"""The peers: a plain resection from each look, and a particle filter on the surveyed map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.localizer.home.resection import poses_from_triples
+
+STEPS = 8
+
+
+class Resection:
+    """Least squares of all bearings of a look: three unknowns, every bearing believed."""
+
+    def __init__(self, survey: dict[str, tuple[float, float]]) -> None:
+        self._survey = survey
+        self.pose: np.ndarray | None = None
+
+    def odometry(self, dt: float, v: float, omega: float) -> None:
+        """Take a twist, which it does not need."""
+
+    def look(self, seen: dict[str, float]) -> np.ndarray | None:
+        """Return the pose (3,), or None."""
+        if len(seen) < 3:
+            return None
+        places = np.array([self._survey[n] for n in seen])
+        bearings = np.array(list(seen.values()))
+        pose = self.pose
+        if pose is None:
+            poses = poses_from_triples(places, bearings)
+            costs = [np.abs(_residuals(p, places, bearings)).sum() for p in poses]
+            pose = poses[int(np.argmin(costs))]
+        for _ in range(STEPS):
+            d = places - pose[:2]
+            square = (d**2).sum(axis=1)
+            jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
+            step = np.linalg.lstsq(jacobian, _residuals(pose, places, bearings), rcond=None)[0]
+            pose = pose + step
+        self.pose = pose
+        return pose
+
+
+class ParticleFilter:
+    """Monte Carlo localisation with the equations of Beluga, given where the robot is at first.
+
+    Its bearing model weighs a particle by 1 + sum p^3, p = exp(-error^2 / (2 sigma^2)); its
+    differential drive adds noise to rotation, translation and rotation in proportion to them
+    (Thrun, Burgard and Fox, 2005); it resamples when the effective number falls below a half.
+    """
+
+    def __init__(
+        self,
+        survey: dict[str, tuple[float, float]],
+        start: np.ndarray,
+        sigma: float,
+        seed: int,
+        particles: int = 2000,
+    ) -> None:
+        self._survey, self._sigma = survey, sigma
+        self._rng = np.random.default_rng(seed)
+        self._poses = start + self._rng.normal(size=(particles, 3)) * [0.2, 0.2, 0.1]
+        self._weights = np.full(particles, 1.0 / particles)
+
+    def odometry(self, dt: float, v: float, omega: float, alpha: float = 0.1) -> None:
+        """Take a twist; a robot that stands is not moved."""
+        if not v and not omega:
+            return
+        half, shift = 0.5 * omega * dt, v * dt
+        turning = math.sqrt(alpha * half**2 + 0.05 * shift**2)
+        n = len(self._poses)
+        first, last = half + turning * self._rng.normal(size=(2, n))
+        moved = shift + math.sqrt(alpha * shift**2 + 0.05 * half**2) * self._rng.normal(size=n)
+        self._poses[:, 2] += first
+        self._poses[:, 0] += moved * np.cos(self._poses[:, 2])
+        self._poses[:, 1] += moved * np.sin(self._poses[:, 2])
+        self._poses[:, 2] += last
+
+    def look(self, seen: dict[str, float]) -> np.ndarray | None:
+        """Return the mean pose (3,)."""
+        places = np.array([self._survey[n] for n in seen])
+        error = _residuals(self._poses[:, None], places, np.array(list(seen.values())))
+        weight = 1.0 + np.exp(-1.5 * (error / self._sigma) ** 2).sum(axis=1)
+        self._weights *= weight
+        self._weights /= self._weights.sum()
+        mean = np.average(self._poses, axis=0, weights=self._weights)
+        mean[2] = np.angle((self._weights * np.exp(1j * self._poses[:, 2])).sum())
+        if 1.0 / (self._weights**2).sum() < 0.5 * len(self._weights):
+            steps = (np.arange(len(self._weights)) + self._rng.random()) / len(self._weights)
+            chosen = np.searchsorted(self._weights.cumsum(), steps).clip(0, len(self._weights) - 1)
+            self._poses = self._poses[chosen]
+            self._weights[:] = 1.0 / len(self._weights)
+        return mean
+
+
+def _residuals(pose: np.ndarray, places: np.ndarray, bearings: np.ndarray) -> np.ndarray:
+    off = places - pose[..., :2]
+    return np.asarray(wrap(bearings - np.arctan2(off[..., 1], off[..., 0]) + pose[..., 2]))
