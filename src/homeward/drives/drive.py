@@ -175,6 +175,11 @@ class KnownLandmarks(Strict):
         return self
 
     @property
+    def surveyed_from_home(self) -> bool:
+        """Whether landmarks were surveyed in home's frame."""
+        return self.frame == "home" and bool(self.landmarks)
+
+    @property
     def tells(self) -> bool:
         """Whether anything is known."""
         return bool(self.landmarks or self.distances)

@@ -77,7 +77,7 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     missing = [name for name in REQUIRED if not is_there(folder / name)]
     surveyed = is_there(folder / KNOWN)
     known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
-    homeless = missing == [HOME] and known.frame == "home"
+    homeless = missing == [HOME] and known.surveyed_from_home
     if missing and not homeless:
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
     remarks: dict[str, int] = {}

@@ -148,7 +148,9 @@ class Chart:
             The reason to give where there is no pose.
         """
         if self.home.hypotheses is None:
-            sets = self.map.landmarks.mapped, self.home.observation.bearings, self.home.names
+            surveyed = self._known.landmarks if self._known.surveyed_from_home else ()
+            seen = {*self.home.observation.bearings, *surveyed}
+            sets = self.map.landmarks.mapped, seen, self.home.names
             words = complaint or why_home_is_not_found(*sets, bool(self._twists))
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         if self.monitor.is_lost:

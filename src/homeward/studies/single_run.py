@@ -159,7 +159,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     )
     if not drive.sightings.t.size:
         raise _saw_nothing(drive_path(run), drive.remark_lines)
-    if not drive.home:
+    if not drive.home and not (drive.known.surveyed_from_home and run.estimator == DEFAULT):
         way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
         raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
     return drive

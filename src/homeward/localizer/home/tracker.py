@@ -89,7 +89,9 @@ class HomeTracker:
         problem = self.observation.problem(
             self.names, known.as_home_saw(self.names), state, self._noise
         )
-        return problem.at_origin(known.stayed_surveyed(state)) if self._surveyed else problem
+        if not known.has_home_survey:
+            return problem
+        return problem.at_origin(known.stayed_surveyed(state))
 
     def conclude(self, known: Map, state: Marginal) -> bool:
         """Find home anew by what a whole drive says; return whether it is found.

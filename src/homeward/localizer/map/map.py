@@ -113,7 +113,7 @@ class Map:
     @property
     def has_home_survey(self) -> bool:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
-        return self.survey.known.frame == "home" and bool(self.smoother.known.ids.size)
+        return self.survey.known.surveyed_from_home and bool(self.smoother.known.ids.size)
 
     def from_home(self, state: Marginal) -> Marginal:
         """Return a state in home's frame, if that is known; else as it is."""
@@ -219,6 +219,8 @@ class Map:
         changed = self.landmarks.reinitialise(refused) or fixed
         if gated.new_keyframe or changed:
             self._correct(None if changed else self._effective(prediction, rows, kept))
+        if fixed and not self.landmarks.mapped:
+            self.landmarks.expected = {}  # the next look may tell
         return gated.new_keyframe or changed
 
     def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:

@@ -19,7 +19,7 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey_factors import SurveyFactors, align, apart_along, columns
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES, LINEAR, NEGLIGIBLE, POSE
+from homeward.localizer.tunables import NEGLIGIBLE
 
 MOST_JUDGED = 48
 """Of so many landmarks at most the survey is used; those that came first."""
@@ -121,8 +121,7 @@ def wrong_probabilities(
 
     Each is right, or wrong and then anywhere on the site. Sets of right ones are weighed by their
     evidence, with which they follow from each other, datum and map being unknown as far as they
-    are; a local search flips the one that gains most. It starts from all, and from the most that
-    two landmarks have on their side, which holds while most are right.
+    are; a local search from all of them flips the one that gains most, as long as any does.
 
     Parameters
     ----------
@@ -163,18 +162,18 @@ def wrong_probabilities(
         return np.concatenate([residual, off]), known + ANYWHERE**2 * vague @ vague.T
 
     found: dict[bytes, float] = {}
-    for right in [np.ones(k + m, bool), *_majority(mapped, factors)]:
-        for _ in range(MOST_FLIPS):
-            evidence, gains = _weigh(right, item, *linear(right), labels)
-            for i, gain in enumerate(gains.tolist()):
-                flipped = right.copy()
-                flipped[i] ^= True
-                found.setdefault(flipped.tobytes(), evidence + gain)
-            found[right.tobytes()] = evidence
-            i = int(gains.argmax())
-            if not gains[i] > 0.0:
-                break
-            right[i] ^= True
+    right = np.ones(k + m, bool)
+    for _ in range(MOST_FLIPS):
+        evidence, gains = _weigh(right, item, *linear(right), labels)
+        found[right.tobytes()] = evidence
+        for i, gain in enumerate(gains.tolist()):
+            flipped = right.copy()
+            flipped[i] ^= True
+            found.setdefault(flipped.tobytes(), evidence + gain)
+        i = int(gains.argmax())
+        if not gains[i] > 0.0:
+            break
+        right[i] ^= True
     log = np.array(list(found.values()))
     weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(NEGLIGIBLE)))
     wrong = ~np.array([np.frombuffer(key, bool) for key in found])
@@ -204,28 +203,6 @@ def _weigh(
     log_volume = np.log(root.diagonal()).sum() + 0.5 * at.sum() * math.log(math.tau)
     evidence = float(labels[right].sum() - 0.5 * residual @ residual - log_volume)
     return evidence, np.where(right, -odds, odds)
-
-
-def _majority(mapped: np.ndarray, factors: SurveyFactors) -> list[np.ndarray]:
-    """Return what agrees with the two landmarks that most agree with, if there are enough.
-
-    By least median of squares (Rousseeuw, 1984), the distances being right.
-    """
-    k = len(mapped)
-    if k <= POSE:
-        return []
-    p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, factors.places))
-    i, j = np.triu_indices(k, 1)
-    ratio = (p[j] - p[i]) / np.where(q[j] == q[i], np.inf, q[j] - q[i])
-    near = np.abs(np.abs(ratio) - 1.0) < LINEAR
-    i, ratio = i[near], ratio[near]
-    if not i.size:
-        return []
-    off = np.abs(p - p[i, None] - ratio[:, None] * (q - q[i, None]))
-    middle = np.partition(off, k // 2, axis=1)[:, k // 2]
-    best = int(middle.argmin())
-    agrees = off[best] <= 1.48 * AGREES * max(float(middle[best]), 1e-9)
-    return [np.concatenate([agrees, np.ones(len(factors.pairs), bool)])]
 
 
 def _log_normal(off: np.ndarray, covariance: np.ndarray) -> float:
