@@ -13,11 +13,10 @@ STEPS = 8
 
 
 class Resection:
-    """Least squares of all bearings of a look: three unknowns, every bearing believed."""
+    """Least squares of all bearings of a look, from its best triple: every bearing is believed."""
 
     def __init__(self, survey: dict[str, tuple[float, float]]) -> None:
         self._survey = survey
-        self.pose: np.ndarray | None = None
 
     def odometry(self, dt: float, v: float, omega: float) -> None:
         """Take a twist, which it does not need."""
@@ -28,18 +27,15 @@ class Resection:
             return None
         places = np.array([self._survey[n] for n in seen])
         bearings = np.array(list(seen.values()))
-        pose = self.pose
-        if pose is None:
-            poses = poses_from_triples(places, bearings)
-            costs = [np.abs(_residuals(p, places, bearings)).sum() for p in poses]
-            pose = poses[int(np.argmin(costs))]
+        poses = poses_from_triples(places, bearings)
+        costs = np.abs(_residuals(poses[:, None], places, bearings)).sum(axis=1)
+        pose = poses[int(np.argmin(costs))]
         for _ in range(STEPS):
             d = places - pose[:2]
             square = (d**2).sum(axis=1)
             jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
             step = np.linalg.lstsq(jacobian, _residuals(pose, places, bearings), rcond=None)[0]
             pose = pose + step
-        self.pose = pose
         return pose
 
 

@@ -326,3 +326,25 @@ def test_what_cannot_be_known_is_refused_in_one_line(known, words):
     with pytest.raises(InputError, match=words) as error:
         Localizer({}, known=known)
     assert "\n" not in str(error.value)
+
+
+def test_a_survey_with_all_landmarks_in_one_place_does_no_harm():
+    rig = SurveyedRig(ring(8))
+    known = {"frame": "home", "landmarks": {n: {"x": 1.0, "y": 1.0} for n in rig.landmarks}}
+    rig.localizer = Localizer(rig.home, known=known, **rig.settings.robot)
+    rig.drive(20.0)
+    assert rig.wrong_share() < 0.01
+    assert rig.answers[-1][0].pose is not None
+
+
+def test_a_robot_that_comes_to_rest_looks_round():
+    rig = SurveyedRig(ring(10))
+    rig.drive(20.0)
+    sure = []
+    for _ in range(10):
+        rig.localizer.odometry(rig.t, 0.0, 0.0)
+        rig.keep(rig.localizer.bearings(rig.t, rig.look()))
+        sure.append(rig.answers[-1][0].covariance.trace())
+        rig.t += 0.2
+    assert sure[-1] < 0.7 * sure[0]
+    assert rig.error() < 4.0 * math.sqrt(sure[-1])

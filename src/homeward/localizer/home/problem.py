@@ -51,13 +51,7 @@ class HomeProblem:
     """(k, 2): surveyed landmarks that fix home without its bearings [m]; see `at_origin`."""
 
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
-        """Return it with home where the survey is from, what is known being in its frame.
-
-        Parameters
-        ----------
-        surveyed : ndarray, shape (k, 2)
-            The landmarks that say so [m].
-        """
+        """Return it with home where these were surveyed from (k, 2), in whose frame all is."""
         exactly = np.eye(3) * SURVEYED**-2
         return dataclasses.replace(
             self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed

@@ -84,6 +84,8 @@ class Map:
         self._solved_at, self._solved_positions = 0, self.smoother.positions
         self._due = True
         """Whether the whole window is to be solved at this keyframe."""
+        self._path = 0.0
+        """How far it drove from the newest keyframe to the last frame [m]."""
         self._taken: dict[str, int] = {}
         """Sightings of landmarks from the newest keyframe."""
         self._last_seen: dict[str, float] = {}
@@ -134,11 +136,12 @@ class Map:
         self.landmarks.expected = dict(zip(places, there, strict=True))
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
-        """Return whether the robot is far enough from its newest keyframe."""
+        """Return whether the robot is far enough from its newest keyframe, or came to rest."""
+        rests, self._path = 0.0 < motion.path == self._path, motion.path
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
         scale = self.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
-        return due and (shift > STANDS * scale or motion.turned > STANDS)
+        return due and (rests or shift > STANDS * scale or motion.turned > STANDS)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
@@ -217,8 +220,10 @@ class Map:
         kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         changed = self.landmarks.reinitialise(refused) or fixed
+        seen = None if changed else self._effective(prediction, rows, kept)
+        changed |= gated.motion.path == 0.0 and bool(kept.any())  # it rests, and looks again
         if gated.new_keyframe or changed:
-            self._correct(None if changed else self._effective(prediction, rows, kept))
+            self._correct(seen)
         if fixed and not self.landmarks.mapped:
             self.landmarks.expected = {}  # the next look may tell
         return gated.new_keyframe or changed

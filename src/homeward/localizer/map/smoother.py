@@ -226,18 +226,7 @@ class Smoother:
                 break
 
     def without_known(self, size: float) -> Marginal:
-        """Return the state by all but what is known of landmarks, after `solve`.
-
-        Parameters
-        ----------
-        size : float
-            Landmarks that are hardly mapped yet are thought to be off by so much at most [m].
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the normal equations are singular.
-        """
+        """Return the state by all but what is known of landmarks, each within `size` [m]."""
         equations = self._measured()
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0

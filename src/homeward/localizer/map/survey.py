@@ -77,7 +77,7 @@ class Survey:
         if not names and not pairs:
             return SurveyFactors.none()
         factors, k = self.factors(names, pairs, numbers), len(names)
-        wrong = wrong_probabilities(factors, free, ids, self._prior, self.size)
+        wrong = _wrong_probabilities(factors, free, ids, self._prior, self.size)
         self.wrong = dict(zip(names, wrong[:k].tolist(), strict=True))
         self.wrong_distances = dict(zip(pairs, wrong[k:].tolist(), strict=True))
         used = [n for n in names if self.wrong[n] <= 1.0 - self._sure]
@@ -114,7 +114,7 @@ class Survey:
         return tuple(words)
 
 
-def wrong_probabilities(
+def _wrong_probabilities(
     factors: SurveyFactors, free: Marginal, ids: np.ndarray, prior: float, size: float
 ) -> np.ndarray:
     """Return the probability of each of k places and m distances to be wrong, shape (k + m,).
@@ -122,19 +122,6 @@ def wrong_probabilities(
     Each is right, or wrong and then anywhere on the site. Sets of right ones are weighed by their
     evidence, with which they follow from each other, datum and map being unknown as far as they
     are; a local search from all of them flips the one that gains most, as long as any does.
-
-    Parameters
-    ----------
-    factors : SurveyFactors
-        Of all.
-    free : Marginal
-        The map without them.
-    ids : ndarray, shape (n,)
-        Of its landmarks, ascending.
-    prior : float
-        That one is wrong, before anything was seen.
-    size : float
-        Of the site [m].
     """
     index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
     k, m, mapped = index.size, len(pairs), free.positions[index]

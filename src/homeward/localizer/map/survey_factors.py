@@ -18,6 +18,9 @@ from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC
 
+ONE_PLACE = 1e-6
+"""Information on the heading of a survey whose landmarks all stand in one place [1 / rad^2]."""
+
 
 class Datum(NamedTuple):
     """Where a survey lies in the map, by k landmarks; it is linear in their places."""
@@ -54,7 +57,7 @@ def align(mapped: np.ndarray, surveyed: np.ndarray, sigmas: np.ndarray) -> Datum
     by_pose = lever(out[:, None].view(float))[:, :2].reshape(-1, 3)
     weights = np.repeat(weight, 2)
     weighted = by_pose * weights[:, None]
-    covariance = np.linalg.inv(by_pose.T @ weighted)
+    covariance = np.linalg.inv(by_pose.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
     by_places = covariance @ weighted.T
     information = np.diag(weights) - weighted @ by_places
     residual = (p - origin - out)[:, None].view(float)
