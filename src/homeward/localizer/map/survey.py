@@ -69,12 +69,17 @@ class Survey:
             Ids of the mapped landmarks by name, where they stood first.
         ids : ndarray, shape (n,)
             All of the map, ascending.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When the map is too vague to judge by; then nothing is changed.
         """
         names = [n for n in self.places if n in numbers][:MOST_JUDGED]
         names = names if len(names) >= 2 else []
         pairs = [i for i, d in enumerate(self.known.distances) if {*d.between} <= {*numbers}]
-        self.wrong, self.wrong_distances, self.used = {}, {}, []
         if not names and not pairs:
+            self.wrong, self.wrong_distances, self.used = {}, {}, []
             return SurveyFactors.none()
         factors, k = self.factors(names, pairs, numbers), len(names)
         wrong = _wrong_probabilities(factors, free, ids, self._prior, self.size)
