@@ -1,7 +1,7 @@
 """Reflector navigation: accuracy in the industry's terms, and MRCLAM with what is surveyed there.
 
 `python -m benchmarks.survey [--seeds 4] [--moved 0 1 3] [--bearing-deg 0.1] [--survey-mm 5]` drives
-round a hall of 20 by 12 m with 12 reflectors, some of which were moved since they were surveyed: how
+round a hall of 20 by 12 m with 12 reflectors, of which some were moved since the survey: how
 far readings scatter at a stop (static repeatability), how far they are off on the way (dynamic
 accuracy), and what one look tells from nothing (first fix). `--mrclam [--robots 1 2 ...]` runs the
 drives of MRCLAM set 6 with their landmarks' survey, and with two distances alone; `--known` chooses
