@@ -1,5 +1,7 @@
 """landmarks.yaml of a drive folder: read, written back, and refused in one line."""
 
+from pathlib import Path
+
 import pytest
 from valid_drive import put
 
@@ -76,3 +78,11 @@ def test_a_file_that_is_wrong_is_refused_in_one_line(tmp_path, content, words):
         read_folder(put(tmp_path / "a", landmarks_yaml=content))
     assert "\n" not in str(error.value)
     assert "landmarks.yaml" in str(error.value)
+
+
+def test_the_example_in_the_docs_is_read(tmp_path):
+    docs = Path(__file__).parents[2] / "docs" / "known-landmarks.md"
+    example = docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    known = read_folder(put(tmp_path / "a", landmarks_yaml=example.encode())).known
+    assert known.surveyed_from_home
+    assert [d.between for d in known.distances] == [("3", "7")]
