@@ -9,7 +9,7 @@ import pytest
 from homeward.angles import wrap
 from homeward.localizer.home.gauss_newton import SETTLED, fit, solved
 from homeward.localizer.home.linearisation import linearised
-from homeward.localizer.home.outliers import log_odds, log_outlier
+from homeward.localizer.home.outliers import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 
 PRIOR = np.array([0.1, -0.1, 0.2])
@@ -84,7 +84,17 @@ def test_each_bearing_is_predicted_by_all_others(prior):
         expected += jacobian[i, 3:] @ (rest.known - problem.mean)
         assert innovation[i] == pytest.approx(wrap(linear.residual[i] - expected), rel=1e-6)
         assert variance[i] == pytest.approx(rest.innovations[1][i], rel=1e-6)
-    assert solved(linear, inliers).odds == pytest.approx(log_odds(innovation, variance, 0.1))
+    share = np.where(inliers, moved_share(4, 1, 0.1), moved_share(5, 0, 0.1))
+    assert solved(linear, inliers).odds == pytest.approx(log_odds(innovation, variance, share))
+
+
+def test_where_many_were_found_wrong_another_one_is_no_wonder():
+    wrong = np.arange(13)
+    sets = np.array([math.comb(12, w) for w in wrong])
+    assert sets @ np.exp(log_labels(12 - wrong, wrong, 0.1)) == pytest.approx(1.0)
+    assert moved_share(11, 0, 0.1) == pytest.approx(0.1, abs=0.01)
+    assert moved_share(4, 7, 0.1) == pytest.approx(8.0 / 13.0, abs=0.01)
+    assert moved_share(0, 0, 0.1) == pytest.approx(0.9 * 0.1 + 0.1 * 0.5)
 
 
 def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are():
@@ -97,7 +107,7 @@ def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are()
     spread = spread + by_home @ np.linalg.inv(problem.before) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
     wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
-    labels = 4.0 * math.log(0.9) + 2.0 * math.log(0.1)
+    labels = math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
     # All sets share the prior's normalisation.
     shared = 0.5 * np.linalg.slogdet(problem.before / (2.0 * np.pi))[1]
     assert found.log_evidence + shared == pytest.approx(density + wrong + labels, rel=1e-9)

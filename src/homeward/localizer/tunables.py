@@ -71,6 +71,8 @@ AS_WELL = 2.0
 """Where another landmark is off by less than so many times as much, it is that one."""
 
 # Home
+UPHEAVAL = 0.1
+"""Of the places that are come back to one in ten was rearranged: any share may have moved [1]."""
 PUSHED = 0.5
 """Half of the landmarks that moved were pushed by about so much, seen from home; the other half was
 carried anywhere [rad]."""

@@ -16,7 +16,7 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import lever, rotation
 from homeward.localizer.home.evidence import Evidence
 from homeward.localizer.home.linearisation import HOME, POSE, RESIDUAL, Linear, expected
-from homeward.localizer.home.outliers import log_odds
+from homeward.localizer.home.outliers import log_odds, moved_share
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
 from homeward.localizer.home.whitening import Whitened, inverted
@@ -166,7 +166,12 @@ class HomeFit:
         bearing, by_place, by_home = expected(self.problem, self.home, places, self.known[YAW])
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
         variance += np.vecdot(by_home @ self.covariance, by_home)
-        return log_odds(wrap(bearings - bearing), variance, self.problem.moved_prior)
+        return log_odds(wrap(bearings - bearing), variance, self.moved_share(self.inliers))
+
+    def moved_share(self, right: np.ndarray) -> float:
+        """Return how probable one more is to be wrong, where these (q,) were shown to be right."""
+        wrong = int(np.count_nonzero(~self.inliers))
+        return float(moved_share(int(right.sum()), wrong, self.problem.moved_prior))
 
     @cached_property
     def inflation(self) -> np.ndarray:

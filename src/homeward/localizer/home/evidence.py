@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, REST, Linear
-from homeward.localizer.home.outliers import log_odds, log_outlier
+from homeward.localizer.home.outliers import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.whitening import Whitened
 
 
@@ -44,12 +44,21 @@ class Evidence:
     @cached_property
     def odds(self) -> np.ndarray:
         """(q,): log odds of right against wrong, the rest of the set given."""
-        return log_odds(self.innovation, self.variance, self.linear.problem.moved_prior)
+        return log_odds(self.innovation, self.variance, self.others_share)
+
+    @property
+    def others_share(self) -> np.ndarray:
+        """(q,): how probable each is to be wrong by how many of the others are."""
+        members, rest = self.of_set.members, self.of_set.rest
+        own = np.zeros(members.size + rest.size)
+        own[members] = 1.0
+        right, wrong = members.size - own, rest.size - (1.0 - own)
+        return moved_share(right, wrong, self.linear.problem.moved_prior)
 
     @property
     def log_evidence(self) -> float:
         """Log of the evidence, could home be anywhere, up to a constant that all sets share."""
-        of_set, p, problem = self.of_set, self.linear.problem.moved_prior, self.linear.problem
+        of_set, problem = self.of_set, self.linear.problem
         n, wrong = of_set.members.size, of_set.rest.size
         square = float(
             of_set.products[RESIDUAL, RESIDUAL] - self.step @ self.information @ self.step
@@ -59,7 +68,7 @@ class Evidence:
             square += float(offset @ problem.before @ offset)
         log_density = -0.5 * (square + of_set.log_volume + n * math.log(TWO_PI))
         log_home = 0.5 * (3.0 * math.log(TWO_PI) - self.log_determinant)
-        labels = n * math.log(1.0 - p) + wrong * math.log(p)
+        labels = float(log_labels(n, wrong, problem.moved_prior))
         outliers = float(log_outlier(*self._outliers).sum()) if wrong else 0.0
         return log_density + log_home + labels + outliers
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import sight
+from homeward.localizer.home.outliers import moved_share
 from homeward.localizer.tunables import REACH
 
 MOST_TRIPLES = 600
@@ -79,7 +80,7 @@ def mixture_scores(
     bearings, sigmas : ndarray, shape (q,)
         And their standard deviations [rad].
     moved_prior : float
-        Probability that a bearing is wrong.
+        Probability that a bearing is wrong, of a landmark of which nothing is known.
 
     Returns
     -------
@@ -93,9 +94,11 @@ def mixture_scores(
     exponent = -0.5 * wrap(bearings - bearing) ** 2 / variance
     # Where it underflows, the exponential takes many times longer.
     inlier = np.exp(np.maximum(exponent, -700.0)) / np.sqrt(variance)
-    inlier *= (1.0 - moved_prior) / math.sqrt(TWO_PI)
-    outlier = moved_prior / TWO_PI
-    return np.log(inlier + outlier).sum(axis=1), inlier > outlier
+    inlier *= math.sqrt(TWO_PI)  # against the uniform density
+    right = (1.0 - moved_prior) * inlier > moved_prior
+    count = np.count_nonzero(right, axis=1)[:, None]
+    share = moved_share(count, len(points) - count, moved_prior)
+    return np.log((1.0 - share) * inlier + share).sum(axis=1), right
 
 
 @lru_cache(maxsize=64)

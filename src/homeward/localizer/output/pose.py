@@ -79,7 +79,8 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     if problem.prior is not None or not alone.any():
         return None
     by_bearing = fit.inverse[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
-    moves = math.sqrt(problem.moved_prior) * PUSHED * fit.home_frame_jacobians[0] @ by_bearing
+    share = fit.moved_share(checked)
+    moves = math.sqrt(share) * PUSHED * fit.home_frame_jacobians[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
