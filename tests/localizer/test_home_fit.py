@@ -8,9 +8,11 @@ import pytest
 
 from homeward.angles import wrap
 from homeward.localizer.home.gauss_newton import SETTLED, fit, solved
+from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
 from homeward.localizer.home.outliers import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
+from homeward.localizer.tunables import NOISE_DOUBT
 
 PRIOR = np.array([0.1, -0.1, 0.2])
 
@@ -107,10 +109,26 @@ def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are()
     spread = spread + by_home @ np.linalg.inv(problem.before) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
     wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
-    labels = math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
+    believed = math.log(1.0 - NOISE_DOUBT)
+    labels = believed + math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
     # All sets share the prior's normalisation.
     shared = 0.5 * np.linalg.slogdet(problem.before / (2.0 * np.pi))[1]
     assert found.log_evidence + shared == pytest.approx(density + wrong + labels, rel=1e-9)
+
+
+def test_home_bearings_that_are_noisier_than_was_said_are_not_of_moved_landmarks():
+    rng = np.random.default_rng(1)
+    sound = replace(a_home(rng, q=12), covariance=1e-6 * np.eye(28), sigmas=np.full(12, 0.01))
+    eye = np.array([0.1 * math.cos(0.2), 0.1 * math.sin(0.2)])
+    away = sound.landmarks - eye
+    stored = np.arctan2(away[:, 1], away[:, 0])
+    for scale, noise in ((1.0, 0.01), (10.0, 0.1)):
+        said = replace(sound, bearings=stored + noise * rng.normal(size=12))
+        found = search(said)
+        assert found.best.problem.noise_scale == scale
+        assert found.moved_probabilities().max() < 0.5
+    again = found.best.problem.with_noise(3.0)
+    assert again.sigmas == pytest.approx(np.full(12, 0.03))
 
 
 @pytest.mark.parametrize("prior", [None, PRIOR])

@@ -132,7 +132,19 @@ class HomeFit:
     @cached_property
     def log_evidence(self) -> float:
         """Log of the evidence of the set, up to a constant that all sets share."""
-        return self.evidence.log_evidence + self.problem.log_density(self.home)
+        problem = self.problem
+        before = problem.log_density(self.home) + problem.log_noise_prior
+        return self.evidence.log_evidence + before
+
+    @property
+    def key(self) -> tuple[float, bytes]:
+        """What tells it from others: the noise of home's bearings, and the set."""
+        return self.problem.noise_scale, self.inliers.tobytes()
+
+    @property
+    def seed(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """What it is found again from: home, the set, and the noise of home's bearings."""
+        return self.home, self.inliers, self.problem.noise_scale
 
     @property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:

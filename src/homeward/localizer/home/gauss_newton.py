@@ -47,6 +47,7 @@ def fit(
 
 def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
     """Return a fit after what is known has changed by next to nothing, linearised as before."""
+    problem = problem.with_noise(fit.problem.noise_scale)
     return solved(fit.linear.propagated(problem), fit.inliers, fit.inflation)
 
 

@@ -21,10 +21,13 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.home.resection import mixture_scores, poses_from_triples
-from homeward.localizer.tunables import NEGLIGIBLE, POSE
+from homeward.localizer.tunables import NEGLIGIBLE, NOISIER, POSE
 
-Seed = tuple[np.ndarray, np.ndarray]
-"""A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from."""
+Seed = tuple[np.ndarray, np.ndarray, float]
+"""A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from; and so many
+times noisier than they were said to be these are supposed to be [1]."""
+Key = tuple[float, bytes]
+"""Of a fit: that noise, and the set."""
 MOST_SEEDS = 8
 """Different sets that a local search starts from."""
 MOST_FLIPS = 12
@@ -95,22 +98,23 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
     also : sequence of tuples
         Homes and sets to search from besides those that the problem itself suggests.
     """
-    found: dict[bytes, HomeFit] = {}
-    for home, inliers in [*also, *seeds(problem)]:
-        _local_search(problem, home, inliers, found)
+    found: dict[Key, HomeFit] = {}
+    for home, inliers, scale in [*also, *seeds(problem)]:
+        _local_search(problem.with_noise(scale), home, inliers, found)
     if not found:
         return None
     if problem.bearings.size <= PAIRS_UP_TO:
-        _flip_pairs(problem, max(found.values(), key=lambda f: f.log_evidence), found)
-    return _weigh(problem, found)
+        _flip_pairs(max(found.values(), key=lambda f: f.log_evidence), found)
+    return _weigh(found)
 
 
-def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]) -> None:
+def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
     """Climb from the best set with two bearings flipped, where that looks promising from it."""
+    problem = best.problem
     for pair in combinations(range(problem.bearings.size), 2):
         inliers = best.inliers.copy()
         inliers[list(pair)] ^= True
-        if inliers.sum() < problem.fewest or inliers.tobytes() in found:
+        if inliers.sum() < problem.fewest or (problem.noise_scale, inliers.tobytes()) in found:
             continue
         tried = solved(best.linear, inliers)
         if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
@@ -119,22 +123,26 @@ def _flip_pairs(problem: HomeProblem, best: HomeFit, found: dict[bytes, HomeFit]
 
 def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Update the hypotheses after the map has changed a little: sets are flipped where better."""
-    found: dict[bytes, HomeFit] = {}
-    lead: HomeFit | None = None
+    found: dict[Key, HomeFit] = {}
+    leads: dict[float, HomeFit] = {}
     for wanders in hypotheses.unconverged:
-        again = fit(problem, wanders.home, wanders.inliers, steps=3)
+        noisy = problem.with_noise(wanders.problem.noise_scale)
+        again = fit(noisy, wanders.home, wanders.inliers, steps=3)
         if again is not None:
-            found[again.inliers.tobytes()] = again
+            found[again.key] = again
     for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
-        again = _fit_beside(lead, problem, hypothesis.home, hypothesis.inliers)
+        scale = hypothesis.problem.noise_scale
+        lead = leads.get(scale)
+        noisy = problem.with_noise(scale) if lead is None else lead.problem
+        again = _fit_beside(lead, noisy, hypothesis.home, hypothesis.inliers)
         if again is None:
             continue
-        lead = lead or again
-        found[again.inliers.tobytes()] = again
-        flip = _best_flip(problem, again) if weight > PROBABLE else None
+        leads.setdefault(scale, again)
+        found[again.key] = again
+        flip = _best_flip(noisy, again) if weight > PROBABLE else None
         if flip is not None:
-            _local_search(problem, again.home, flip, found)
-    return _weigh(problem, found) if found else None
+            _local_search(noisy, again.home, flip, found)
+    return _weigh(found) if found else None
 
 
 def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Seed]:
@@ -142,17 +150,18 @@ def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) 
     seeds = []
     for f in hypotheses.fits:
         inliers = dict(zip(names, f.inliers.tolist(), strict=True))
-        seeds.append((f.home, np.array([inliers.get(n, False) for n in now], bool)))
+        chosen = np.array([inliers.get(n, False) for n in now], bool)
+        seeds.append((f.home, chosen, f.problem.noise_scale))
     return seeds
 
 
 def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypotheses:
     """Try a seed: return the sets with those that a local search from it finds."""
-    found = {f.inliers.tobytes(): f for f in (*hypotheses.unconverged, *hypotheses.fits)}
-    known = set(found)
-    _local_search(problem, *seed, found)
-    weighed = _weigh(problem, found)
-    if known.issuperset(f.inliers.tobytes() for f in weighed.fits):
+    found = {f.key: f for f in (*hypotheses.unconverged, *hypotheses.fits)}
+    known, (home, inliers, scale) = set(found), seed
+    _local_search(problem.with_noise(scale), home, inliers, found)
+    weighed = _weigh(found)
+    if known.issuperset(f.key for f in weighed.fits):
         return hypotheses
     return update(problem, weighed) or hypotheses
 
@@ -184,14 +193,14 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
 
 
 def seeds(problem: HomeProblem) -> list[Seed]:
-    """Return seeds of the local search, the sets all different."""
+    """Return seeds of the local search, the sets of one noise all different."""
     found: list[Seed] = []
-    if problem.prior is not None:
-        found.append((problem.prior, np.ones(problem.bearings.size, bool)))
-    if problem.bearings.size >= POSE:
-        found.extend(_from_triples(problem))
-    unique = {inliers.tobytes(): (home, inliers) for home, inliers in reversed(found)}
-    return list(unique.values())[::-1][: MOST_SEEDS + 2]
+    for scale in (1.0, *NOISIER):
+        if problem.prior is not None:
+            found.append((problem.prior, np.ones(problem.bearings.size, bool), scale))
+        if problem.bearings.size >= POSE:
+            found.extend(_from_triples(problem.with_noise(scale)))
+    return found
 
 
 def _from_triples(problem: HomeProblem) -> list[Seed]:
@@ -211,20 +220,20 @@ def _from_triples(problem: HomeProblem) -> list[Seed]:
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:MOST_SEEDS]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
-    return list(zip(homes, inliers[chosen], strict=True))
+    return [(h, i, problem.noise_scale) for h, i in zip(homes, inliers[chosen], strict=True)]
 
 
 def _local_search(
-    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, found: dict[bytes, HomeFit]
+    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, found: dict[Key, HomeFit]
 ) -> None:
     """Flip one bearing at a time while the evidence grows; keep every set met on the way."""
     best: HomeFit | None = None
     for _ in range(MOST_FLIPS):
-        known = found.get(inliers.tobytes())
+        known = found.get((problem.noise_scale, inliers.tobytes()))
         now = fit(problem, home, inliers) if known is None else known
         if now is None:
             return
-        found[inliers.tobytes()] = now
+        found[now.key] = now
         if known is not None or (best is not None and now.log_evidence <= best.log_evidence):
             return
         best = now
@@ -249,7 +258,7 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
     return flipped
 
 
-def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
+def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     """Return the fits and the best one's neighbours as hypotheses, without the negligible ones.
 
     What an iteration that has not come to rest says of its evidence is not comparable; but where
@@ -257,7 +266,7 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     """
     settled = {key: f for key, f in found.items() if f.settled} or found
     best = max(settled.values(), key=lambda f: f.log_evidence)
-    fits = [*settled.values(), *_neighbours(problem, best, settled)]
+    fits = [*settled.values(), *_neighbours(best, settled)]
     fits.sort(key=lambda f: -f.log_evidence)
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
     keep = weights > NEGLIGIBLE
@@ -268,13 +277,14 @@ def _weigh(problem: HomeProblem, found: dict[bytes, HomeFit]) -> Hypotheses:
     return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
 
 
-def _neighbours(problem: HomeProblem, best: HomeFit, found: Container[bytes]) -> Iterator[HomeFit]:
+def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:
     """Yield fits to sets that differ from the best one by an undecided flip, and are not found."""
     for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
         inliers = best.inliers.copy()
         inliers[i] ^= True
-        if abs(best.odds[i]) < UNDECIDED and inliers.tobytes() not in found:
-            tried = _fit_beside(best, problem, best.home, inliers)
+        key = best.problem.noise_scale, inliers.tobytes()
+        if abs(best.odds[i]) < UNDECIDED and key not in found:
+            tried = _fit_beside(best, best.problem, best.home, inliers)
             if tried is not None and tried.settled:
                 yield tried
 

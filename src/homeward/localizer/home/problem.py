@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +12,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.localizer.geometry import between, lever, rotation
-from homeward.localizer.tunables import HOME_SHARE, POSE, REACH
+from homeward.localizer.tunables import HOME_SHARE, NOISE_DOUBT, NOISIER, POSE, REACH
 
 POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
@@ -47,15 +46,31 @@ class HomeProblem:
     """(3,): home's pose in the odometry frame, from the start prior."""
     prior_information: np.ndarray | None = None
     """(3, 3)"""
+    noise_scale: float = 1.0
+    """So many times noisier than they were said to be home's bearings are supposed to be [1]."""
+
     surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): surveyed landmarks that fix home without its bearings [m]; see `at_origin`."""
 
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
         """Return it with home where these were surveyed from (k, 2), in whose frame all is."""
         exactly = np.eye(3) * SURVEYED**-2
-        return dataclasses.replace(
+        return replace(
             self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed
         )
+
+    def with_noise(self, scale: float) -> HomeProblem:
+        """Return it with home's bearings so many times noisier than they were said to be."""
+        if scale == self.noise_scale:
+            return self
+        sigmas = scale / self.noise_scale * self.sigmas
+        return replace(self, sigmas=sigmas, noise_scale=scale)
+
+    @property
+    def log_noise_prior(self) -> float:
+        """Log of how probable it is beforehand that home's bearings are so noisy."""
+        wrong = self.noise_scale != 1.0
+        return math.log(NOISE_DOUBT / len(NOISIER) if wrong else 1.0 - NOISE_DOUBT)
 
     @property
     def landmarks(self) -> np.ndarray:

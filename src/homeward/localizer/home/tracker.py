@@ -99,7 +99,7 @@ class HomeTracker:
         Where it is not, everything stays as it was.
         """
         before = self.hypotheses.fits if self.hypotheses is not None else ()
-        found = search(self.problem(known, state), [(f.home, f.inliers) for f in before])
+        found = search(self.problem(known, state), [f.seed for f in before])
         self.hypotheses = found or self.hypotheses
         return found is not None
 
@@ -121,7 +121,7 @@ class HomeTracker:
             return None
         if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
             # The best set's home went astray: there may be a way back to it, or a better one.
-            return search(problem, [(f.home, f.inliers) for f in (*now.fits, *now.unconverged)])
+            return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
 
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
