@@ -189,16 +189,21 @@ class Landmarks:
             self._candidates[name] = waiting  # behind the others
             return False
         position, agree = found
+        rows = rows[agree]
         if known and self._was_there(name, position):
             self._drop(name)  # it was never elsewhere, but wrongly started
         elif known:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
-        rows = rows[agree]
-        rows[:, LANDMARK] = number = self.smoother.add_landmark(position)
-        self.smoother.add_sightings(rows)
+        elif self._is_back(name, rows):
+            self._take_back(name)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
-        self.mapped[name] = Landmark(name, number, 0, self.smoother.newest, first, last)
+        if name not in self.mapped:
+            number = self.smoother.add_landmark(position)
+            self.mapped[name] = Landmark(name, number, 0, self.smoother.newest, first)
+        self.mapped[name].last = last
+        rows[:, LANDMARK] = self.mapped[name].number
+        self.smoother.add_sightings(rows)
         directions = self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING]
         for line in directions.tolist():
             self.mapped[name].seen_along(line)
@@ -243,9 +248,26 @@ class Landmarks:
         off = self._off(rows, position[None])[0]
         return bool((off < AGREES * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
+    def _is_back(self, name: str, rows: np.ndarray) -> bool:
+        """Return whether sightings fit where a landmark stood that was said to have moved."""
+        if name not in self.former:
+            return False
+        off = self._off(rows, self.places([self.former[name]])[0])[0]
+        return bool((off < AGREES * self._line_sigmas(rows)).mean() >= MAJORITY)
+
+    def _take_back(self, name: str) -> None:
+        """Let a landmark stand where it stood before it was said to have moved."""
+        self.mapped[name] = self.former.pop(name)
+        self.mapped[name].refused = 0
+        del self.moved_at[name]
+
     def _is_another(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
-        """Return whether another landmark of the map explains sightings as well as a position."""
-        others = np.delete(self.smoother.positions, self.index([self.mapped[name]]), axis=0)
+        """Return whether another landmark of the map explains sightings as well as a position.
+
+        One that is refused itself explains nothing: two may stand mapped in each other's place.
+        """
+        sound = [m for n, m in self.mapped.items() if n != name and m.refused < ENOUGH]
+        others = self.places([*sound, *self.former.values()])[0]
         own, *off = np.median(self._off(rows, np.vstack([position, others])), axis=1).tolist()
         return any(each < AS_WELL * own for each in off)
 
@@ -277,9 +299,7 @@ class Landmarks:
         for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
             self._drop(name)
         for name in [n for n in self.former if n not in self.mapped]:
-            self.mapped[name] = self.former.pop(name)
-            self.mapped[name].refused = 0
-            del self.moved_at[name]
+            self._take_back(name)
         self._candidates.clear()
         self.range_mixtures.clear()
 

@@ -42,12 +42,12 @@ class LandmarkReport:
         """Return everything known of each landmark, in natural order of name."""
         moved, places = self._moved_probabilities(), self._from_home()
         return [
-            self._landmark(name, moved.get(name, math.nan), places.get(name, 3 * (math.nan,)))
+            self._landmark(name, moved.get(name), places.get(name, 3 * (math.nan,)))
             for name in sorted({*self.home, *self.known.mapped}, key=natural)
         ]
 
     def _landmark(
-        self, name: str, probability: float, place: tuple[float, float, float]
+        self, name: str, judged: float | None, place: tuple[float, float, float]
     ) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
@@ -55,8 +55,8 @@ class LandmarkReport:
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
         moved_at = self.known.moved_at.get(name, math.nan)
-        if math.isfinite(moved_at):
-            probability = 1.0
+        unjudged = 1.0 if math.isfinite(moved_at) else math.nan
+        probability = unjudged if judged is None else judged
         x, y, deviation = place
         mapped = self.known.mapped.get(name)
         return LandmarkEstimate(
@@ -78,7 +78,8 @@ class LandmarkReport:
         if self.hypotheses is None:
             return {}
         found = dict(zip(self.used, self.hypotheses.moved_probabilities().tolist(), strict=True))
-        others = {n: where for n in self.home if n not in found and (where := self._where(n))}
+        ask = [n for n in self.home if n not in found or n in self.known.former]
+        others = {n: where for n in ask if (where := self._where(n))}
         if others:
             bearings = [self.home[n].bearing for n in others]
             sigmas = [self.home[n].sigma for n in others]
@@ -92,7 +93,9 @@ class LandmarkReport:
             odds += np.log(np.maximum(weights, 1e-300))
             together = np.logaddexp.reduceat(odds, np.cumsum([0, *counts[:-1]]))
             wrong = 1.0 / (1.0 + np.exp(np.clip(together, -500.0, 500.0)))
-            found |= zip(others, wrong.tolist(), strict=True)
+            now = dict(zip(others, wrong.tolist(), strict=True))
+            prior = self.hypotheses.best.problem.moved_prior
+            found |= {n: _moved(found[n], w, prior) if n in found else w for n, w in now.items()}
         return found
 
     def _where(self, name: str) -> RangeMixture | None:
@@ -122,3 +125,20 @@ class LandmarkReport:
         deviation = np.sqrt(np.einsum("ki,kij,kj->k", towards, covariance, towards))
         table = np.column_stack([away @ np.array([[c, -s], [s, c]]), deviation])
         return dict(zip(mapped, map(tuple, table.tolist()), strict=True))
+
+
+def _moved(former_wrong: float, now_wrong: float, prior: float) -> float:
+    """Return how probable it is that one that moved on the way stands not where home saw it.
+
+    Home saw it where it stood at first; or where it stands now, having moved twice, as when it was
+    taken for another one meanwhile; or elsewhere.
+
+    Parameters
+    ----------
+    former_wrong, now_wrong : float
+        Probability that the home bearing is not of its former place, and not of the present one.
+    prior : float
+        That a landmark moves.
+    """
+    former, now = ((1.0 - p) / max(p, 1e-300) for p in (former_wrong, now_wrong))
+    return (1.0 + former) / (1.0 + former + prior * now)
