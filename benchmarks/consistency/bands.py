@@ -31,11 +31,18 @@ CHANCE = 0.01
 THEORY = {"nees": 3.0, "nis": 1.0}
 """What they are on average when all is consistent."""
 FLOORS = ("pose", "sure", "precision", "recall")
-CEILINGS = ("wrong", "error")
+CEILINGS = ("wrong", "far", "error")
 SIDES = len(SCENARIOS) * (len(FLOORS) + len(CEILINGS) + 2 * len(THEORY))
 Z = float(norm.isf(CHANCE / SIDES))
 """So many standard deviations of chance are allowed to each side of each band."""
-LEAST_SPREAD = {"pose": 0.02, "sure": 0.02, "wrong": 0.01, "precision": 0.05, "recall": 0.05}
+LEAST_SPREAD = {
+    "pose": 0.02,
+    "sure": 0.02,
+    "wrong": 0.01,
+    "far": 0.01,
+    "precision": 0.05,
+    "recall": 0.05,
+}
 """A share that was the same in all runs of the baseline may yet be this much off in one."""
 MARGIN = {"error": 0.05, "nees": 0.1, "nis": 0.05}
 """Relative room beyond chance, for what is no error: another order of sums, a gate's edge."""
@@ -68,7 +75,7 @@ class Measured:
         room = MARGIN.get(name, 0.0)
         if name in FLOORS:
             return self.centre - off, math.inf
-        if name == "wrong":
+        if name in ("wrong", "far"):
             return -math.inf, self.centre + off
         if name == "error":
             return -math.inf, self.centre * math.exp(off) * (1.0 + room)
@@ -118,9 +125,9 @@ def measure(results: Mapping[str, Sequence[Figures]]) -> Baseline:
 
 
 def _measured(scenario: str, name: str, runs: Sequence[Figures]) -> Measured | None:
-    """Return one figure of a baseline; None where no run has it."""
+    """Return one figure of a baseline; None where hardly a run has it."""
     centre, spread, number = together(name, [run[name] for run in runs])
-    if not number:
+    if number < 2:
         return None
     entry = Measured(float(f"{centre:.4g}"), float(f"{spread:.3g}"), number)
     if name in THEORY and SCENARIOS[scenario].exact:

@@ -9,11 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from benchmarks.consistency.hardships import (
+    bearings_untold,
+    home_untold,
+    on_a_cart,
+    stalling,
+    with_swapped_ids,
+    with_walkers,
+)
 from benchmarks.consistency.trial import Leg, Trial, lagging, scaled, slipping, trial, untold
 from homeward.drives.drive import Mount
 from homeward.frames import Pose
@@ -40,6 +48,10 @@ CARRIED_S = 2.0
 """So long nothing is logged while the robot is carried [s]."""
 MOUNT = Mount(x=0.3, y=-0.1, yaw=0.2)
 """Of a camera that does not sit at the robot's centre [m, m, rad]."""
+SWAPPED_S = 30.0, 40.0
+"""From when until when ids are swapped [s]."""
+SOON_S = 15.0
+"""So long is a drive of which only the beginning matters [s]."""
 NARROW = {90: 32, 60: 48}
 """Landmarks in all round, by a camera's field of view [deg]: home sees about eight of them."""
 
@@ -166,6 +178,75 @@ def _teach_and_return(seed: int) -> Trial:
     )
 
 
+def _walkers(seed: int, count: int = 8, **changes: Any) -> Trial:
+    """Some landmarks are people who walk about from where home saw them."""
+    landmarks = Ring(count=16, distance=(2.5, 5.0))
+    walks, who = with_walkers(simulate(_course(seed, landmarks=landmarks, **changes)), count, 0.3)
+    whole = trial(Leg(walks))
+    return replace(whole, moved=whole.moved | who)
+
+
+def _swapped_ids(seed: int, **changes: Any) -> Trial:
+    return trial(Leg(with_swapped_ids(simulate(_course(seed, **changes)), 3, *SWAPPED_S)))
+
+
+def _cart(seed: int) -> Trial:
+    """In mid-drive a cart is moved that carries four landmarks side by side."""
+    first = simulate(_course(seed, LEG_S))
+    rng, begins = np.random.default_rng([seed, 7]), float(first.drive.odometry.t[-1]) + 0.2
+    places = on_a_cart(first.world.in_home_frame, rng, 4)
+    return trial(Leg(first), Leg(_then(first, places, first.final_pose), begins))
+
+
+def _home_noisy(seed: int) -> Trial:
+    return home_untold(_room(seed, noise=Noise(bearing_sigma=0.01, home_sigma=0.1)))
+
+
+def _soon(seed: int) -> Trial:
+    """The beginning of a drive with a quick robot and a quick camera."""
+    points = _course(seed).trajectory.model_copy(update={"speed": 0.4, "duration": SOON_S})
+    rates = Rates(odometry=20.0, bearings=10.0, truth=10.0)
+    return _room(seed, trajectory=points, rates=rates, visibility=Visibility())
+
+
+HARDSHIPS: dict[str, tuple[dict[str, Any], Callable[[Trial, int], Trial]]] = {
+    "outliers": ({"wrong_ids": 0.1}, lambda whole, seed: whole),
+    "home-noisy": ({"home_sigma": 0.03}, lambda whole, seed: home_untold(whole)),
+    "bearings-untold": ({"bearing_sigma": 0.03}, lambda whole, seed: bearings_untold(whole)),
+    "moved": ({"moved": Moved(count=5)}, lambda whole, seed: whole),
+    "camera-120": (
+        {"visibility": Visibility(probability=0.8, field_of_view=math.radians(120))},
+        lambda whole, seed: whole,
+    ),
+    "odometry-untold": ({}, lambda whole, seed: untold(whole, odometry=True)),
+    "slipping": ({}, lambda whole, seed: slipping(whole, seed, 0.4, 15.0, 1.0)),
+    "stalling": ({}, lambda whole, seed: stalling(whole, seed, 30.0, 1.0)),
+    "lagging": ({}, lambda whole, seed: lagging(whole, 0.2)),
+    "walkers": ({}, lambda whole, seed: whole),
+    "swapped-ids": ({}, lambda whole, seed: whole),
+}
+"""Changes of the course (those of noise by its own names), and of what is logged."""
+
+
+def _three_hardships(seed: int) -> Trial:
+    """Three hardships at once, drawn at random."""
+    rng = np.random.default_rng([seed, 8])
+    names = sorted(rng.choice(sorted(HARDSHIPS), 3, replace=False).tolist())
+    course = {k: v for name in names for k, v in HARDSHIPS[name][0].items()}
+    noise = {"bearing_sigma": 0.01, "home_sigma": 0.01}
+    noise |= {key: course.pop(key) for key in list(course) if key in Noise.model_fields}
+    course |= {"noise": Noise(**noise), "landmarks": Ring(count=16, distance=(2.5, 5.0))}
+    drive, who = simulate(_course(seed, **course)), frozenset[str]()
+    if "walkers" in names:
+        drive, who = with_walkers(drive, 4, 0.3)
+    if "swapped-ids" in names:
+        drive = with_swapped_ids(drive, 3, *SWAPPED_S)
+    whole = trial(Leg(drive))
+    for name in names:
+        whole = HARDSHIPS[name][1](whole, seed)
+    return replace(whole, moved=whole.moved | who)
+
+
 SCENARIOS = {
     "room": Named("10 m across, all round, all told", _room),
     "table": Named("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1)),
@@ -202,5 +283,36 @@ SCENARIOS = {
     "kidnapped": Named("lifted and set down elsewhere", _kidnapped, 700),
     "corridor": Named("a corridor of 24 m, sight of 7 m", _corridor, 800),
     "teach-and-return": Named("out of sight of home and back", _teach_and_return, 900),
+    "moved-most": Named(
+        "8 of 12 moved since home, by 6 to 57 deg",
+        lambda s: _room(s, moved=Moved(count=8, fault=(0.1, 1.0))),
+        1000,
+        moves=True,
+    ),
+    "walkers": Named("half of 16 are people who walk", _walkers, 1100, moves=True),
+    "home-noisy": Named(
+        "home bearings ten times noisier, not told", _home_noisy, 1200, exact=False
+    ),
+    "outliers-30": Named(
+        "30 % of the ids wrong",
+        lambda s: _room(s, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.3)),
+        1300,
+    ),
+    "soon": Named("the first 15 s, quicker", _soon, 1400),
+    "soon-lagging": Named(
+        "so, and odometry stamped 0.3 s late, not told",
+        lambda s: lagging(untold(_soon(s), odometry=True), 0.3),
+        1400,
+        exact=False,
+    ),
+    "swapped-ids": Named("three pairs swap ids for 10 s", _swapped_ids, 1500),
+    "stalling": Named(
+        "now and then odometry says 0 for 1.5 s, and is not told",
+        lambda s: stalling(untold(_room(s), odometry=True), s, 15.0, 1.5),
+        1600,
+        exact=False,
+    ),
+    "cart": Named("4 of 12 moved as one in mid-drive", _cart, 1700, moves=True),
+    "three-hardships": Named("three hardships at once", _three_hardships, 1800, exact=False),
 }
 """By name."""
