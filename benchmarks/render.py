@@ -24,6 +24,7 @@ from multiprocessing import Pool
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.cameras.camera import unit_vectors
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.estimator import Status
@@ -37,7 +38,6 @@ from homeward.simulation.render.rays.raycast import points, trace
 from homeward.simulation.render.room.presets import PLANS, room
 from homeward.simulation.render.room.settings import RenderScenario
 from homeward.track import track_of
-from homeward.vision.cameras.panoramic import unit_vectors
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import View, look
 from homeward.vision.opencv import opencv

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.vision.cameras.panoramic import tilt_matrix
+from homeward.drives.cameras.camera import tilt_matrix
 from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
 from homeward.vision.geometry.jackknife import jackknife_covariance
 from homeward.vision.geometry.ransac import estimate_motion

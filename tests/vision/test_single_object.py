@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.vision.cameras.panoramic import unit_vectors
+from homeward.drives.cameras.camera import unit_vectors
 from homeward.vision.geometry.a_contrario import assess
 from homeward.vision.geometry.epipolar import Motion, Pairs
 from homeward.vision.geometry.ransac import estimate_motion

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.frames import Pose
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of
 from homeward.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, look
-from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
 from homeward.vision.front_end import PROVEN, FrontEnd
 from homeward.vision.geometry.epipolar import Motion
 from homeward.vision.geometry.tilt import AS_HOME, Tilt

@@ -7,7 +7,7 @@ import pytest
 from drives.ros.build import EPOCH, SUFFIXES, point, pose, stamps
 from drives.ros.rig import NANO, bearings_message
 
-from homeward.drives.ros.measurements.camera import Intrinsics
+from homeward.drives.cameras.lens import Lens
 from homeward.errors import InputError
 
 
@@ -81,8 +81,13 @@ def camera_info(log, t, distortion=()):
     )
 
 
+def square(log, column, kind="apriltag_msgs/msg/Point", **more):
+    """Corners of a tag whose middle is at (column, 100), as AprilTag 3 counts pixels."""
+    at = [(-9.5, -9.5), (10.5, -9.5), (10.5, 10.5), (-9.5, 10.5)]
+    return [log.make(kind, x=column + x, y=100.0 + y, **more) for x, y in at]
+
+
 def tags(log, t, ids):
-    corner = log.make("apriltag_msgs/msg/Point", x=0.0, y=0.0)
     found = [
         log.make(
             "apriltag_msgs/msg/AprilTagDetection",
@@ -92,7 +97,7 @@ def tags(log, t, ids):
             goodness=0.0,
             decision_margin=50.0,
             centre=log.make("apriltag_msgs/msg/Point", x=column, y=100.0),
-            corners=[corner] * 4,
+            corners=square(log, column),
             homography=np.zeros(9),
         )
         for number, column in ids.items()
@@ -191,6 +196,6 @@ def test_a_lens_is_undone(model, k):
         radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    camera = Intrinsics(fx=500, fy=510, cx=320, cy=240, model=model, distortion=k)
-    there = camera.bearings(500 * xd + 320, 510 * yd + 240)
+    camera = Lens(fx=500, fy=510, cx=320, cy=240, model=model, distortion=k)
+    there = camera.directions(500 * xd + 320, 510 * yd + 240)[0]
     assert there == pytest.approx(bearing, abs=1e-6)

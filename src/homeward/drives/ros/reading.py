@@ -8,11 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from homeward.drives.cameras.calibration import is_calibration, read_calibration
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
 from homeward.drives.ros.containers.bag_folder import open_log
-from homeward.drives.ros.measurements.bearings import SightingRows
-from homeward.drives.ros.measurements.camera import CameraRows, Intrinsics
+from homeward.drives.ros.measurements.bearings import IMAGES, Eye, SightingRows
+from homeward.drives.ros.measurements.camera import CameraRows
 from homeward.drives.ros.measurements.home import home_during
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
@@ -30,7 +32,12 @@ Taker: TypeAlias = Callable[[float, Any], None]
 """Takes the time [s] of a message, and the message."""
 
 
-def read_log(path: Path, topics: Path | None = None, tell: Tell | None = None) -> Drive:
+def read_log(
+    path: Path,
+    topics: Path | None = None,
+    tell: Tell | None = None,
+    eye: Eye | None = None,
+) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 
     Parameters
@@ -41,6 +48,8 @@ def read_log(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         A YAML file of `LogSettings`; what it does not say is guessed.
     tell : callable, optional
         Told the fraction done, in [0, 1].
+    eye : callable, optional
+        Finds tags in pictures; without one, topics of pictures tell nothing.
 
     Returns
     -------
@@ -55,19 +64,34 @@ def read_log(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     """
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if tell is None else lambda done: tell(done / 2)
+    told = _calibrated(told, path if topics is None else topics)
     known = survey(open_log(path), keep=(OUR_SETTINGS,), tell=first_half)
-    plan = choose(known, told)
+    plan = choose(known, told, pictures=eye is not None)
     try:
-        return _Reading(known, plan, topics).drive(tell)
+        return _Reading(known, plan, topics, eye).drive(tell)
     except InputError as error:
         # It names the log, unless it names another file already.
         raise error if error.file is not None else InputError(error.what, path) from error
 
 
+def _calibrated(told: LogSettings, beside: Path) -> LogSettings:
+    """Return settings in which calibration files are read."""
+    topics = tuple(
+        topic.model_copy(update={"camera": read_calibration(beside.parent, topic.camera)})
+        if isinstance(topic.camera, str) and is_calibration(topic.camera)
+        else topic
+        for topic in told.bearings
+    )
+    return told.model_copy(update={"bearings": topics}) if topics else told
+
+
 class _Reading:
     """The second walk: who takes which topic, and what they make of it together."""
 
-    def __init__(self, known: Survey, plan: LogSettings, topics: Path | None) -> None:
+    def __init__(
+        self, known: Survey, plan: LogSettings, topics: Path | None, eye: Eye | None
+    ) -> None:
+        self._eye = eye
         self._known, self._plan, self._topics = known, plan, topics
         self._path, self._decoder = known.log.path, Decoder()
         if plan.odometry is None:
@@ -120,11 +144,13 @@ class _Reading:
         self._takers.setdefault(topic, []).append(taker)
 
     def _take_sightings(self, told: BearingsTopic) -> SightingRows:
-        rows = SightingRows(told, self._known.topic(told.topic).type, self._remarks)
+        kind = self._known.topic(told.topic).type
+        eye = self._eye if kind in IMAGES else None
+        rows = SightingRows(told, kind, self._remarks, eye)
         self._take(told.topic, rows.add)
         return rows
 
-    def _take_camera(self, told: BearingsTopic) -> Callable[[], Intrinsics | None]:
+    def _take_camera(self, told: BearingsTopic) -> Callable[[], Lens | None]:
         """Return what tells the camera of a topic when the walk is over."""
         if not isinstance(told.camera, str):
             model = told.camera

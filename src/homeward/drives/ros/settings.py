@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from homeward.drives.cameras.camera import Tilt
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import DriveSettings, Finite, NonNegative, Positive, Strict
-from homeward.drives.ros.measurements.camera import Intrinsics
 
 
 class OdometryTopic(Strict):
@@ -33,8 +34,16 @@ class BearingsTopic(Strict):
     topic: str
     landmark: str | None = None
     """Id of the landmark of a geometry_msgs/PointStamped; None: the last part of the topic."""
-    camera: str | Intrinsics | None = None
-    """For points in an image: the topic of the sensor_msgs/CameraInfo, or the model itself."""
+    camera: str | Lens | None = None
+    """For points in an image: the topic of the sensor_msgs/CameraInfo, a calibration beside the
+    topics file (``FILE.yaml``, or ``FILE.yaml#cam1`` of several), or the model itself."""
+    roll: Tilt | None = None
+    """Of that camera, as in `Camera` [rad]; None: as its model says."""
+    pitch: Tilt | None = None
+    tilt_sigma: Annotated[float, Field(gt=0, le=0.5)] | None = None
+    pixel_sigma: Positive = 0.5
+    """Standard deviation of each coordinate of a tag's corner [px]: detectors that do not tell it
+    find corners to a fraction of a pixel."""
     rectified: bool = False
     """Whether they are points of the rectified image."""
     axes: Literal["body", "optical"] | None = None
@@ -42,6 +51,12 @@ class BearingsTopic(Strict):
     where the name of the frame says so."""
     sigma: Positive | None = None
     """Standard deviation of a bearing that has none of its own [rad]."""
+
+    @property
+    def tilt(self) -> dict[str, float]:
+        """What is said of the camera's tilt here."""
+        told = self.model_dump(include={"roll", "pitch", "tilt_sigma"})
+        return {key: value for key, value in told.items() if value is not None}
 
 
 NAME_BEARINGS = "name its topics under bearings in a topics file; homeward info lists them"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.frames import Polar, Pose, between, compose, from_polar
 from homeward.simulation.render.eye import Eye
@@ -21,7 +22,7 @@ from homeward.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world, fault_count
 from homeward.vision.cameras.grey import as_grey
-from homeward.vision.cameras.panoramic import Panorama, unit_vectors
+from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import View, look
 

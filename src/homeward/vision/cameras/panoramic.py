@@ -1,8 +1,6 @@
 """Panoramic cameras: which direction each pixel of a panorama looks in.
 
-The camera's frame: x along its axis, y to the left, z up. Azimuth is anti-clockwise from x,
-elevation upwards from the horizon. Columns run clockwise, as an image is seen from inside, and
-wrap round after the last one. Pixel centres have whole coordinates, as in OpenCV.
+Columns run clockwise, as an image is seen from inside, and wrap round after the last one.
 """
 
 from __future__ import annotations
@@ -14,61 +12,40 @@ import numpy as np
 from pydantic import Field
 
 from homeward.angles import wrap
-from homeward.drives.drive import Finite, Strict
+from homeward.drives.cameras.camera import Camera
+from homeward.drives.drive import Finite
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
 
 Share = Annotated[float, Field(ge=0, le=1)]
-Tilt = Annotated[float, Field(ge=-math.pi / 3, le=math.pi / 3)]
 
 
-class Panorama(Strict):
-    """What all panoramic cameras share: 360 degrees across the image, and a known tilt."""
+class Panorama(Camera):
+    """What all panoramic cameras share: 360 degrees across the image."""
 
     axis: Share = 0.5
     """Where the camera's axis (azimuth 0) stands, as a share of the width from the left edge."""
     horizon: Finite = 0.5
     """Where elevation 0 stands, as a share of the height from the top edge."""
-    roll: Tilt = 0.0
-    """Known tilt of the camera about its axis [rad]; positive: its left side is raised."""
-    pitch: Tilt = 0.0
-    """Known tilt about its left-hand axis [rad]; positive: it looks down."""
-    tilt_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02
-    """How far the tilt may differ from that, from image to image [rad]."""
 
     def directions(
         self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return azimuth and elevation [rad] of pixels, the known tilt taken out.
-
-        Parameters
-        ----------
-        columns, rows : ndarray, shape (n,)
-            Pixel coordinates, which need not be whole.
-        shape : tuple of int
-            Height and width of the panorama [px].
-
-        Returns
-        -------
-        azimuth : ndarray, shape (n,)
-            In (-pi, pi].
-        elevation : ndarray, shape (n,)
-        """
+        """Return azimuth and elevation [rad] of pixels; as `Camera.directions`."""
         height, width = shape
         azimuth = np.asarray(wrap((self.axis * width - 0.5 - columns) * self.column_angle(width)))
         below = rows - (self.horizon * height - 0.5)
         return self._level(azimuth, self._elevation(-below * self.column_angle(width)))
 
-    def directions_and_slope(
-        self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
+    def pixels(
+        self, azimuth: np.ndarray, elevation: np.ndarray, shape: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return `directions`, (n, 2), and their derivatives by column and row, (n, 2, 2)."""
-        right, down = np.array([[0.0, 0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 0.5, -0.5]])[..., None]
-        told = self.directions((columns + right).ravel(), (rows + down).ravel(), shape)
-        here, *ahead_and_behind = np.stack(told, axis=-1).reshape(5, -1, 2)
-        right_of, left_of, below, above = ahead_and_behind
-        slope = np.stack([wrap(right_of - left_of), wrap(below - above)], axis=-1)
-        return here, slope
+        """Return columns and rows [px] of directions [rad]; as `Camera.pixels`."""
+        height, width = shape
+        azimuth, elevation = self._tilted(azimuth, elevation)
+        step = self.column_angle(width)
+        columns = (self.axis * width - 0.5 - azimuth / step + 0.5) % width - 0.5
+        return columns, self.horizon * height - 0.5 - self._above(elevation) / step
 
     @staticmethod
     def column_angle(width: int) -> float:
@@ -98,12 +75,9 @@ class Panorama(Strict):
         """Return the elevation [rad] of rows `above` the horizon, in units of width / 2 pi."""
         raise NotImplementedError
 
-    def _level(self, azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Turn directions from the tilted camera's frame into the level one."""
-        if not (self.roll or self.pitch):
-            return azimuth, elevation
-        x, y, z = tilt_matrix(self.roll, self.pitch) @ unit_vectors(azimuth, elevation).T
-        return np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))
+    def _above(self, elevation: np.ndarray) -> np.ndarray:
+        """Return the inverse of `_elevation`."""
+        raise NotImplementedError
 
 
 class Equirectangular(Panorama):
@@ -128,6 +102,9 @@ class Equirectangular(Panorama):
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         return np.clip(above * self.row_scale, -math.pi / 2, math.pi / 2)
 
+    def _above(self, elevation: np.ndarray) -> np.ndarray:
+        return elevation / self.row_scale
+
 
 class Cylindrical(Panorama):
     """A vertical cylinder unrolled: the tangent of the elevation grows evenly with the rows."""
@@ -136,6 +113,9 @@ class Cylindrical(Panorama):
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         return np.asarray(np.arctan(above))
+
+    def _above(self, elevation: np.ndarray) -> np.ndarray:
+        return np.asarray(np.tan(elevation))
 
 
 SECTORS = 24
@@ -149,17 +129,3 @@ WINDOW = 3
 def sector_of(azimuth: np.ndarray) -> np.ndarray:
     """Return the number, 0 to `SECTORS` - 1, of the sector that each azimuth [rad] lies in."""
     return np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-
-
-def unit_vectors(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Return unit vectors, shape (n, 3), of azimuths and elevations [rad], shape (n,)."""
-    c = np.cos(elevation)
-    return np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation)], axis=-1)
-
-
-def tilt_matrix(roll: float, pitch: float) -> np.ndarray:
-    """Return Ry(pitch) Rx(roll), (3, 3), from a tilted camera's frame to the level one."""
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    return np.asarray(about_y @ about_x)

@@ -116,6 +116,10 @@ class Ring(Panorama):
         top, bottom = self._edges()
         return above + (top + bottom) / 2
 
+    def _above(self, elevation: np.ndarray) -> np.ndarray:
+        top, bottom = self._edges()
+        return elevation - (top + bottom) / 2
+
     def _edges(self) -> tuple[float, float]:
         """Return the greatest and the least elevation [rad]."""
         elevation = self.elevation_table()[1]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.vision.cameras.panoramic import unit_vectors
+from homeward.drives.cameras.camera import unit_vectors
 from homeward.vision.compiled import compiled
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.vision.cameras.panoramic import tilt_matrix, unit_vectors
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.vision.geometry.epipolar import Motion
 
 

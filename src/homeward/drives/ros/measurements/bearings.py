@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from homeward.drives.ros.measurements.camera import Intrinsics
+from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.definitions import BEARINGS
 from homeward.drives.ros.settings import BearingsTopic
@@ -17,13 +19,26 @@ from homeward.errors import InputError
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"
+TAG_ARRAY = "apriltag_msgs/msg/ApriltagArrayStamped"
+FIDUCIALS = "fiducial_msgs/msg/FiducialArray"
+MARKERS = "aruco_msgs/msg/MarkerArray"
+FIDUCIAL_POSES = "fiducial_msgs/msg/FiducialTransformArray"
 TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
-IN_IMAGE = (TAGS, DETECTIONS)
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+"""Pictures: they tell bearings to those who bring an `Eye`."""
+CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *IMAGES)
+"""Types that tell the corners of tags."""
+IN_IMAGE = (*CORNERS, DETECTIONS)
 """Types whose points are pixels, and need a camera model."""
+HALF_PIXEL = 0.5
+"""AprilTag 3, whose corners apriltag_msgs/AprilTagDetection holds, has the middle of the first
+pixel at (0.5, 0.5) (issue 121 of AprilRobotics/apriltag), and camera models at (0, 0) [px]."""
 
 NO_ID = "sightings without an id"
+BIT_ERRORS = "tags that were read with errors, left out"
+TWICE = "sightings of a tag that is in one image more than once, left out"
 NOTHING_THERE = "sightings that are not finite, or at the camera itself"
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Frames that do not move with the robot (REP 105)."""
@@ -38,12 +53,16 @@ class Sighting(NamedTuple):
     b: float = 0.0
     """The row [pixel]; or to the left [m]."""
     sigma: float = math.nan
-    """[rad]"""
+    """[rad], or of a corner [px]."""
+    corners: tuple[tuple[float, float], ...] = ((math.nan, math.nan),) * 4
+    """Of a tag: columns and rows [px], in turn."""
+    errors: int = 0
+    """Of a tag: bits that were read otherwise than they must be."""
 
 
-def sightings_of(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    """Return what a message of any of `READERS`, as rosbags decodes it, tells."""
-    return READERS[message.__msgtype__](message, told)
+Reader: TypeAlias = Callable[[Any, BearingsTopic], Iterator[Sighting]]
+Eye: TypeAlias = Callable[[Any], Iterator[Sighting]]
+"""Returns the tags in a message of `IMAGES`."""
 
 
 def _bearings(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
@@ -86,9 +105,37 @@ def _score(result: Any) -> float:
     return float(getattr(result, "hypothesis", result).score)
 
 
+def _corners(points: Any, off: float = 0.0) -> tuple[tuple[float, float], ...]:
+    return tuple((p.x - off, p.y - off) for p in points)
+
+
 def _tags(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
     for tag in message.detections:
-        yield Sighting(str(tag.id), tag.centre.x, tag.centre.y)
+        corners = _corners(tag.corners, HALF_PIXEL)
+        yield Sighting(str(tag.id), 0.0, corners=corners, errors=tag.hamming)
+
+
+def _tag_array(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+    for tag in message.apriltags:
+        yield Sighting(str(tag.id), 0.0, corners=_corners(tag.corners), errors=tag.hamming)
+
+
+def _fiducials(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+    for tag in message.fiducials:
+        corners = tuple((getattr(tag, f"x{k}"), getattr(tag, f"y{k}")) for k in range(4))
+        yield Sighting(str(tag.fiducial_id), 0.0, corners=corners)
+
+
+def _fiducial_poses(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+    for tag in message.transforms:
+        place = _level(tag.transform.translation, told.axes or "optical")
+        yield Sighting(str(tag.fiducial_id), *place)
+
+
+def _markers(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+    axes = _axes(message, told)
+    for tag in message.markers:
+        yield Sighting(str(tag.id), *_level(tag.pose.pose.position, axes))
 
 
 def _tag_poses(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
@@ -108,9 +155,13 @@ def _point(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
     yield Sighting(name, *_level(message.point, _axes(message, told)))
 
 
-READERS: dict[str, Callable[[Any, BearingsTopic], Iterator[Sighting]]] = {
+READERS: dict[str, Reader] = {
     BEARINGS: _bearings,
     TAGS: _tags,
+    TAG_ARRAY: _tag_array,
+    FIDUCIALS: _fiducials,
+    MARKERS: _markers,
+    FIDUCIAL_POSES: _fiducial_poses,
     TAG_POSES: _tag_poses,
     DETECTIONS: _detections,
     POSE_ARRAY: _pose_array,
@@ -138,46 +189,68 @@ def _level(point: Any, axes: str) -> tuple[float, float]:
 class SightingRows:
     """The sightings of a topic, as they come in."""
 
-    def __init__(self, told: BearingsTopic, kind: str, remarks: Remarks) -> None:
-        self.told, self.kind = told, kind
+    def __init__(
+        self, told: BearingsTopic, kind: str, remarks: Remarks, eye: Eye | None = None
+    ) -> None:
+        self.told, self.kind, self._eye = told, kind, eye
         self._t: list[float] = []
-        self._ids: list[str] = []
-        self._values: list[tuple[float, float, float]] = []
+        self._kept: list[Sighting] = []
         self._remarks = remarks
 
     def add(self, t: float, message: Any) -> None:
         """Take the message of time `t` [s]."""
-        for landmark, a, b, sigma in sightings_of(message, self.told):
-            name = landmark.strip()
-            absent = not (math.isfinite(a) and math.isfinite(b))
+        eye = self._eye
+        met = list(READERS[self.kind](message, self.told) if eye is None else eye(message))
+        times = Counter(seen.landmark for seen in met)
+        for seen in met:
+            name = seen.landmark.strip()
+            told = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
+            at_camera = self.kind not in (BEARINGS, *IN_IMAGE) and seen.a == seen.b == 0
             if not name:
                 self._remarks.count(NO_ID)
-            elif absent or (self.kind not in (BEARINGS, *IN_IMAGE) and a == b == 0):
+            elif at_camera or not np.isfinite(told).all():
                 self._remarks.count(NOTHING_THERE)
+            elif seen.errors:
+                self._remarks.count(BIT_ERRORS)
+            elif self.kind in CORNERS and times[seen.landmark] > 1:
+                self._remarks.count(TWICE)
             elif not is_identifier(name):
                 raise InputError(f"{self.told.topic}: {quoted(name)} cannot be a landmark's id")
             else:
                 self._t.append(t)
-                self._ids.append(name)
-                self._values.append((a, b, sigma))
+                self._kept.append(seen._replace(landmark=name))
 
-    def columns(self, camera: Intrinsics | None) -> dict[str, np.ndarray]:
+    def columns(self, camera: Lens | None) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
-        values = np.array(self._values, float).reshape(-1, 3)
-        a, b, sigma = values.T
-        if self.kind == BEARINGS:
-            bearing = a
-        elif self.kind in IN_IMAGE:
-            if camera is None:
-                raise InputError(
-                    f"{self.told.topic}: points of an image need a camera model; name its "
-                    "CameraInfo topic, or the model itself, in the topics file"
-                )
-            bearing = camera.bearings(a, b)
-        else:
-            bearing = np.arctan2(b, a)
+        bearing, sigma = self._measured(camera)
         if self.told.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
-        ids = np.empty(len(self._ids), object)
-        ids[:] = self._ids
-        return {"t": np.array(self._t, float), "landmark": ids, "bearing": bearing, "sigma": sigma}
+        ids = np.empty(len(self._kept), object)
+        ids[:] = [seen.landmark for seen in self._kept]
+        columns = {"t": np.array(self._t, float), "landmark": ids}
+        columns |= {"bearing": bearing, "sigma": sigma}
+        # A lens that folds over has no ray for pixels beyond.
+        there = np.isfinite(bearing)
+        self._remarks.count(NOTHING_THERE, int((~there).sum()))
+        return {name: values[there] for name, values in columns.items()}
+
+    def _measured(self, camera: Lens | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return bearings and their deviations [rad], NaN where not known, (n,) each."""
+        rows = [(seen.a, seen.b, seen.sigma) for seen in self._kept]
+        a, b, sigma = np.array(rows, float).reshape(-1, 3).T
+        if self.kind == BEARINGS:
+            return a, sigma
+        if self.kind not in IN_IMAGE:
+            return np.arctan2(b, a), sigma
+        if camera is None:
+            raise InputError(
+                f"{self.told.topic}: points of an image need a camera model; name its "
+                "CameraInfo topic, or the model itself, in the topics file"
+            )
+        camera = camera.model_copy(update=self.told.tilt)
+        if self.kind == DETECTIONS:
+            return camera.directions(a, b)[0], sigma
+        corners = np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
+        each = np.where(np.isnan(sigma), self.told.pixel_sigma, sigma)
+        bearing, sigma = tag_bearings(corners, each, camera, (0, 0))
+        return bearing, sigma

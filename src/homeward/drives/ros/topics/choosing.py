@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
+from homeward.drives.ros.measurements.bearings import IMAGES, IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
 from homeward.drives.ros.messages.definitions import BEARINGS, POSE
 from homeward.drives.ros.settings import (
@@ -23,8 +23,10 @@ OUR_BEARINGS = "/homeward/bearings"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
-def choose(survey: Survey, told: LogSettings) -> LogSettings:
+def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSettings:
     """Return what was told, with guesses where nothing was.
+
+    Bearings are looked for in `pictures`, or in messages that tell them.
 
     Raises
     ------
@@ -34,10 +36,11 @@ def choose(survey: Survey, told: LogSettings) -> LogSettings:
     """
     odometry = told.odometry or _guess_odometry(survey)
     home = told.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
-    bearings = told.bearings or _guess_bearings(survey, home)
+    types = IMAGES if pictures else tuple(READERS)
+    bearings = told.bearings or _guess_bearings(survey, home, types)
     truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(_with_camera(survey, topic) for topic in bearings)
-    _check(survey, odometry, bearings, home, truth)
+    _check(survey, odometry, bearings, home, truth, types)
     given = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
     return told.model_copy(update={k: v for k, v in given.items() if v})
 
@@ -50,9 +53,11 @@ def _guess_odometry(survey: Survey) -> OdometryTopic | None:
     return OdometryTopic(topic=found[0].name) if found else None
 
 
-def _guess_bearings(survey: Survey, home: HomeFrom | None) -> tuple[BearingsTopic, ...]:
+def _guess_bearings(
+    survey: Survey, home: HomeFrom | None, types: tuple[str, ...]
+) -> tuple[BearingsTopic, ...]:
     """Take the one topic of the best type; of points, which are one landmark each, all."""
-    found = _of_best_type(survey, tuple(READERS), None if home is None else home.topic)
+    found = _of_best_type(survey, types, None if home is None else home.topic)
     if len(found) > 1 and found[0].type != POINT:
         raise InputError(_ambiguous("bearings", found), survey.log.path)
     return tuple(BearingsTopic(topic=t.name) for t in found)
@@ -97,16 +102,17 @@ def _check(
     bearings: tuple[BearingsTopic, ...],
     home: HomeFrom | None,
     truth: TruthTopic | None,
+    types: tuple[str, ...],
 ) -> None:
     """Refuse topics whose types do not serve."""
     wanted: list[tuple[str, str | None, tuple[str, ...]]] = [
         ("odometry", odometry.topic if odometry else None, (*TWISTS, *POSES, JOINT_STATE)),
-        *(("bearings", topic.topic, tuple(READERS)) for topic in bearings),
+        *(("bearings", topic.topic, (*types, *READERS)) for topic in bearings),
         *(("camera", t.camera, (CAMERA_INFO,)) for t in bearings if isinstance(t.camera, str)),
         ("home", home.topic if home else None, (BEARINGS,)),
         ("truth", truth.topic if truth else None, POSES),
     ]
-    for what, name, types in wanted:
-        if name is not None and survey.topic(name).type not in types:
+    for what, name, serve in wanted:
+        if name is not None and survey.topic(name).type not in serve:
             kind = survey.topic(name).type
             raise InputError(f"{name} is a {kind}, which tells no {what}", survey.log.path)

@@ -1,0 +1,1 @@
+"""Camera models: which direction each pixel looks in, and how surely."""
