@@ -149,9 +149,9 @@ def _open_images(path: Path, choices: Choices) -> Drive:
     choices.refuse("folder of images", path)
     choices.refuse_topics("folder of images", path)
     # Imported here alone: what only reads logs needs no images.
-    from homeward.vision.recorded.folder import see_folder
+    from homeward.vision.recorded.recording import see_recording
 
-    return see_folder(path, choices.tell)
+    return see_recording(path, choices.tell)
 
 
 def is_image_folder(path: Path) -> bool:

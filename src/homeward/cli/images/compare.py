@@ -45,20 +45,20 @@ def compare(
     from homeward.vision.recorded.settings import read_image_settings
 
     settings = read_image_settings(camera)
-    home_image, home_view = read_view(home, settings.camera, mask=mask or settings.mask)
-    now_image, now_view = read_view(now, settings.camera, like=home_view)
+    home_image, home_view = read_view(home, settings.panorama, mask=mask or settings.mask)
+    now_image, now_view = read_view(now, settings.panorama, like=home_view)
     if not (force or settings.force):
-        require_panoramas([home_image, now_image], settings.camera)
+        require_panoramas([home_image, now_image], settings.panorama)
     check_output(out, RESULT)
     with one_thread():
-        seen = compare_views(home_view, now_view, settings.camera)
+        seen = compare_views(home_view, now_view, settings.panorama)
         images, views = (home_image, now_image), (home_view, now_view)
-        doubt = better_settings(seen, images, views, settings.camera)
+        doubt = better_settings(seen, images, views, settings.panorama)
     write_comparison(out, seen, images, views)
     say(describe(seen))
     if doubt is not None:
         warn(f"But {doubt}.")
-    if found := find_self_occlusion(seen, settings.camera):
+    if found := find_self_occlusion(seen, settings.panorama):
         warn(f"{found.matches} {found.words} (--mask FILE).")
     say(f"Picture: {out / PICTURE}")
     if not seen.accepted:

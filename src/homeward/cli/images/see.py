@@ -1,4 +1,4 @@
-"""`homeward see`: panoramas of a drive in, an ordinary drive folder out."""
+"""`homeward see`: pictures of a drive in, an ordinary drive folder out."""
 
 from __future__ import annotations
 
@@ -8,20 +8,29 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import progress
+from homeward.cli.options import Topics, progress
 from homeward.cli.terminal import no_answer, say, warn
 
 
 def see(
     folder: Annotated[
-        Path, typer.Argument(help="With images.csv (t,file), a home image and odometry.csv.")
+        Path,
+        typer.Argument(
+            help="A folder with images.csv (t,file), a home image and odometry.csv; or a video "
+            "instead of images.csv, or a log, both with --tags."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+    tags: Annotated[
+        str | None,
+        typer.Option(help="Look for tags of this family: 36h11, 25h9, 16h5, 4x4_50, ..."),
+    ] = None,
+    topics: Topics = None,
     force: Annotated[
         bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
     ] = False,
 ) -> None:
-    """Find landmarks in panoramas, and write their bearings as a drive folder.
+    """Find landmarks in panoramas, or tags in any pictures, and write a drive folder.
 
     Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
     camera, the home image, and a mask, black where the robot itself is seen; drive.yaml and
@@ -31,12 +40,19 @@ def see(
     from homeward.errors import InputError
     from homeward.report.images.sightings import describe_sightings
     from homeward.report.output import check_output
-    from homeward.vision.recorded.folder import see_folder
+    from homeward.vision.recorded.recording import see_recording
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)
     with progress(f"looking at {folder}") as tell:
-        drive = see_folder(folder, tell, lambda: check_output(out, ODOMETRY), force)
+        drive = see_recording(
+            folder,
+            tell,
+            lambda: check_output(out, ODOMETRY),
+            tags=tags,
+            topics=topics,
+            force=force,
+        )
         write_folder(drive, out)
     say(describe_sightings(drive))
     for line in drive.remark_lines:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from homeward.drives.cameras.camera import Camera, angles, tilt_matrix, unit_vectors
 from homeward.drives.drive import Finite, Positive
@@ -60,10 +60,12 @@ class Lens(Camera):
     """Of the images that were calibrated [px]."""
     height: Pixels | None = None
 
-    @field_validator("model", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _one_name(cls, value: Any) -> Any:
-        return SAME.get(value, value) if isinstance(value, str) else value
+    def _one_name(cls, tree: Any) -> Any:
+        if isinstance(tree, dict) and isinstance(model := tree.get("model"), str):
+            return {**tree, "model": SAME.get(model, model)}
+        return tree
 
     @model_validator(mode="after")
     def _possible(self) -> Lens:

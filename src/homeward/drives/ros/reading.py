@@ -13,12 +13,12 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
 from homeward.drives.ros.containers.bag_folder import open_log
-from homeward.drives.ros.measurements.bearings import IMAGES, Eye, SightingRows
+from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.camera import CameraRows
 from homeward.drives.ros.measurements.home import home_during
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
-from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.decoding import PICTURES, Decoder
 from homeward.drives.ros.settings import BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, survey
@@ -104,7 +104,6 @@ class _Reading:
         self._odometry = OdometryRows(told, known.topic(told.topic).type)
         self._take(told.topic, self._odometry.add)
         self._seen = [self._take_sightings(topic) for topic in plan.bearings]
-        self._cameras = [self._take_camera(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
             self._at_home = self._take_sightings(BearingsTopic(topic=plan.home.topic))
@@ -145,8 +144,8 @@ class _Reading:
 
     def _take_sightings(self, told: BearingsTopic) -> SightingRows:
         kind = self._known.topic(told.topic).type
-        eye = self._eye if kind in IMAGES else None
-        rows = SightingRows(told, kind, self._remarks, eye)
+        eye = self._eye if kind in PICTURES else None
+        rows = SightingRows(told, kind, self._remarks, self._take_camera(told), eye)
         self._take(told.topic, rows.add)
         return rows
 
@@ -180,7 +179,7 @@ class _Reading:
                 tell((1 + log.done) / 2)
 
     def _sightings(self) -> Sightings:
-        parts = [r.columns(c()) for r, c in zip(self._seen, self._cameras, strict=True)]
+        parts = [rows.columns() for rows in self._seen]
         if not parts:
             nothing = np.empty(0)
             return Sightings(nothing, np.empty(0, object), nothing, nothing)
@@ -203,7 +202,7 @@ class _Reading:
         if told.during is not None:
             return home_during(told.during, odometry, sightings)
         assert self._at_home is not None
-        columns = self._at_home.columns(None)
+        columns = self._at_home.columns()
         first = columns["t"] == columns["t"][:1]
         rows = np.flatnonzero(first) + 1
         table = Table(self._path, rows, {n: c[first] for n, c in columns.items()})

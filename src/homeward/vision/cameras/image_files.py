@@ -41,11 +41,11 @@ def read_grey(path: Path) -> np.ndarray:
         When it is no whole image of one frame, or of a size that is no panorama's.
     """
     with naming(path, "cannot be read"), opened(path) as stream:
-        return _decoded(stream, path)
+        return decoded_grey(stream, path)
 
 
-def _decoded(stream: IO[bytes], path: Path) -> np.ndarray:
-    """Decode an open file."""
+def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
+    """Decode an open file, which errors call `path`; as `read_grey`."""
     if not stream.read(1):
         raise InputError("empty file", path)
     stream.seek(0)

@@ -98,12 +98,13 @@ def see_folder(
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
     place = home_image(folder, settings)
-    picture, home = read_view(place, settings.camera, mask=settings.mask)
+    camera = settings.panorama
+    picture, home = read_view(place, camera, mask=settings.mask)
     if not (force or settings.force):
-        _require_panoramas(picture, images.files, settings.camera, folder)
+        _require_panoramas(picture, images.files, camera, folder)
     if ready is not None:
         ready()
-    front_end = FrontEnd(home, settings.camera, settings.landmarks)
+    front_end = FrontEnd(home, camera, settings.landmarks)
     headings = dead_reckoning(odometry, images.t).heading
     found = cached(
         lambda: cache_key([place, *images.files], settings, images.t, headings),

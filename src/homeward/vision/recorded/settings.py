@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from homeward.drives.cameras.calibration import read_calibration
+from homeward.drives.cameras.camera import Camera
+from homeward.drives.cameras.lens import SAME, Lens
 from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
 from homeward.drives.text.settings import read_settings
-from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular
+from homeward.errors import InputError
+from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
 
-Camera = Annotated[Equirectangular | Cylindrical | Ring, Field(discriminator="model")]
+
+class Calibrated(Camera):
+    """A camera whose calibration is in a file; `read_image_settings` puts a `Lens` in its place."""
+
+    model: Literal["calibrated"] = "calibrated"
+    file: str
+    """``FILE.yaml`` beside images.yaml, or ``FILE.yaml#cam1`` of several cameras."""
+
+
+AnyCamera = Annotated[
+    Equirectangular | Cylindrical | Ring | Lens | Calibrated, Field(discriminator="model")
+]
 MostLandmarks = Annotated[int, Field(ge=4, le=500)]
 
 
 class ImageSettings(Strict):
     """Everything that images.yaml may say; every key may be absent."""
 
-    camera: Camera = Equirectangular()
+    camera: AnyCamera = Equirectangular()
     home: str | None = None
     """File of the home image, in the folder; None: the one whose name is home.something."""
     mask: Path | None = None
@@ -28,14 +43,34 @@ class ImageSettings(Strict):
     it a path from here, of one from the folder of images.yaml."""
     landmarks: MostLandmarks = 30
     """How many landmarks at most are passed on from one image."""
+    tags: str | None = None
+    """Family of the tags that are looked for, such as 36h11; None: no tags, but what rooms have."""
     force: bool = False
     """Whether pictures are taken that look like no panoramas."""
+
+    @property
+    def panorama(self) -> Panorama:
+        """The camera where it is panoramic.
+
+        Raises
+        ------
+        InputError
+            When it is not.
+        """
+        if not isinstance(self.camera, Panorama):
+            raise InputError(
+                "a camera that does not see all round needs tags: --tags 36h11, or tags: in "
+                "images.yaml"
+            )
+        return self.camera
 
     @model_validator(mode="before")
     @classmethod
     def _equirectangular_unless_told(cls, tree: Any) -> Any:
         if isinstance(tree, dict) and isinstance(camera := tree.get("camera"), dict):
-            return {**tree, "camera": {"model": "equirectangular", **camera}}
+            usual = "calibrated" if "file" in camera else "equirectangular"
+            model = camera.get("model", usual)
+            return {**tree, "camera": {**camera, "model": SAME.get(model, model)}}
         return tree
 
 
@@ -50,6 +85,10 @@ def read_image_settings(path: Path | None) -> ImageSettings:
     if path is None:
         return ImageSettings()
     settings = read_settings(path, ImageSettings)
+    if isinstance(camera := settings.camera, Calibrated):
+        tilt = camera.model_dump(include=set(Camera.model_fields))
+        lens = read_calibration(path.parent, camera.file).model_copy(update=tilt)
+        settings = settings.model_copy(update={"camera": lens})
     if settings.mask is None:
         return settings
     mask = file_within(path.parent, settings.mask, "mask", path)

@@ -12,6 +12,7 @@ import numpy as np
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.messages.decoding import PICTURES
 from homeward.drives.ros.messages.definitions import BEARINGS
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.text.table import is_identifier, quoted
@@ -26,9 +27,7 @@ FIDUCIAL_POSES = "fiducial_msgs/msg/FiducialTransformArray"
 TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
-IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-"""Pictures: they tell bearings to those who bring an `Eye`."""
-CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *IMAGES)
+CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
 """Types that tell the corners of tags."""
 IN_IMAGE = (*CORNERS, DETECTIONS)
 """Types whose points are pixels, and need a camera model."""
@@ -61,8 +60,10 @@ class Sighting(NamedTuple):
 
 
 Reader: TypeAlias = Callable[[Any, BearingsTopic], Iterator[Sighting]]
-Eye: TypeAlias = Callable[[Any], Iterator[Sighting]]
-"""Returns the tags in a message of `IMAGES`."""
+Eye: TypeAlias = Callable[[Any, Lens | None], Iterator[Sighting]]
+"""Returns the tags in a message of `PICTURES`; the camera may not have been told yet."""
+CameraOf: TypeAlias = Callable[[], Lens | None]
+"""Returns the camera, as far as it has been told."""
 
 
 def _bearings(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
@@ -190,17 +191,24 @@ class SightingRows:
     """The sightings of a topic, as they come in."""
 
     def __init__(
-        self, told: BearingsTopic, kind: str, remarks: Remarks, eye: Eye | None = None
+        self,
+        told: BearingsTopic,
+        kind: str,
+        remarks: Remarks,
+        camera: CameraOf,
+        eye: Eye | None = None,
     ) -> None:
-        self.told, self.kind, self._eye = told, kind, eye
+        self.told, self.kind, self._camera, self._eye = told, kind, camera, eye
         self._t: list[float] = []
         self._kept: list[Sighting] = []
         self._remarks = remarks
 
     def add(self, t: float, message: Any) -> None:
         """Take the message of time `t` [s]."""
-        eye = self._eye
-        met = list(READERS[self.kind](message, self.told) if eye is None else eye(message))
+        if self._eye is None:
+            met = list(READERS[self.kind](message, self.told))
+        else:
+            met = list(self._eye(message, self._camera()))
         times = Counter(seen.landmark for seen in met)
         for seen in met:
             name = seen.landmark.strip()
@@ -220,9 +228,9 @@ class SightingRows:
                 self._t.append(t)
                 self._kept.append(seen._replace(landmark=name))
 
-    def columns(self, camera: Lens | None) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
-        bearing, sigma = self._measured(camera)
+        bearing, sigma = self._measured()
         if self.told.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
         ids = np.empty(len(self._kept), object)
@@ -234,7 +242,7 @@ class SightingRows:
         self._remarks.count(NOTHING_THERE, int((~there).sum()))
         return {name: values[there] for name, values in columns.items()}
 
-    def _measured(self, camera: Lens | None) -> tuple[np.ndarray, np.ndarray]:
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
         """Return bearings and their deviations [rad], NaN where not known, (n,) each."""
         rows = [(seen.a, seen.b, seen.sigma) for seen in self._kept]
         a, b, sigma = np.array(rows, float).reshape(-1, 3).T
@@ -242,6 +250,7 @@ class SightingRows:
             return a, sigma
         if self.kind not in IN_IMAGE:
             return np.arctan2(b, a), sigma
+        camera = self._camera()
         if camera is None:
             raise InputError(
                 f"{self.told.topic}: points of an image need a camera model; name its "

@@ -30,7 +30,8 @@ LARGEST_MESSAGE = 2**26
 MOST_NUMBERS = 10_000
 """In the parts of a message that have a fixed size."""
 MOST_ELEMENTS = 1_000_000
-"""In a sequence."""
+"""In a sequence, but for those of `PICTURES`."""
+PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 DEEPEST = 20
 """Types within types."""
 LARGEST_DEFINITIONS = 2**20
@@ -89,6 +90,11 @@ def _store(channel: Channel) -> Any:
     if channel.encoding not in ("ros1", "cdr"):
         raise InputError(f"{channel.topic}: its messages are encoded as {quoted(channel.encoding)}")
     known = typestore(channel.encoding == "ros1")
+    if channel.type in PICTURES:
+        # More elements than other messages have, so these types are as they are known here.
+        pictures = Typestore(max_sequence_length=LARGEST_MESSAGE)
+        pictures.register(known.fielddefs)
+        return pictures
     if not channel.definition:
         if channel.type not in known.fielddefs:
             kind = quoted(channel.type)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from homeward.drives.ros.measurements.bearings import IMAGES, IN_IMAGE, POINT, READERS
+from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
+from homeward.drives.ros.messages.decoding import PICTURES
 from homeward.drives.ros.messages.definitions import BEARINGS, POSE
 from homeward.drives.ros.settings import (
     BearingsTopic,
@@ -36,7 +37,7 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
     """
     odometry = told.odometry or _guess_odometry(survey)
     home = told.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
-    types = IMAGES if pictures else tuple(READERS)
+    types = PICTURES if pictures else tuple(READERS)
     bearings = told.bearings or _guess_bearings(survey, home, types)
     truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(_with_camera(survey, topic) for topic in bearings)

@@ -1,0 +1,145 @@
+"""Records of a camera that sees tags, made into drives: picture folders, videos and logs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homeward.drives.cameras.lens import Lens
+from homeward.drives.drive import Drive, HomeBearing, Sightings
+from homeward.drives.folder import (
+    ODOMETRY,
+    SETTINGS,
+    TRUTH,
+    read_drive_settings,
+    read_odometry,
+    read_truth,
+)
+from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
+from homeward.drives.ros.measurements.bearings import TWICE, Sighting
+from homeward.drives.ros.reading import read_log
+from homeward.drives.text.files import is_there
+from homeward.errors import InputError
+from homeward.vision.cameras.image_files import read_grey
+from homeward.vision.cameras.messages import picture_of
+from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image
+from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
+from homeward.vision.recorded.settings import ImageSettings, read_image_settings
+from homeward.vision.tags.detector import TagDetector
+from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
+
+Tell = Callable[[float], None]
+NO_TAGS = "pictures without a tag"
+
+
+def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) -> Drive:
+    """Turn a folder of pictures, or a video in such a folder, into a drive.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with images.csv, or a video; beside it odometry.csv, a home image, and images.yaml
+        with the camera.
+    family : str, optional
+        Of the tags; None: images.yaml's.
+    tell : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Returns
+    -------
+    Drive
+        Its landmarks are the numbers of the tags.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+    """
+    video = path.suffix.lower() in VIDEOS
+    folder = path.parent if video else path
+    told = folder / IMAGE_SETTINGS
+    settings = read_image_settings(told if is_there(told) else None)
+    eye = TagFrontEnd(settings.camera, family or settings.tags or "36h11")
+    remarks: dict[str, int] = {}
+    frames = Video(path) if video else PictureFiles(folder, remarks)
+    if not frames.t.size:
+        raise InputError("no pictures in it", path)
+    odometry = read_odometry(folder / ODOMETRY, remarks)
+    ends = {"the odometry": odometry.t[[0, -1]], "the images": frames.t[[0, -1]]}
+    require_overlap({k: (float(a), float(b)) for k, (a, b) in ends.items()}, OTHER_CLOCK, folder)
+    home = _home(eye, folder, settings)
+    sightings = _sightings(eye, frames, remarks, tell)
+    return Drive(
+        name=path.resolve().stem,
+        odometry=odometry,
+        sightings=sightings,
+        home=home,
+        settings=read_drive_settings(folder / SETTINGS),
+        truth=read_truth(folder / TRUTH, remarks),
+        remarks=remarks,
+    )
+
+
+def see_tags_in_log(
+    path: Path, family: str, topics: Path | None = None, tell: Tell | None = None
+) -> Drive:
+    """Turn a log with a topic of pictures into a drive; otherwise as `read_log`.
+
+    The camera comes from CameraInfo or the topics file, as for tags that a log has already.
+    """
+    detector = TagDetector(family)
+
+    def eye(message: Any, camera: Lens | None) -> Iterator[Sighting]:
+        grey = picture_of(message)
+        height, width = grey.shape
+        if camera is None:  # not told yet: edges are taken to be straight
+            camera = Lens(fx=width, fy=width, cx=width / 2, cy=height / 2)
+        camera.require_shape((height, width))
+        tags = detector.find(grey, camera)
+        for name, corners, sigma in zip(
+            tags.names, tags.corners.tolist(), tags.sigma.tolist(), strict=True
+        ):
+            yield Sighting(name, 0.0, sigma=sigma, corners=tuple(map(tuple, corners)))
+        for name in tags.twice:
+            yield from (Sighting(name, 0.0, corners=((0.0, 0.0),) * 4),) * 2
+
+    return read_log(path, topics, tell, eye)
+
+
+def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:
+    place = home_image(folder, settings)
+    home = _look(eye, read_grey(place), str(place)).home
+    if not home:
+        raise InputError("no tag in the home image", place)
+    return home
+
+
+def _look(eye: TagFrontEnd, picture: np.ndarray, name: str) -> TagBearings:
+    try:
+        return eye.see(picture)
+    except InputError as error:
+        raise InputError(error.what, Path(name)) from None
+
+
+def _sightings(
+    eye: TagFrontEnd, frames: PictureFiles | Video, remarks: dict[str, int], tell: Tell | None
+) -> Sightings:
+    """Return what all frames show; `remarks` counts what was left out."""
+    rows: list[tuple[float, str, float, float]] = []
+    counts: Counter[str] = Counter()
+    for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
+        seen = _look(eye, frame, f"picture at {t:g} s")
+        rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
+        counts[TWICE] += len(seen.tags.twice)
+        counts[NO_TAGS] += not seen.bearings
+        if tell is not None:
+            tell((k + 1) / frames.t.size)
+    remarks |= {reason: count for reason, count in counts.items() if count}
+    names = np.empty(len(rows), object)
+    names[:] = [row[1] for row in rows]
+    numbers = np.array([(t, b, s) for t, _, b, s in rows], float).reshape(-1, 3)
+    return Sightings(numbers[:, 0], names, numbers[:, 1], numbers[:, 2])

@@ -1,0 +1,1 @@
+"""Square tags in pictures: found, their edges fitted, and their bearings with honest deviations."""
