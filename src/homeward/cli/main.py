@@ -15,6 +15,7 @@ from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.view import view
 from homeward.cli.export import export
+from homeward.cli.images.camera import camera
 from homeward.cli.images.compare import compare
 from homeward.cli.images.render import render
 from homeward.cli.images.see import see
@@ -94,3 +95,4 @@ for command in COMMANDS:
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
     name = command.__name__.rstrip("_")
     app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
+app.add_typer(camera, name="camera", epilog=EXIT_STATUSES)

@@ -27,6 +27,8 @@ from homeward.errors import InputError
 
 ITERATIONS = 60
 """Of a bisection down to the last bit of a double, and more than Newton's method ever needs."""
+ENOUGH = 1e-13
+"""Newton's method ends with steps so small, in focal lengths."""
 CLOSE = 1e-9
 """A ray is found when it falls so near its pixel, in focal lengths."""
 SAME = {
@@ -194,7 +196,7 @@ class Lens(Camera):
                     (d * (xd - u) - b * (yd - v)) / det,
                     (a * (yd - v) - b * (xd - u)) / det,
                 )
-                if not np.nanmax(np.abs(right) + np.abs(down), initial=0.0) > 1e-15:
+                if not np.nanmax(np.abs(right) + np.abs(down), initial=0.0) > ENOUGH:
                     break
                 x, y = self._within(x + right, y + down)
             (u, v), _ = self._distorted(x, y)
