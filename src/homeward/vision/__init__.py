@@ -12,6 +12,7 @@ from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import View, look
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming
+from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
 
 __all__ = [
     "Comparison",
@@ -21,6 +22,8 @@ __all__ = [
     "Mask",
     "Panorama",
     "Ring",
+    "TagBearings",
+    "TagFrontEnd",
     "View",
     "VisualHoming",
     "compare",

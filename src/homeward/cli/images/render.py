@@ -37,7 +37,7 @@ def render(
     ] = False,
     changes: Changes = None,
 ) -> None:
-    """Render what a panoramic camera sees on a drive through a room.
+    """Render what a camera sees on a drive through a room.
 
     The folder gets home.png, images.csv and the images, images.yaml, odometry.csv, truth.csv,
     drive.yaml, things.csv with what was moved since the home image, and scenario.yaml, which

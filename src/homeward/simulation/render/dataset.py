@@ -17,7 +17,7 @@ from homeward.estimator import Estimator
 from homeward.frames import Pose
 from homeward.simulation.files import SCENARIO, scenario_yaml
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageDrive, ImageLoop, panorama_of
+from homeward.simulation.render.loop import ImageDrive, ImageLoop, camera_of
 from homeward.simulation.render.scene import Scene
 from homeward.simulation.render.shading.picture import PixelTruth, png
 
@@ -92,14 +92,10 @@ def write_rendered(
 
 def _image_settings(eye: Eye) -> str:
     """Return images.yaml: what a robot would know of its camera."""
-    camera = panorama_of(eye)
-    known = {
-        "model": eye.scenario.camera.projection,
-        "roll": camera.roll,
-        "pitch": camera.pitch,
-        "tilt_sigma": camera.tilt_sigma,
-    }
-    return yaml.safe_dump({"camera": known, "home": HOME_IMAGE}, sort_keys=False)
+    camera = camera_of(eye)
+    known = camera.model_dump(mode="json", exclude={"axis", "horizon", "row_scale"})
+    tags = {} if eye.scenario.tags is None else {"tags": eye.scenario.tags.family}
+    return yaml.safe_dump({"camera": known, "home": HOME_IMAGE} | tags, sort_keys=False)
 
 
 def _write_logs(drive: Drive, folder: Path) -> None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.drives.drive import Drive
+from homeward.drives.cameras.lens import Lens
+from homeward.drives.drive import Drive, HomeBearing
+from homeward.errors import InputError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate
 from homeward.frames import Pose
 from homeward.one_thread import one_thread
@@ -17,8 +19,9 @@ from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.features.detection import View, look
-from homeward.vision.front_end import FrontEnd
+from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming
+from homeward.vision.tags.front_end import TagFrontEnd
 
 LEAST_TILT = 0.002
 """A camera that is said not to tilt is still not trusted more than this [rad]."""
@@ -59,16 +62,24 @@ class ImageLoop:
 
     def __init__(self, eye: Eye, blind: bool = False) -> None:
         self.eye, self._taken = eye, 0
-        self.front_end: FrontEnd | None = None
-        if not blind:
+        self.front_end: FrontEnd | TagFrontEnd | None = None
+        self._home: dict[str, HomeBearing] = {}
+        if not blind and eye.scenario.tags is not None:
+            self.front_end = TagFrontEnd(camera_of(eye), eye.scenario.tags.family)
+            self._home = self.front_end.see(eye.home_picture()).home
+        elif not blind:
             camera = panorama_of(eye)
             self.front_end = FrontEnd(look(eye.home_picture(), camera), camera)
+            self._home = self.front_end.all_home_bearings()
 
     @property
     def drive(self) -> Drive:
         """The drive before it begins: home and settings, for making an estimator."""
-        home = {} if self.front_end is None else self.front_end.all_home_bearings()
-        return before(self.eye.scenario, home, None, 2 * math.pi)
+        camera = self.eye.scenario.camera
+        wide = camera.projection != "pinhole"
+        return before(
+            self.eye.scenario, self._home, None, 2 * math.pi if wide else camera.field_of_view
+        )
 
     @one_thread()
     def run(
@@ -87,7 +98,9 @@ class ImageLoop:
         InputError
             When the robot runs into something.
         """
-        sight = None if estimator is None else VisualHoming(estimator, **self.drive.settings.robot)
+        sight = estimator
+        if estimator is not None and isinstance(self.front_end, FrontEnd):
+            sight = VisualHoming(estimator, **self.drive.settings.robot)
         log = Log(sight, self.eye.scenario.sensor.yaw)
 
         def see(t: float, robot: Pose) -> None:
@@ -97,7 +110,7 @@ class ImageLoop:
                 keep(t, robot, picture)
             if self.front_end is not None:
                 seen = self.front_end.see(picture)
-                if sight is not None:
+                if isinstance(sight, VisualHoming) and isinstance(seen, FrameBearings):
                     sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)
 
@@ -108,12 +121,31 @@ class ImageLoop:
         return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates, known)
 
 
-def panorama_of(eye: Eye) -> Panorama:
+def camera_of(eye: Eye) -> Panorama | Lens:
     """Return the camera of a scenario as the front-end knows it: its tilt, but not each shake."""
     camera = eye.scenario.camera
+    tilt = {"roll": camera.roll, "pitch": camera.pitch}
+    tilt["tilt_sigma"] = max(LEAST_TILT, camera.tilt_sigma)
+    if camera.projection == "pinhole":
+        size = {"width": camera.width, "height": camera.height}
+        middle = {"cx": (camera.width - 1) / 2, "cy": (camera.height - 1) / 2}
+        return Lens(fx=camera.focal, fy=camera.focal, **middle, **size, **tilt)
     kind = Equirectangular if camera.projection == "equirectangular" else Cylindrical
-    tilt = max(LEAST_TILT, camera.tilt_sigma)
-    return kind(roll=camera.roll, pitch=camera.pitch, tilt_sigma=tilt)
+    return kind(**tilt)
+
+
+def panorama_of(eye: Eye) -> Panorama:
+    """Return `camera_of` a scenario in which landmarks are found all round.
+
+    Raises
+    ------
+    InputError
+        When it does not see all round.
+    """
+    camera = camera_of(eye)
+    if not isinstance(camera, Panorama):
+        raise InputError("camera.projection: a pinhole camera needs tags to come home by")
+    return camera
 
 
 def moved_boxes(eye: Eye) -> dict[str, bool]:

@@ -20,7 +20,7 @@ from homeward.simulation.render.rays.surfaces import (
 )
 from homeward.simulation.render.room.settings import Light, Mover, RenderScenario
 from homeward.simulation.render.shading.lighting import bake, shine
-from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas
+from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
 POSTER_GAP = 0.002
 """A poster hangs so far before its wall [m]."""
@@ -94,6 +94,7 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
     names += [*scenario.boxes, *scenario.posters, *scenario.movers]
     textures = _textures(scenario)
     parts = [*_walls(scenario, textures), *_posters(scenario, textures, names)]
+    parts += [*_tags(scenario, textures, names, at_home)]
     for name, box in scenario.boxes.items():
         stand = box.where(at_home)
         skin = Skin(
@@ -161,6 +162,9 @@ def _textures(scenario: RenderScenario) -> list[Texture]:
     found = [Texture(kind, seed) for kind in (room.walls, room.floor, room.ceiling)]
     for things in (scenario.boxes, scenario.posters, scenario.movers):
         found += [_texture(scenario, thing.texture, name) for name, thing in things.items()]
+    if scenario.tags is not None:
+        places = tag_places(scenario, at_home=False)
+        found += [tag_texture(scenario.tags.family, tag.number) for tag in places]
     return list(dict.fromkeys(found))
 
 
@@ -207,6 +211,68 @@ def _posters(scenario: RenderScenario, textures: list[Texture], names: list[str]
                 names.index(name),
             )
         )
+    return parts
+
+
+@dataclass(frozen=True)
+class TagPlace:
+    """Where a tag hangs."""
+
+    number: int
+    thing: str
+    """What it hangs on."""
+    left: np.ndarray
+    """(2,), its ends on the ground as one looks at it [m]."""
+    right: np.ndarray
+    middle: float
+    """Height [m]."""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,), in room coordinates [m]."""
+        return np.array([*(self.left + self.right) / 2, self.middle])
+
+
+def tag_places(scenario: RenderScenario, at_home: bool) -> list[TagPlace]:
+    """Return where tags hang: box k bears numbers 4k to 4k + 3, and those on the walls follow."""
+    told, places = scenario.tags, list[TagPlace]()
+    if told is None:
+        return places
+    size = 1.34 * told.size  # with its white border
+
+    def hang(a: np.ndarray, b: np.ndarray, at: float, middle: float, thing: str) -> None:
+        """Hang the next tag before the face over the line from a to b, seen from its right."""
+        along = (b - a) / math.dist(a, b)
+        half = 0.5 * min(size, 0.95 * math.dist(a, b), 1.9 * middle) * along
+        centre = a + at * (b - a) + POSTER_GAP * np.array([along[1], -along[0]])
+        places.append(TagPlace(len(places), thing, centre - half, centre + half, middle))
+
+    for name, box in scenario.boxes.items():
+        stand = box.where(at_home)
+        base = footprint(stand.at, stand.yaw, box.size[:2])
+        for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
+            hang(a, b, 0.5, box.base + box.size[2] / 2, name)
+    corners = np.array(scenario.room.outline, float)
+    lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    for way in (np.arange(told.walls) + 0.5) / max(told.walls, 1) * ends[-1]:
+        wall = int(np.searchsorted(ends, way)) - 1
+        a, b = corners[wall], corners[(wall + 1) % len(corners)]
+        hang(b, a, 1 - (way - ends[wall]) / lengths[wall], told.height, f"wall {wall}")
+    return places
+
+
+def _tags(
+    scenario: RenderScenario, textures: list[Texture], names: list[str], at_home: bool
+) -> list[Surfaces]:
+    """Return the tags as surfaces."""
+    parts = []
+    for tag in tag_places(scenario, at_home):
+        assert scenario.tags is not None
+        skin = Skin(textures.index(tag_texture(scenario.tags.family, tag.number)), None)
+        half = math.dist(tag.left, tag.right) / 2
+        edges = tag.left, tag.right, tag.middle - half, tag.middle + half
+        parts.append(upright(*edges, skin, names.index(tag.thing)))
     return parts
 
 

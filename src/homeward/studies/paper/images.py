@@ -17,7 +17,7 @@ from homeward.frames import Polar, Pose, between, compose, from_polar
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of, things_seen
 from homeward.simulation.render.rays.raycast import points, trace
-from homeward.simulation.render.room.settings import Furnish, PanoramaCamera, RenderScenario, Walls
+from homeward.simulation.render.room.settings import Furnish, RenderScenario, RoomCamera, Walls
 from homeward.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world, fault_count
@@ -138,7 +138,7 @@ def _room(case: CaseName, settings: PaperSettings, seed: int) -> RenderScenario:
         seed=seed,
         room=Walls(outline=((0, 0), (SIDE, 0), (SIDE, SIDE), (0, SIDE)), height=2.5),
         furnish=Furnish(boxes=max(6, wanted), posters=6, moved=wanted, shift=(0.3, 0.9)),
-        camera=PanoramaCamera(width=width, height=width // 4),
+        camera=RoomCamera(width=width, height=width // 4),
         home=RoomPose(x=SIDE / 2, y=SIDE / 2, heading=0.0),
         start=StartPose(R=R / 100, theta=theta, alpha=alpha, prior=False),
         trajectory=Homing(),

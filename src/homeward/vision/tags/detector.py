@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.camera import Camera
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.vision.opencv import opencv
 from homeward.vision.tags.edges import refined
 
 BLURRED = 0.5
 """A tag whose corners have a greater deviation is not seen sharply enough to be measured [px]."""
+
+AMBIGUOUS = 0.1
+"""A cell nearer to the middle between black (0) and white (1) than that may be either."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +35,23 @@ class Tags:
     """Numbers that the picture has more than once, which are left out."""
 
 
+def family_of(family: str) -> Any:
+    """Return OpenCV's dictionary of a family, by the names of `TagDetector`; errors as there."""
+    aruco = opencv().aruco
+    short = family.lower().removeprefix("tag").removeprefix("_")
+    known = {n.lower(): n for n in dir(aruco) if n.startswith("DICT_")}
+    name = known.get(f"dict_apriltag_{short}") or known.get(f"dict_{short}")
+    if name is None:
+        names = sorted({n.removeprefix("dict_").removeprefix("apriltag_") for n in known})
+        raise InputError(f"no family of tags {quoted(family)}; there are {', '.join(names)}")
+    return aruco.getPredefinedDictionary(getattr(aruco, name))
+
+
 class TagDetector:
     """Finds the tags of one family.
 
-    Only whole codes count: OpenCV would correct some wrong bits, and so make tags of what is none.
+    OpenCV proposes, and corrects some wrong bits; then the edges are fitted, the code is read once
+    more between them, and counts if it is whole and every cell plainly black or white.
 
     Parameters
     ----------
@@ -49,18 +66,10 @@ class TagDetector:
     """
 
     def __init__(self, family: str) -> None:
-        aruco = opencv().aruco
-        short = family.lower().removeprefix("tag").removeprefix("_")
-        known = {n.lower(): n for n in dir(aruco) if n.startswith("DICT_")}
-        name = known.get(f"dict_apriltag_{short}") or known.get(f"dict_{short}")
-        if name is None:
-            names = sorted({n.removeprefix("dict_").removeprefix("apriltag_") for n in known})
-            raise InputError(f"no family of tags {family!r}; there are {', '.join(names)}")
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
+        aruco, dictionary = opencv().aruco, family_of(family)
         options = aruco.DetectorParameters()
         options.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        options.errorCorrectionRate = 0.0
-        options.maxErroneousBitsInBorderRate = 0.0
+        self._dictionary = dictionary
         self._cells = int(dictionary.markerSize) + 2 * options.markerBorderBits
         self._detector: Any = aruco.ArucoDetector(dictionary, options)
 
@@ -73,8 +82,33 @@ class TagDetector:
         corners, sigma = refined(grey, rough, self._cells, camera)
         with np.errstate(invalid="ignore"):
             sharp = np.isfinite(corners).all(axis=(1, 2)) & (sigma < BLURRED)
-        names = [str(number) for number in np.ravel(ids).tolist()]
+        numbers = np.ravel(ids).tolist()
+        names = [str(number) for number in numbers]
+        for k in np.flatnonzero(sharp).tolist():
+            sharp[k] = self._reads(grey, corners[k]) == numbers[k]
         times = Counter(names)
         rows = [k for k, name in enumerate(names) if sharp[k] and times[name] == 1]
         twice = tuple(name for name, count in times.items() if count > 1)
         return Tags(tuple(names[k] for k in rows), corners[rows], sigma[rows], twice)
+
+    def _reads(self, grey: np.ndarray, corners: np.ndarray) -> int | None:
+        """Return the number that stands between corners (4, 2), None where it is not plain."""
+        cv2, n = opencv(), self._cells
+        square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32)
+        # Nine places in the inner half of each cell.
+        place = (np.arange(n)[:, None] + np.array([0.25, 0.5, 0.75])).ravel()
+        grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(1, -1, 2)
+        map_to = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
+        at = cv2.perspectiveTransform(grid, map_to).astype(np.float32)
+        cells = cv2.remap(grey, at, None, cv2.INTER_LINEAR).astype(float)
+        cells = cells.reshape(n, 3, n, 3).mean(axis=(1, 3))
+        black = np.concatenate([cells[[0, -1]].ravel(), cells[1:-1, [0, -1]].ravel()])
+        code = cells[1:-1, 1:-1]
+        dark, bright = float(black.mean()), float(np.quantile(code, 0.9))
+        level = (cells - dark) / max(bright - dark, 1.0)
+        plain = np.abs(level - 0.5) > AMBIGUOUS
+        plain[[0, -1]] = level[[0, -1]] < 0.5
+        plain[:, [0, -1]] = level[:, [0, -1]] < 0.5
+        bits = (level[1:-1, 1:-1] > 0.5).astype(np.uint8)
+        found, number, _ = self._dictionary.identify(bits, 0.0)
+        return int(number) if found and plain.all() else None

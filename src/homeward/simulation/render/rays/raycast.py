@@ -2,10 +2,11 @@
 
 A panorama's ray has azimuth a and elevation e; its direction is written (cos a, sin a, tan e) in
 the camera's frame, so that it is a sum of a part by column and a part by row. Along it, one unit is
-one metre on the camera's own horizon. For a rectangle with corner o (seen from the camera) and
-normal n, ray d meets its plane at ``1 / q0``, and tile coordinates there are ``q1 / q0`` and
-``q2 / q0`` plus constants, with q = M d linear in d: three sums a pixel, and no other geometry.
-Each rectangle is tried only within the window of columns and rows that it can cover.
+one metre on the camera's own horizon. A pinhole's is (1, -x, -y), and a unit one metre ahead. For a
+rectangle with corner o (seen from the camera) and normal n, ray d meets its plane at ``1 / q0``,
+and tile coordinates there are ``q1 / q0`` and ``q2 / q0`` plus constants, with q = M d linear in d:
+three sums a pixel, and no other geometry. Each rectangle is tried only within the window of columns
+and rows that it can cover.
 """
 
 from __future__ import annotations
@@ -65,6 +66,54 @@ class Hits:
         return Hits(*(part[rows, columns] for part in parts))
 
 
+@dataclass(frozen=True)
+class Grid:
+    """The rays of a picture: ``(across[0], across[1], up)`` of each column and row."""
+
+    across: np.ndarray
+    """(2, w)"""
+    up: np.ndarray
+    """(h,)"""
+    turn: tuple[np.ndarray, np.ndarray] | None = None
+    """Of a panorama: azimuths (w,) and elevations (h,) [rad]."""
+
+    @classmethod
+    def panorama(cls, azimuth: np.ndarray, elevation: np.ndarray) -> Grid:
+        """Return that of columns and rows [rad] as `cast` wants them."""
+        across = np.stack([np.cos(azimuth), np.sin(azimuth)])
+        return cls(across, np.tan(elevation), (azimuth, elevation))
+
+    @classmethod
+    def pinhole(cls, x: np.ndarray, y: np.ndarray) -> Grid:
+        """Return that of columns and rows from the axis, in focal lengths."""
+        return cls(np.stack([np.ones_like(x), -x]), -y)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Of all pixels, (h, w, 3)."""
+        shape = (self.up.size, self.across.shape[1])
+        parts = (*self.across, self.up[:, None])
+        return np.stack([np.broadcast_to(part, shape) for part in parts], axis=-1)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Of the directions, (h, w)."""
+        return np.asarray(np.hypot(np.hypot(*self.across), self.up[:, None]))
+
+    def windows(self, projected: Projected) -> list[Window]:
+        """Return where each rectangle may be in the picture."""
+        if self.turn is not None:
+            return windows(projected, *self.turn)
+        (_, left), (lowest, highest) = self.across, (self.up.min(), self.up.max())
+        ahead, y, z = np.moveaxis(projected.corners, -1, 0)
+        # What lies wholly beyond one of the picture's edges, or behind, is not in it.
+        beyond = [ahead, y - left.min() * ahead, left.max() * ahead - y]
+        beyond += [z - lowest * ahead, highest * ahead - z]
+        seen = ~np.any([np.all(side <= 0, axis=1) for side in beyond], axis=0)
+        whole = slice(0, self.up.size), slice(0, left.size)
+        return [(k, *whole) for k in np.flatnonzero(seen).tolist()]
+
+
 def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
     """Find what any rays meet, from where the view is.
 
@@ -82,11 +131,10 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
 def cast(
     surfaces: Surfaces,
     view: Viewpoint,
-    azimuth: np.ndarray,
-    elevation: np.ndarray,
+    grid: Grid,
     dtype: type[np.floating] = np.float64,
 ) -> Hits:
-    """Find what the rays of a panorama meet.
+    """Find what the rays of a picture meet.
 
     Parameters
     ----------
@@ -94,25 +142,23 @@ def cast(
         Everything in the room.
     view : Viewpoint
         The camera.
-    azimuth : ndarray, shape (w,)
-        Of the columns [rad], evenly falling from left to right through one full turn.
-    elevation : ndarray, shape (h,)
-        Of the rows [rad], falling from top to bottom, within a right angle of the horizon.
+    grid : Grid
+        A panorama's azimuths fall evenly from left to right through one full turn, its elevations
+        from top to bottom, within a right angle of the horizon.
     dtype : type
         float32 is enough for pictures.
 
     Returns
     -------
     Hits
-        Of shape (h, w); distances are metres on the camera's own horizon.
+        Of shape (h, w); distances are in units of the grid's rays.
     """
-    hits = _nothing((elevation.size, azimuth.size), dtype)
-    flat = np.stack([np.cos(azimuth), np.sin(azimuth)])
-    rise = np.tan(elevation)
+    flat, rise = grid.across, grid.up
+    hits = _nothing((rise.size, flat.shape[1]), dtype)
     projected = project(surfaces, *view)
     by_column = (projected.matrix[:, :, :2] @ flat).astype(dtype)
     by_row = (projected.matrix[:, :, 2:] * rise).astype(dtype)
-    covered = windows(projected, azimuth, elevation)
+    covered = grid.windows(projected)
     if dtype is np.float32 and _cast_compiled(hits, projected, covered, by_column, by_row):
         return hits
     limits = projected.limits(dtype).tolist()
@@ -153,12 +199,6 @@ def points(hits: Hits, view: Viewpoint, directions: np.ndarray) -> np.ndarray:
     """Return where rays met something, (..., 3) in room coordinates [m]; NaN where nothing."""
     reach = np.where(hits.surface >= 0, hits.distance, np.nan)
     return np.asarray(view.position + (directions * reach[..., None]) @ view.rotation.T)
-
-
-def directions(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Return rays (cos a, sin a, tan e), shape (h, w, 3), of columns (w,) and rows (h,) [rad]."""
-    a, rise = np.meshgrid(azimuth, np.tan(elevation))
-    return np.stack([np.cos(a), np.sin(a), rise], axis=-1)
 
 
 def _nothing(shape: tuple[int, ...], dtype: type[np.floating]) -> Hits:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -125,12 +126,27 @@ class Furnish(Strict):
     """How far from there, uniform [m]."""
 
 
-class PanoramaCamera(Strict):
-    """A camera that sees all round."""
+class Tags(Strict):
+    """Square tags on the sides of every box, each with a number of its own, and on the walls."""
 
-    projection: Literal["equirectangular", "cylindrical"] = "equirectangular"
+    family: str = "36h11"
+    """As `homeward see --tags` takes it."""
+    size: Length = 0.16
+    """Side of the black square, a little less on small boxes [m]."""
+    walls: Annotated[int, Field(ge=0, le=200)] = 12
+    """How many hang on the walls, all round at even distances."""
+    height: Positive = 0.9
+    """Of the middle of those [m]."""
+
+
+class RoomCamera(Strict):
+    """A camera that sees all round, or (pinhole) ahead."""
+
+    projection: Literal["equirectangular", "cylindrical", "pinhole"] = "equirectangular"
     width: Annotated[int, Field(ge=64, le=4096)] = 512
-    """Columns; they share the full turn."""
+    """Columns; of a panorama, they share the full turn."""
+    field_of_view: Annotated[float, Field(ge=0.1, le=2.6)] = 1.2
+    """Across the width of a pinhole camera's picture [rad]."""
     height: Annotated[int, Field(ge=16, le=2048)] = 128
     """Rows; the horizon lies in the middle, and there a pixel is as high as it is wide."""
     above_floor: Positive = 0.5
@@ -145,6 +161,11 @@ class PanoramaCamera(Strict):
     """Standard deviation of each pixel [grey levels of 255]."""
     exposure_sigma: Annotated[float, Field(ge=0, le=1)] = 0.05
     """Each image is brighter or darker by such a share."""
+
+    @property
+    def focal(self) -> float:
+        """Focal length of a pinhole camera [px]."""
+        return self.width / 2 / math.tan(self.field_of_view / 2)
 
     @model_validator(mode="after")
     def _below_the_poles(self) -> Self:
@@ -163,9 +184,10 @@ class RenderScenario(Course):
     boxes: dict[str, Box] = Field(default_factory=dict)
     posters: dict[str, Poster] = Field(default_factory=dict)
     movers: dict[str, Mover] = Field(default_factory=dict)
+    tags: Tags | None = None
     lights: tuple[Light, ...] = ()
     """None: one under the middle of the ceiling."""
-    camera: PanoramaCamera = PanoramaCamera()
+    camera: RoomCamera = RoomCamera()
     home_time: Finite = -100.0
     """When the home image was taken [s]; movers were elsewhere then."""
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)

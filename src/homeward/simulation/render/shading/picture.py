@@ -1,4 +1,4 @@
-"""Pictures: what the rays of a panorama meet, textured, lit and taken by a sensor."""
+"""Pictures: what the rays of a camera meet, textured, lit and taken by a sensor."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.simulation.render.rays.raycast import Viewpoint, cast, directions, points
+from homeward.simulation.render.rays.raycast import Grid, Viewpoint, cast, points
 from homeward.simulation.render.rays.surfaces import Surfaces
-from homeward.simulation.render.room.settings import PanoramaCamera
+from homeward.simulation.render.room.settings import RoomCamera
 from homeward.simulation.render.scene import Scene
 from homeward.simulation.render.shading.lighting import GRID
 from homeward.simulation.render.shading.textures import LEVELS, SIZE, Atlas
@@ -42,21 +42,32 @@ def column_azimuths(width: int) -> np.ndarray:
     return math.pi - 2 * math.pi * (np.arange(width) + 0.5) / width
 
 
-def row_elevations(camera: PanoramaCamera, oversampling: int = 1) -> np.ndarray:
+def row_elevations(camera: RoomCamera, oversampling: int = 1) -> np.ndarray:
     """Return the elevation of each row's middle [rad], the horizon in the middle of the image."""
     n = camera.height * oversampling
     above = (n / 2 - np.arange(n) - 0.5) * 2 * math.pi / (camera.width * oversampling)
     return above if camera.projection == "equirectangular" else np.arctan(above)
 
 
-def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: PanoramaCamera) -> PixelTruth:
+def grid_of(camera: RoomCamera, oversampling: int = 1) -> Grid:
+    """Return the rays of a camera's pixels, or of so many by so many parts of each."""
+    if camera.projection != "pinhole":
+        azimuth = column_azimuths(oversampling * camera.width)
+        return Grid.panorama(azimuth, row_elevations(camera, oversampling))
+    sizes = (oversampling * camera.width, oversampling * camera.height)
+    return Grid.pinhole(
+        *((np.arange(n) + 0.5 - n / 2) / (oversampling * camera.focal) for n in sizes)
+    )
+
+
+def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
     """Return the exact truth of every pixel's middle, in double precision."""
-    azimuth, elevation = column_azimuths(camera.width), row_elevations(camera)
+    grid = grid_of(camera)
     surfaces, _ = scene.at(t, view)
-    hits = cast(surfaces, view, azimuth, elevation)
+    hits = cast(surfaces, view, grid)
     return PixelTruth(
-        points(hits, view, directions(azimuth, elevation)),
-        hits.distance / np.cos(elevation)[:, None],
+        points(hits, view, grid.directions),
+        hits.distance * grid.lengths,
         surfaces.thing[hits.surface],
     )
 
@@ -65,7 +76,7 @@ def picture(
     scene: Scene,
     view: Viewpoint,
     t: float,
-    camera: PanoramaCamera,
+    camera: RoomCamera,
     rng: np.random.Generator | None = None,
 ) -> np.ndarray:
     """Take a picture.
@@ -78,7 +89,7 @@ def picture(
         Where the camera is.
     t : float
         When [s].
-    camera : PanoramaCamera
+    camera : RoomCamera
         Its projection, size, noise and exposure.
     rng : Generator, optional
         Of noise and exposure; None: without either.
@@ -90,7 +101,9 @@ def picture(
     """
     surfaces, light = scene.at(t, view)
     rays = _samples(surfaces, view, camera)
-    colour = _textured(rays, surfaces, view, scene.atlas, 2 * math.pi / camera.width)
+    wide = camera.projection != "pinhole"
+    step = 2 * math.pi / camera.width if wide else 1 / camera.focal
+    colour = _textured(rays, surfaces, view, scene.atlas, step)
     colour *= _grey(_lit(rays, surfaces, light))
     return _exposed(_gathered(rays, colour, camera), camera, rng)
 
@@ -112,20 +125,19 @@ class _Samples:
     """(m,), flat indices of the pixels on edges; the last 4 m samples are theirs."""
 
 
-def _samples(surfaces: Surfaces, view: Viewpoint, camera: PanoramaCamera) -> _Samples:
+def _samples(surfaces: Surfaces, view: Viewpoint, camera: RoomCamera) -> _Samples:
     """Cast four rays a pixel, and join those that meet one surface."""
     cv2 = opencv()
 
-    azimuth = column_azimuths(2 * camera.width)
-    elevation = row_elevations(camera, 2)
-    hits = cast(surfaces, view, azimuth, elevation, np.float32)
-    distance = hits.distance / np.cos(elevation).astype(np.float32)[:, None]
+    grid = grid_of(camera, 2)
+    hits = cast(surfaces, view, grid, np.float32)
+    distance = hits.distance * grid.lengths.astype(np.float32)
     four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
     met = [hits.surface[i::2, j::2] for i, j in four]
     one = (met[0] == met[1]) & (met[0] == met[2]) & (met[0] == met[3])
     edge = np.flatnonzero(~one)
     row, column = np.divmod(edge, camera.width)
-    on_edges = np.concatenate([(2 * row + i) * azimuth.size + 2 * column + j for i, j in four])
+    on_edges = np.concatenate([2 * (2 * row + i) * camera.width + 2 * column + j for i, j in four])
     size = (camera.width, camera.height)
 
     def gathered(values: np.ndarray) -> np.ndarray:
@@ -142,7 +154,7 @@ def _samples(surfaces: Surfaces, view: Viewpoint, camera: PanoramaCamera) -> _Sa
     )
 
 
-def _gathered(rays: _Samples, colour: np.ndarray, camera: PanoramaCamera) -> np.ndarray:
+def _gathered(rays: _Samples, colour: np.ndarray, camera: RoomCamera) -> np.ndarray:
     """Return the image of shaded samples (n, 3), float32."""
     image = colour[: camera.width * camera.height]
     parts = colour[camera.width * camera.height :]
@@ -206,9 +218,7 @@ def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(found.reshape(-1, *image.shape[2:])[:n])
 
 
-def _exposed(
-    image: np.ndarray, camera: PanoramaCamera, rng: np.random.Generator | None
-) -> np.ndarray:
+def _exposed(image: np.ndarray, camera: RoomCamera, rng: np.random.Generator | None) -> np.ndarray:
     """Return what the sensor makes of light: exposure, noise, rounding."""
     cv2 = opencv()
 

@@ -13,18 +13,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.errors import InputError
+from homeward.vision.opencv import opencv
+from homeward.vision.tags.detector import family_of
+
 SIZE = 256
 """Texels along one side of a tile at the finest level."""
 LEVELS = 8
 """Mip levels; the coarsest tile has SIZE / 2^(LEVELS - 1) texels a side."""
 PAD = 2
 """Texels repeated round each tile, so that interpolation wraps."""
+TAG = "tag "
+"""Before the family of a tag's texture."""
 ACROSS = 4
 """Textures side by side in the atlas."""
 
 
 class Texture(NamedTuple):
-    """Which texture: one of `KINDS`, drawn with a seed."""
+    """Which texture: one of `KINDS`, drawn with a seed; or a tag of a family, `tag_texture`."""
 
     kind: str
     seed: int
@@ -33,9 +39,30 @@ class Texture(NamedTuple):
 @lru_cache(maxsize=256)
 def paint(texture: Texture) -> np.ndarray:
     """Return a tile, shape (SIZE, SIZE, 3), blue green red in [0, 1]; not to be changed."""
+    if texture.kind.startswith(TAG):
+        return _tag(texture.kind.removeprefix(TAG), texture.seed)
     # The kind's place in the table tells apart kinds that share a seed.
     rng = np.random.default_rng([texture.seed, list(KINDS).index(texture.kind)])
     return np.asarray(np.clip(KINDS[texture.kind](rng), 0.0, 1.0), np.float32)
+
+
+def tag_texture(family: str, number: int) -> Texture:
+    """Return the texture of a tag: its code, a black border, and a white one round that."""
+    return Texture(TAG + family, number)
+
+
+def _tag(family: str, number: int) -> np.ndarray:
+    """Print a tag on white; texels that its cells share are grey by their shares."""
+    cv2, dictionary = opencv(), family_of(family)
+    if number >= len(dictionary.bytesList):
+        raise InputError(f"tags: {family} has {len(dictionary.bytesList)} tags, too few")
+    cells = int(dictionary.markerSize) + 2
+    fine = SIZE * (cells + 2)
+    code = cv2.aruco.generateImageMarker(dictionary, number, cells)
+    paper = np.pad(code, 1, constant_values=255)
+    large = cv2.resize(paper, (fine, fine), interpolation=cv2.INTER_NEAREST)
+    grey = cv2.resize(large, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
+    return np.asarray(0.05 + 0.85 * grey[..., None].repeat(3, axis=2) / 255.0, np.float32)
 
 
 def noise(rng: np.random.Generator, slope: float, coarsest: float = 1.0) -> np.ndarray:
