@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from homeward.cli.drives.convert import convert
 from homeward.cli.drives.import_ import import_
 from homeward.cli.drives.info import info
+from homeward.cli.drives.live import live
 from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.view import view
@@ -75,6 +76,7 @@ def main(
 
 COMMANDS = (
     run,
+    live,
     view,
     simulate,
     render,

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from homeward.cli.options import Changes, key_values, progress
-from homeward.cli.terminal import say
+from homeward.cli.terminal import no_answer, say, warn
+from homeward.errors import InputError
 
 if TYPE_CHECKING:
+    from homeward.simulation.scenario import Scenario
     from homeward.simulation.simulate import Simulation
 
 
@@ -18,7 +22,7 @@ def simulate(
     scenario: Annotated[
         str, typer.Argument(help="A preset (warehouse, paper-homing, circle) or a YAML file.")
     ],
-    out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+    out: Annotated[Path | None, typer.Option(help="The drive folder to write.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
     trajectory: Annotated[
         Literal["homing", "circle", "waypoints"] | None,
@@ -35,6 +39,16 @@ def simulate(
             "tron, or package.module:function."
         ),
     ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="Write nothing, but be the robot of the homeward live that listens there.",
+        ),
+    ] = None,
+    pace: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="With --live: so many times real time.")
+    ] = 1.0,
     changes: Changes = None,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
@@ -56,6 +70,11 @@ def simulate(
     }
     given = {key: value for key, value in options.items() if value is not None}
     chosen = load_scenario(scenario, given | key_values(changes or []))
+    if (out is None) == (live is None):
+        raise InputError("give one of --out and --live")
+    if out is None:
+        _play(chosen, live or "", pace)
+        return
     prepared = prepare(chosen)
     steering = None if chosen.estimator == "truth" else make_estimator(chosen.estimator, prepared)
     check_output(out, SCENARIO)
@@ -64,6 +83,22 @@ def simulate(
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
     say(_summary(simulation, out))
+
+
+def _play(scenario: Scenario, where: str, pace: float) -> None:
+    """Be a robot until it is home, or has given up."""
+    from homeward.live.player import Player, play
+    from homeward.live.server import address
+    from homeward.simulation.live_robot import LiveRobot
+
+    player = Player(LiveRobot(scenario), scenario.trajectory.duration)
+    token = os.environ.get("HOMEWARD_TOKEN") or None
+    asyncio.run(play(player, address(where), pace, token, lambda text: warn(text)))
+    ending, robot = player.ending, player.robot
+    state = "time up" if ending is None else f"{ending.state}: {ending.reason}"
+    say(f"{scenario.name}: {state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s")
+    if ending is None or ending.state != "arrived":
+        raise no_answer()
 
 
 def _summary(simulation: Simulation, out: Path) -> str:

@@ -1,0 +1,86 @@
+"""`homeward live`: a session with a robot, over JSON lines."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import Changes, key_values
+from homeward.cli.terminal import no_answer, refuse, say
+
+TOKEN = "HOMEWARD_TOKEN"
+
+
+def live(
+    tcp: Annotated[
+        str | None, typer.Option(metavar="[HOST:]PORT", help="Listen for JSON lines; 0: any port.")
+    ] = None,
+    websocket: Annotated[
+        str | None, typer.Option(metavar="[HOST:]PORT", help="Listen for WebSockets (extra live).")
+    ] = None,
+    home: Annotated[
+        Path | None, typer.Option(help="A home.csv: what the camera saw at home.")
+    ] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="A drive.yaml: camera, noise of odometry, start.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Keep the session in this folder, which ends as a drive.")
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(help="Repeat the session.jsonl of a recording, and compare every answer."),
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of all messages and exit.")
+    ] = False,
+    changes: Changes = None,
+) -> None:
+    """Localise a robot as it drives, and drive it home: JSON lines in, JSON lines out.
+
+    By stdin and stdout, or where --tcp or --websocket says so. Without a HOST only this machine can
+    connect; with one, everybody must say hello with the token in the environment's HOMEWARD_TOKEN.
+    It ends with stdin, or by Ctrl-C or SIGTERM. docs/live.md says what the messages are.
+    """
+    from homeward.drives.drive import DriveSettings
+    from homeward.drives.folder import read_home
+    from homeward.drives.text.settings import nested, read_settings, validated
+    from homeward.live.messages import schema as everything
+    from homeward.live.recording import Recorder
+    from homeward.live.recording import replay as repeat
+    from homeward.live.server import Server, address
+    from homeward.live.session import Session
+    from homeward.live.settings import LiveSettings
+
+    if schema:
+        typer.echo(json.dumps(everything(), indent=1))
+        return
+    if replay is not None:
+        same, other = repeat(replay)
+        if other is not None:
+            refuse(f"answer {same + 1} is another one now: {other.model_dump_json()}")
+            raise no_answer()
+        say(f"{same:,} answers, all equal to the last bit")
+        return
+    told = validated(LiveSettings, nested(key_values(changes or [])))
+    known = DriveSettings() if robot is None else read_settings(robot, DriveSettings)
+    homes = {} if home is None else {"home": read_home(home, {})}
+    at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
+    recorder = None if record is None else Recorder(record, told, known, homes)
+    session = Session(told, known, homes, None if recorder is None else recorder.keep)
+    server = Server(session, os.environ.get(TOKEN) or None)
+
+    def opened(ports: list[int]) -> None:
+        typer.echo(f"listening on port {' and '.join(map(str, ports))}", err=True)
+
+    stdio = at_tcp is None and at_websocket is None
+    try:
+        asyncio.run(server.serve(at_tcp, at_websocket, stdio, None if stdio else opened))
+    finally:
+        if recorder is not None:
+            recorder.close()

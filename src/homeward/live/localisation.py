@@ -1,0 +1,210 @@
+"""The slow side of a session: homes, the estimator, and what it answers.
+
+The order of the messages alone decides what comes of them, so that a recording repeats it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Odometry,
+    Sightings,
+)
+from homeward.drives.drive import Start as StartPrior
+from homeward.errors import InputError
+from homeward.estimator import Estimate, Estimator, Status
+from homeward.frames import Pose, compose, inverse, to_polar
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Event,
+    GoHome,
+    Input,
+    LandmarkOut,
+    Landmarks,
+    OdometryIn,
+    Output,
+    Reset,
+    SetHome,
+    Start,
+    StoreHome,
+)
+from homeward.registry import make_estimator
+
+Homes = dict[str, dict[str, HomeBearing]]
+"""Home bearings by the name of the home."""
+FIRST = "home"
+"""The name of a home that nobody named."""
+STORE_S, STANDING = 1.0, 0.01
+"""Home is what was seen for so long [s], by a robot that moved no faster [m/s, rad/s]."""
+AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
+"""Of a robot that stores home where it stands."""
+NO_HOME = "no home yet: store_home while the robot stands there, or send one"
+ANEW = "the map was begun anew"
+
+
+class Fix(NamedTuple):
+    """An answer, and where the robot's odometry frame lies by it."""
+
+    estimate: Estimate
+    odom: Pose | None
+    """The odometry frame in the home frame: REP 105's map to odom."""
+
+
+class Localisation:
+    """Home, and an estimator for it, made anew when home or the map is.
+
+    Parameters
+    ----------
+    estimator : str or None
+        Its name, as in `homeward.registry`; None: only homes are kept, and nothing is answered.
+    robot : DriveSettings
+        What is known of the robot.
+    homes : Homes
+        To begin with, and added to.
+    """
+
+    def __init__(self, estimator: str | None, robot: DriveSettings, homes: Homes) -> None:
+        self._name, self._robot, self.homes = estimator, robot, homes
+        self.home = FIRST
+        self.drive: Drive | None = None
+        """Home and settings of the map; another one whenever the map is begun anew."""
+        self.estimator: Estimator | None = None
+        self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
+        """The last one."""
+        self._lately: deque[BearingsIn] = deque(maxlen=400)
+        self._moved_t = -math.inf
+        if FIRST in homes:
+            self._begin(None)
+
+    def do(self, message: Input, odom: Pose | None) -> Output | None:
+        """Do what a message says, and return what is to be said of it.
+
+        `odom` is where odometry alone has the robot at the stamp of bearings.
+
+        Raises
+        ------
+        InputError
+            When it cannot be done; nothing is changed then.
+        """
+        match message:
+            case OdometryIn():
+                if max(abs(message.v), abs(message.omega)) > STANDING:
+                    self._moved_t = message.t
+                if self.estimator is not None:
+                    self.estimator.odometry(message.t, message.v, message.omega)
+            case BearingsIn():
+                return self._answer(message, odom)
+            case SetHome(name=name):
+                sigmas = message.sigmas
+                seen = message.bearings.items()
+                return self._new(
+                    name, {i: HomeBearing(b, sigmas.get(i, math.nan)) for i, b in seen}
+                )
+            case StoreHome(name=name):
+                return self._new(name, self._view(), AT_HOME)
+            case GoHome(name=str(name)) if name != self.home:
+                if name not in self.homes:
+                    raise InputError(f"no home {name}; there is {', '.join(self.homes) or 'none'}")
+                self.home = name
+                self._begin(None)
+            case Start(sigma=sigma):
+                polar = to_polar(Pose(message.x, message.y, message.heading))
+                R, theta, alpha = map(float, polar)
+                prior = StartPrior(
+                    R=R,
+                    theta=theta,
+                    alpha=alpha,
+                    sigma_R=sigma,
+                    sigma_theta=sigma / max(R, sigma),
+                    sigma_alpha=message.sigma_heading,
+                )
+                self._begin(prior)
+            case Reset():
+                self._begin(None)
+        return None
+
+    def landmarks(self) -> Landmarks:
+        """Return what is known of all landmarks."""
+        known = () if self.estimator is None else self.estimator.landmarks()
+        return Landmarks(
+            landmarks=tuple(
+                LandmarkOut(
+                    landmark=m.landmark,
+                    x=_finite(m.x),
+                    y=_finite(m.y),
+                    moved_probability=_finite(m.moved_probability),
+                )
+                for m in known
+            )
+        )
+
+    def _answer(self, message: BearingsIn, odom: Pose | None) -> Answer:
+        self._lately.append(message)
+        if self.estimator is None:
+            return _said(Estimate(message.t, Status.WAITING, NO_HOME))
+        estimate = self.estimator.bearings(message.t, message.bearings, message.sigmas or None)
+        frame = None
+        if estimate.pose is not None and odom is not None:
+            frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))
+        self.fix = Fix(estimate, frame)
+        return _said(estimate)
+
+    def _view(self) -> dict[str, HomeBearing]:
+        """Return what is seen from where the robot stands: the mean of some views."""
+        views = [v for v in self._lately if v.t > self._lately[-1].t - STORE_S]
+        if not any(v.bearings for v in views):
+            raise InputError("home cannot be stored: nothing is seen")
+        if self._moved_t > views[0].t:
+            raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
+        seen: dict[str, list[float]] = {}
+        for view in views:
+            for i, b in view.bearings.items():
+                seen.setdefault(i, []).append(b)
+        return {
+            i: HomeBearing(float(np.angle(np.exp(1j * np.array(b)).mean())))
+            for i, b in seen.items()
+        }
+
+    def _new(
+        self, name: str, seen: dict[str, HomeBearing], start: StartPrior | None = None
+    ) -> Event:
+        """Take a home, and begin the map anew."""
+        if not seen:
+            raise InputError(f"home {name} has no landmarks")
+        self.homes[name], self.home = seen, name
+        self._begin(start)
+        return Event(type="event", text=f"home {name} has {len(seen)} landmarks")
+
+    def _begin(self, start: StartPrior | None) -> None:
+        """Begin the map anew."""
+        if self.home not in self.homes:
+            raise InputError(NO_HOME)
+        none = np.empty(0)
+        sightings = Sightings(none, np.empty(0, object), none, none)
+        told = self._robot if start is None else self._robot.model_copy(update={"start": start})
+        odometry, home = Odometry(none, none, none), self.homes[self.home]
+        self.drive = Drive("live", odometry, sightings, home, told)
+        if self._name is not None:
+            self.estimator = make_estimator(self._name, self.drive)
+        self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
+
+
+def _said(estimate: Estimate) -> Answer:
+    pose, covariance = estimate.pose, estimate.covariance
+    six = None if covariance is None else tuple(covariance[np.triu_indices(3)].tolist())
+    return Answer(
+        t=estimate.t, status=estimate.status, reason=estimate.reason, pose=pose, covariance=six
+    )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

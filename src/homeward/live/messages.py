@@ -1,0 +1,250 @@
+"""The schema of a live session, version 1: one JSON object a line, ``type`` says what it is.
+
+Times are seconds on the robot's clock, whatever its epoch; units and signs are as everywhere in
+homeward. `schema` returns all of it as a JSON Schema.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+
+from homeward.drives.drive import Finite, Positive, Strict
+from homeward.drives.text.complaints import complaint
+from homeward.drives.text.table import is_identifier
+from homeward.errors import InputError
+from homeward.estimator import NO_TIME_S, Status
+
+VERSION = 1
+LONGEST_LINE = 2**16
+"""Of a message [byte]."""
+MOST_LANDMARKS = 500
+"""In a message."""
+
+
+def _identifier(text: str) -> str:
+    if not is_identifier(text):
+        raise ValueError("cannot be a landmark's id")
+    return text
+
+
+Time = Annotated[float, Field(gt=-NO_TIME_S, lt=NO_TIME_S, allow_inf_nan=False)]
+Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+"""Of a home; it may become a file's name."""
+Bearings = Annotated[dict[Id, Finite], Field(max_length=MOST_LANDMARKS)]
+Sigmas = Annotated[dict[Id, Positive], Field(max_length=MOST_LANDMARKS)]
+
+
+class Hello(Strict):
+    """The first message, both ways."""
+
+    type: Literal["hello"] = "hello"
+    version: Literal[1] = 1
+    token: str | None = None
+    """Where the server asks for one."""
+
+
+class OdometryIn(Strict):
+    """A twist that holds from `t` [s] on."""
+
+    type: Literal["odometry"] = "odometry"
+    t: Time
+    v: Finite
+    """Forward [m/s]."""
+    omega: Finite
+    """Anti-clockwise [rad/s]."""
+    pose: tuple[Finite, Finite, Finite] | None = None
+    """In the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
+
+
+class BearingsIn(Strict):
+    """What the camera saw at `t` [s], nothing at all included."""
+
+    type: Literal["bearings"] = "bearings"
+    t: Time
+    bearings: Bearings
+    """Id to bearing from the camera's axis, anti-clockwise [rad]."""
+    sigmas: Sigmas = {}
+    """Standard deviations of some [rad]."""
+
+
+class SetHome(Strict):
+    """What the camera saw at home; the map begins anew."""
+
+    type: Literal["home"] = "home"
+    bearings: Bearings
+    sigmas: Sigmas = {}
+    name: Name = "home"
+
+
+class StoreHome(Strict):
+    """Home is here: what is seen now, standing, is stored; the map begins anew."""
+
+    type: Literal["store_home"] = "store_home"
+    name: Name = "home"
+
+
+class GoHome(Strict):
+    """Drive home; to one of another name, the map begins anew."""
+
+    type: Literal["go_home"] = "go_home"
+    name: Name | None = None
+
+
+class Cancel(Strict):
+    """Stand, and think no more of driving home."""
+
+    type: Literal["cancel"] = "cancel"
+
+
+class EStop(Strict):
+    """Emergency stop; while engaged nothing moves, and after it `GoHome` must be said anew."""
+
+    type: Literal["estop"] = "estop"
+    engaged: bool
+
+
+class Obstacle(Strict):
+    """How far the way ahead is free; once told, it must be told on."""
+
+    type: Literal["obstacle"] = "obstacle"
+    distance: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    """[m]"""
+
+
+class Start(Strict):
+    """About where the robot is in the home frame; the map begins anew."""
+
+    type: Literal["start"] = "start"
+    x: Finite
+    y: Finite
+    heading: Finite
+    sigma: Positive = 0.1
+    """Of x and y [m]."""
+    sigma_heading: Positive = 0.1
+    """[rad]"""
+
+
+class Reset(Strict):
+    """The map begins anew, anywhere."""
+
+    type: Literal["reset"] = "reset"
+
+
+class Answer(Strict):
+    """The answer to bearings, an `Estimate`."""
+
+    type: Literal["estimate"] = "estimate"
+    t: float
+    status: Status
+    reason: str
+    pose: tuple[float, float, float] | None = None
+    """x [m], y [m], heading [rad] in the home frame."""
+    covariance: tuple[float, ...] | None = None
+    """Of x, y, heading: xx, xy, xh, yy, yh, hh."""
+
+
+class Command(Strict):
+    """What to drive; a robot that hears none for `hold` must stand."""
+
+    type: Literal["command"] = "command"
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+    state: Literal["driving", "held", "arrived", "failed"]
+    reason: str
+    hold: float
+    """[s]"""
+
+
+class LandmarkOut(Strict):
+    """A landmark, as `LandmarkEstimate`; None where nothing is known."""
+
+    landmark: str
+    x: float | None = None
+    y: float | None = None
+    moved_probability: float | None = None
+
+
+class Landmarks(Strict):
+    """What is known of all landmarks, once a second."""
+
+    type: Literal["landmarks"] = "landmarks"
+    landmarks: tuple[LandmarkOut, ...]
+
+
+class Diagnostics(Strict):
+    """How the session is, once a second."""
+
+    type: Literal["diagnostics"] = "diagnostics"
+    status: Status
+    reason: str
+    homing: str
+    """State and reason."""
+    faults: tuple[str, ...]
+    """What keeps the robot from driving home by itself."""
+    counts: dict[str, int]
+    """Samples not used, by reason."""
+    waiting: int
+    """Samples in the queue."""
+    work_ms: float
+    """The longest of the last second's samples took the estimator so long [ms]."""
+
+
+class Event(Strict):
+    """Something was done, in words, or could not be."""
+
+    type: Literal["event", "error"]
+    text: str
+
+
+Input = (
+    Hello
+    | OdometryIn
+    | BearingsIn
+    | SetHome
+    | StoreHome
+    | GoHome
+    | Cancel
+    | EStop
+    | Obstacle
+    | Start
+    | Reset
+)
+Output = Hello | Answer | Command | Landmarks | Diagnostics | Event
+_WAY = "; homeward settings lists those that there are"
+Message = TypeVar("Message")
+_IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
+_OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="type")])
+
+
+def parse(line: bytes | str) -> Input:
+    """Return the message in a line; `InputError` says in one line what is wrong with it."""
+    return _parsed(_IN, line)
+
+
+def parse_output(line: bytes | str) -> Output:
+    """Return what a session said in a line; errors as `parse`."""
+    return _parsed(_OUT, line)
+
+
+def line_of(message: Input | Output) -> str:
+    """Return a message as a line; every float comes back to the last bit."""
+    return message.model_dump_json(exclude_none=True) + "\n"
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of everything that goes in and comes out."""
+    return {"version": VERSION, "in": _IN.json_schema(), "out": _OUT.json_schema()}
+
+
+def _parsed(adapter: TypeAdapter[Message], line: bytes | str) -> Message:
+    if len(line) > LONGEST_LINE:
+        raise InputError(f"a message of more than {LONGEST_LINE:,} bytes")
+    try:
+        return adapter.validate_json(line)
+    except ValidationError as error:
+        raise InputError(complaint(error, Hello, {}).replace(_WAY, "")) from None

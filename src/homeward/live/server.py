@@ -1,0 +1,332 @@
+"""The host of a session: JSON lines on stdin and stdout, on TCP, and as WebSocket messages.
+
+One robot, any number of listeners: whatever anyone sends is for the session, and all hear what it
+says. Messages are taken in on the loop's thread; the estimator works in a thread of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import hmac
+import ipaddress
+import signal
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from homeward.errors import InputError, needs_extra
+from homeward.live.messages import (
+    LONGEST_LINE,
+    Event,
+    Hello,
+    Input,
+    Output,
+    line_of,
+    parse,
+)
+from homeward.live.session import Session
+from homeward.one_thread import one_thread
+
+HELLO_S = 5.0
+"""Who connects says hello within [s]."""
+MOST_LISTENERS = 20
+MOST_UNREAD = 2**20
+"""Who leaves so much unread is disconnected [byte]."""
+SAID_S = 1.0
+"""Diagnostics and landmarks are told so often [s]."""
+WRONG_TOKEN = "wrong token"
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where to listen."""
+
+    host: str
+    port: int
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can connect."""
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(self.host).is_loopback
+        return self.host == "localhost"
+
+
+def address(text: str) -> Address:
+    """Return the address in ``PORT`` (of this machine alone), or ``HOST:PORT``.
+
+    Raises
+    ------
+    InputError
+        When it is neither.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdecimal() and int(port) < 2**16):
+        raise InputError(f"{text}: must be PORT or HOST:PORT")
+    return Address(host.strip("[]") or "127.0.0.1", int(port))
+
+
+@dataclass(eq=False)
+class _Listener:
+    """Somebody connected: how to tell them a line, how much they left unread, how to end it."""
+
+    tell: Callable[[str], None]
+    unread: Callable[[], int]
+    close: Callable[[], None]
+
+
+@dataclass
+class Server:
+    """Serves a session until it is stopped, or, where it reads stdin, until that ends.
+
+    Parameters
+    ----------
+    session : Session
+        A fresh one.
+    token : str, optional
+        That everybody must say hello with; needed where others than this machine can connect.
+    watch : callable, optional
+        Told everything that the session says.
+    """
+
+    session: Session
+    token: str | None = None
+    watch: Callable[[Output], None] | None = None
+    ports: list[int] = field(default_factory=list)
+    """Of TCP and WebSocket, as `serve` opened them."""
+    _listeners: set[_Listener] = field(default_factory=set)
+    _work: threading.Event = field(default_factory=threading.Event)
+    _done: bool = False
+    _failure: BaseException | None = None
+    _end: Callable[[], object] = lambda: None
+
+    async def serve(
+        self,
+        tcp: Address | None = None,
+        websocket: Address | None = None,
+        stdio: bool = False,
+        opened: Callable[[list[int]], None] | None = None,
+    ) -> None:
+        """Serve; `opened` is told the ports of TCP and WebSocket, in this order.
+
+        Raises
+        ------
+        InputError
+            When an address cannot be listened at, or may not be without a token.
+        """
+        for place in filter(None, (tcp, websocket)):
+            if self.token is None and not place.is_loopback:
+                raise InputError(f"{place.host}: others could connect; give a token")
+        loop = asyncio.get_running_loop()
+        ended = asyncio.Event()
+        self._end = functools.partial(loop.call_soon_threadsafe, ended.set)
+        with contextlib.suppress(ValueError, NotImplementedError):  # not on the main thread
+            for sign in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(sign, ended.set)
+        worker = threading.Thread(target=self._process, args=(loop,), daemon=True)
+        async with contextlib.AsyncExitStack() as stack:
+            opening = [self._tcp(tcp)] if tcp else []
+            opening += [self._websocket(websocket)] if websocket else []
+            self.ports += [await stack.enter_async_context(listening) for listening in opening]
+            worker.start()
+            ticking = asyncio.create_task(self._tick())
+            ticking.add_done_callback(lambda _: ended.set())
+            if opened is not None:
+                opened(self.ports)
+            if stdio:
+                threading.Thread(target=self._read_stdin, args=(loop,), daemon=True).start()
+                self._listeners.add(_Listener(_print, lambda: 0, lambda: None))
+            try:
+                await ended.wait()
+            finally:
+                self._done = True
+                self._work.set()
+                await asyncio.to_thread(worker.join)
+                await asyncio.sleep(0)  # what the worker said last is told
+                failure = ticking.exception() if ticking.done() else self._failure
+                ticking.cancel()
+                for listener in list(self._listeners):
+                    listener.close()
+        if failure is not None:
+            raise failure
+
+    def _process(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Let the estimator work, in a thread of its own."""
+        try:
+            with one_thread():
+                while not self._done or self.session.waiting:
+                    self._work.wait()
+                    self._work.clear()
+                    for out in self.session.process():
+                        loop.call_soon_threadsafe(self._tell, out)
+        except BaseException as error:  # told by `serve`, which ends
+            self._failure = error
+            self._end()
+
+    async def _tick(self) -> None:
+        """Say commands at a steady rate, and now and then how things are."""
+        period, said = 1.0 / self.session.settings.rate, 0.0
+        due = time.monotonic()
+        while True:
+            due = max(due + period, time.monotonic())
+            await asyncio.sleep(due - time.monotonic())
+            now = time.monotonic()
+            if (command := self.session.tick(now)) is not None:
+                self._tell(command)
+            if now - said >= SAID_S:
+                said = now
+                self._tell(self.session.diagnostics(now))
+                self._tell(await asyncio.to_thread(self.session.localisation.landmarks))
+
+    def _tell(self, out: Output) -> None:
+        """Say something to all; who does not read is let go."""
+        if self.watch is not None:
+            self.watch(out)
+        line = line_of(out)
+        for listener in list(self._listeners):
+            if listener.unread() > MOST_UNREAD:
+                self._listeners.discard(listener)
+                listener.close()
+            else:
+                listener.tell(line)
+
+    def _take(self, message: Input) -> None:
+        self.session.receive(message, time.monotonic())
+        self._work.set()
+
+    def _take_line(self, line: bytes | str, listener: _Listener) -> None:
+        try:
+            self._take(parse(line))
+        except InputError as error:
+            listener.tell(line_of(Event(type="error", text=str(error))))
+
+    def _welcome(self, line: bytes | str, listener: _Listener) -> bool:
+        """Return whether a first line says hello as it must; answer it."""
+        try:
+            hello = parse(line)
+        except InputError as error:
+            return self._refuse(str(error), listener)
+        if not isinstance(hello, Hello):
+            return self._refuse("say hello first", listener)
+        said = (hello.token or "").encode()
+        if self.token is not None and not hmac.compare_digest(said, self.token.encode()):
+            return self._refuse(WRONG_TOKEN, listener)
+        if len(self._listeners) >= MOST_LISTENERS:
+            return self._refuse("too many connections", listener)
+        listener.tell(line_of(Hello()))
+        self._listeners.add(listener)
+        return True
+
+    def _refuse(self, why: str, listener: _Listener) -> bool:
+        listener.tell(line_of(Event(type="error", text=why)))
+        return False
+
+    def _read_stdin(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Take lines from stdin, no faster than the estimator does."""
+        (me,) = (x for x in self._listeners if x.tell is _print)
+        while line := sys.stdin.buffer.readline(LONGEST_LINE + 1):
+            while self.session.waiting > self.session.settings.queue // 2:
+                time.sleep(0.001)
+            if line.strip():
+                loop.call_soon_threadsafe(self._take_line, line, me)
+        while self.session.waiting:
+            time.sleep(0.001)
+        self._end()
+
+    @contextlib.asynccontextmanager
+    async def _tcp(self, place: Address) -> AsyncIterator[int]:
+        """Listen for JSON lines."""
+
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            listener = _Listener(
+                lambda line: writer.write(line.encode()),
+                writer.transport.get_write_buffer_size,
+                writer.close,
+            )
+            try:
+                first = await asyncio.wait_for(reader.readline(), HELLO_S)
+                if self._welcome(first, listener):
+                    while line := await reader.readline():
+                        self._take_line(line, listener)
+            except (OSError, ValueError, TimeoutError):  # gone, silent, or a line without an end
+                pass
+            finally:
+                self._listeners.discard(listener)
+                writer.close()
+
+        try:
+            server = await asyncio.start_server(serve, place.host, place.port, limit=LONGEST_LINE)
+        except OSError as error:
+            raise _cannot(place, error) from error
+        try:
+            yield server.sockets[0].getsockname()[1]
+        finally:
+            server.close()
+
+    @contextlib.asynccontextmanager
+    async def _websocket(self, place: Address) -> AsyncIterator[int]:
+        """Listen for WebSockets, a message a line; without a token only for pages of this machine.
+
+        Any page that a browser shows may connect to this machine; its Origin tells.
+        """
+        try:
+            from websockets.asyncio.server import serve
+            from websockets.exceptions import ConnectionClosed
+        except ModuleNotFoundError as error:
+            raise needs_extra("WebSockets", "live") from error
+        import re
+
+        own = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+        origins = None if self.token is not None else [None, own]
+
+        async def talk(socket: Any) -> None:
+            queue: asyncio.Queue[str] = asyncio.Queue()
+            unread = [0]
+
+            def tell(line: str) -> None:
+                unread[0] += len(line)
+                queue.put_nowait(line)
+
+            async def send() -> None:
+                while True:
+                    line = await queue.get()
+                    await socket.send(line.rstrip("\n"))
+                    unread[0] -= len(line)
+
+            listener = _Listener(tell, lambda: unread[0], socket.transport.abort)
+            sending = asyncio.create_task(send())
+            try:
+                if not self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), listener):
+                    await asyncio.sleep(0.01)  # the reason is sent
+                    return
+                async for line in socket:
+                    self._take_line(line, listener)
+            except (ConnectionClosed, TimeoutError):
+                pass
+            finally:
+                self._listeners.discard(listener)
+                sending.cancel()
+                with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
+                    await sending
+
+        try:
+            async with serve(
+                talk, place.host, place.port, origins=origins, max_size=LONGEST_LINE
+            ) as server:
+                yield server.sockets[0].getsockname()[1]
+        except OSError as error:
+            raise _cannot(place, error) from error
+
+
+def _cannot(place: Address, error: OSError) -> InputError:
+    return InputError(f"cannot listen at {place.host}:{place.port}: {error.strerror or error}")
+
+
+def _print(line: str) -> None:
+    sys.stdout.write(line)
+    sys.stdout.flush()

@@ -1,0 +1,204 @@
+"""The engine of a live session: samples in as they come, answers and commands out.
+
+It has two sides. `receive` and `tick` are quick and belong to one thread: watchdogs, odometry and
+the drive home. `process` is as slow as the estimator and may run in another one: however long that
+takes, the robot is told to stand in time. Between them are a bounded queue and the last answer.
+Nothing here reads the clock that decides: `now` is the host's, steady [s].
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+
+from homeward.drives.clock import Clock
+from homeward.drives.drive import DriveSettings
+from homeward.errors import HomewardError
+from homeward.frames import Pose, compose
+from homeward.live.homing import Belief, Homing
+from homeward.live.localisation import Homes, Localisation
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Cancel,
+    Command,
+    Diagnostics,
+    EStop,
+    Event,
+    GoHome,
+    Input,
+    Obstacle,
+    OdometryIn,
+    Output,
+)
+from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
+from homeward.live.watchdog import StampGate, Watchdog
+from homeward.live.way import Way
+
+
+class Session:
+    """A robot's live session.
+
+    Parameters
+    ----------
+    settings : LiveSettings, optional
+        Of the session.
+    robot : DriveSettings, optional
+        What is known of the robot, as drive.yaml has it.
+    homes : Homes, optional
+        Home bearings by name; that named home is the first.
+    keep : callable, optional
+        Told each message in the order in which it is processed, and each answer: a recording.
+    """
+
+    def __init__(
+        self,
+        settings: LiveSettings | None = None,
+        robot: DriveSettings | None = None,
+        homes: Homes | None = None,
+        keep: Callable[[Input | Output], None] | None = None,
+    ) -> None:
+        self.settings = told = settings or LiveSettings()
+        self.localisation = Localisation(told.estimator, robot or DriveSettings(), homes or {})
+        self.homing = Homing(told.limits)
+        self.counts: Counter[str] = Counter()
+        """Samples that did not get to the estimator, by reason in words."""
+        self._keep = keep or (lambda message: None)
+        clock = Clock()
+        self._gate, self._way = StampGate(), Way()
+        self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
+        self._bearings = Watchdog("bearings", told.bearings_timeout, clock)
+        self._heard = -math.inf
+        self._obstacle: tuple[float, float] | None = None
+        self._stopped = False
+        self._queue: deque[tuple[Input, Pose | None, float]] = deque()
+        self._lock = threading.Lock()
+        self._answered = -math.inf
+        self._work_s = 0.0
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait for `process`."""
+        return len(self._queue)
+
+    def receive(self, message: Input, now: float) -> None:
+        """Take a message: watch it, and queue it for `process`. Quick."""
+        odom, t = None, math.nan
+        match message:
+            case OdometryIn() | BearingsIn():
+                if not self._gate.takes(message.t):
+                    self.counts["stamps far ahead of all others"] += 1
+                    return
+                t = self._watch(message, now)
+                odom = self._way.at(message.t)
+            case EStop(engaged=engaged):
+                self._stopped = engaged
+                if engaged:
+                    self.homing.fail("emergency stop", now)
+            case Cancel():
+                self.homing.fail("cancelled", now)
+            case Obstacle(distance=distance):
+                self._obstacle = distance, now
+                return
+            case GoHome():
+                self.homing.go(now)
+        with self._lock:
+            self._queue.append((message, odom, t))
+            if len(self._queue) > self.settings.queue:
+                self._shed()
+
+    def process(self) -> Iterator[Output]:
+        """Do what is queued, and yield what is to be said. As slow as the estimator."""
+        while self._queue:
+            with self._lock:
+                message, odom, t = self._queue.popleft()
+            self._keep(message)
+            began = time.perf_counter()
+            try:
+                out = self.localisation.do(message, odom)
+            except HomewardError as error:
+                out = Event(type="error", text=str(error))
+            self._work_s = max(self._work_s, time.perf_counter() - began)
+            if isinstance(out, Answer):
+                self._answered = t
+                self._keep(out)
+            if out is not None:
+                yield out
+
+    def tick(self, now: float) -> Command | None:
+        """Return the command at `now` [s]; None where the robot is left to others. Quick."""
+        twist = self.homing.command(now, self.belief(now), self.faults(now))
+        if twist is None:
+            return None
+        return Command(
+            v=twist.v,
+            omega=twist.omega,
+            state=self.homing.state.value,
+            reason=self.homing.reason,
+            hold=STOPS_WITHIN_S,
+        )
+
+    def belief(self, now: float) -> Belief:
+        """Return what is believed at `now` [s]: the last answer, carried on by odometry."""
+        estimate, odom = self.localisation.fix
+        if odom is None:
+            return Belief(estimate.status, None, None)
+        since = min(max(now - self._heard, 0.0), STOPS_WITHIN_S)
+        here = self._way.at(self._way.newest + since)
+        return Belief(estimate.status, compose(odom, here), estimate.covariance)
+
+    def faults(self, now: float) -> tuple[str, ...]:
+        """Return what keeps the robot from driving home, in words."""
+        told, found = self.settings, []
+        if self._stopped:
+            found.append("emergency stop")
+        if self._obstacle is not None:
+            distance, heard = self._obstacle
+            if now - heard > told.odometry_timeout:
+                found.append(f"nothing said of obstacles for {now - heard:.2f} s")
+            elif distance < told.limits.obstacle_distance:
+                found.append(f"an obstacle {distance:.2f} m ahead")
+        found += [f for w in (self._odometry, self._bearings) if (f := w.fault(now))]
+        newest = self._odometry.newest
+        for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):
+            if newest - t > told.largest_lag and math.isfinite(newest):
+                found.append(f"{what} are {newest - t:.2f} s behind odometry")
+        return tuple(found)
+
+    def diagnostics(self, now: float) -> Diagnostics:
+        """Return how the session is, at `now` [s]."""
+        estimate, estimator = self.localisation.fix.estimate, self.localisation.estimator
+        counts = dict(self.counts)
+        if estimator is not None:
+            counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
+        work, self._work_s = self._work_s, 0.0
+        return Diagnostics(
+            status=estimate.status,
+            reason=estimate.reason,
+            homing=": ".join(filter(None, (self.homing.state.value, self.homing.reason))),
+            faults=self.faults(now),
+            counts=counts,
+            waiting=self.waiting,
+            work_ms=1e3 * work,
+        )
+
+    def _watch(self, sample: OdometryIn | BearingsIn, now: float) -> float:
+        """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""
+        if isinstance(sample, BearingsIn):
+            return self._bearings.hear(sample.t, now)
+        self._way.add(sample)
+        self._heard = now
+        return self._odometry.hear(sample.t, now)
+
+    def _shed(self) -> None:
+        """Throw away the oldest bearings that wait, or else the oldest odometry."""
+        for kind in (BearingsIn, OdometryIn):
+            for place, (message, _, _) in enumerate(self._queue):
+                if isinstance(message, kind):
+                    del self._queue[place]
+                    self.counts["samples thrown away, as too many waited"] += 1
+                    return
+        self._queue.popleft()

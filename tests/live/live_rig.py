@@ -1,0 +1,66 @@
+"""A simulated robot and a session in one process, on the simulator's clock."""
+
+from homeward.control import Twist
+from homeward.live.messages import GoHome
+from homeward.live.player import Player
+from homeward.live.session import Session
+from homeward.live.settings import LiveSettings
+from homeward.simulation.files import load_scenario
+from homeward.simulation.live_robot import LiveRobot
+
+SCENARIO = {
+    "rates.odometry": 50.0,
+    "rates.bearings": 25.0,
+    "start.prior": False,
+    "noise.bearing_sigma": 0.01,
+    "moved.count": 0,
+}
+
+
+class Rig:
+    """Steps a player and its session; what each test does to the samples is `spoil`."""
+
+    def __init__(self, seed=0, keep=None, settings=None, **changes):
+        scenario = load_scenario("paper-homing", SCENARIO | {"seed": seed} | changes)
+        self.player = Player(LiveRobot(scenario), 120.0)
+        self.robot = self.player.robot
+        self.session = Session(settings or LiveSettings(), self.robot.drive.settings, {}, keep)
+        self.session.receive(self.player.home(), 0.0)
+        self.spoil = lambda message: [message]
+        self.commands, self.answers = [], []
+        self.asked = None
+
+    def step(self):
+        now = self.robot.t
+        for message in self.player.step():
+            if isinstance(message, GoHome):
+                self.asked = self.robot.distance
+            for spoilt in self.spoil(message):
+                self.session.receive(spoilt, now)
+        for said in self.session.process():
+            self.answers.append(said)
+            self.player.hear(said)
+        if (command := self.session.tick(now)) is not None:
+            self.commands.append((now, command))
+            self.player.hear(command)
+
+    def until(self, condition, longest=60.0):
+        end = self.robot.t + longest
+        while not condition(self):
+            assert self.robot.t < end, self.session.diagnostics(self.robot.t)
+            self.step()
+        return self
+
+    @property
+    def state(self):
+        return self.session.homing.state.value
+
+    def standing(self):
+        return not self.commands or Twist(self.commands[-1][1].v, self.commands[-1][1].omega) == (
+            0.0,
+            0.0,
+        )
+
+
+def driving(rig):
+    return rig.state == "driving" and rig.commands[-1][1].v > 0.1

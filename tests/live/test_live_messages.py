@@ -1,0 +1,85 @@
+"""The schema of a live session."""
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from homeward.errors import InputError
+from homeward.live.messages import (
+    BearingsIn,
+    LandmarkOut,
+    Landmarks,
+    OdometryIn,
+    line_of,
+    parse,
+    parse_output,
+    schema,
+)
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@given(finite, finite)
+def test_numbers_come_back_to_the_last_bit(v, b):
+    for message in (OdometryIn(t=0.1, v=v, omega=b), BearingsIn(t=0.3, bearings={"a": b})):
+        assert parse(line_of(message)) == message
+
+
+def test_what_is_not_known_is_left_out():
+    message = Landmarks(landmarks=(LandmarkOut(landmark="a", x=1.0),))
+    assert json.loads(line_of(message))["landmarks"] == [{"landmark": "a", "x": 1.0}]
+    assert parse_output(line_of(message)) == message
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("", "Invalid JSON"),
+        ("[]", "keys and values"),
+        ("{}", "needs the key type"),
+        ("[" * 60_000, "Invalid JSON"),
+        (b"\xff\xfe\x00", "Invalid JSON"),
+        ('{"type":"dance"}', "type must be one of hello, odometry"),
+        ('{"type":"hello","version":2}', "must be 1"),
+        ('{"type":"odometry","t":0,"v":1}', "is needed"),
+        ('{"type":"odometry","t":0,"v":NaN,"omega":0}', "must be finite"),
+        ('{"type":"odometry","t":1e300,"v":0,"omega":0}', "less than"),
+        ('{"type":"odometry","t":0,"v":1,"omega":0,"w":1}', "no such key"),
+        ('{"type":"bearings","t":0,"bearings":{"a\\n":1}}', "cannot be a landmark's id"),
+        ('{"type":"bearings","t":0,"bearings":{"a":"left"}}', "must be a number"),
+        ('{"type":"bearings","t":0,"bearings":{},"sigmas":{"a":0}}', "greater than 0"),
+        ('{"type":"go_home","name":"../../etc"}', "pattern"),
+        (f'{{"type":"bearings","t":0,"bearings":{{"{"a" * 70_000}":1}}}}', "65,536 bytes"),
+    ],
+)
+def test_a_bad_line_is_refused_in_one_line(line, words):
+    with pytest.raises(InputError) as error:
+        parse(line)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 300
+
+
+def test_too_many_landmarks_are_refused():
+    many = {str(i): 0.0 for i in range(501)}
+    with pytest.raises(InputError):
+        parse(json.dumps({"type": "bearings", "t": 0, "bearings": many}))
+
+
+@given(st.text(max_size=60))
+def test_no_text_does_more_than_raise(text):
+    try:
+        parse(text)
+    except InputError:
+        return
+
+
+def test_the_schema_tells_every_type():
+    told = json.dumps(schema())
+    assert json.loads(told)["version"] == 1
+    for name in ("odometry", "bearings", "go_home", "estimate", "command", "diagnostics"):
+        assert f'"const": "{name}"' in told
+    assert math.isfinite(len(told))

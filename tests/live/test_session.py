@@ -1,0 +1,284 @@
+"""The engine of a live session, on a clock that is told to it."""
+
+import math
+import threading
+
+import pytest
+from live_rig import Rig, driving
+
+from homeward.estimator import Status
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Cancel,
+    EStop,
+    Event,
+    GoHome,
+    Obstacle,
+    OdometryIn,
+    Reset,
+    SetHome,
+    Start,
+    StoreHome,
+)
+from homeward.live.session import Session
+from homeward.live.settings import STOPS_WITHIN_S, Limits, LiveSettings
+
+HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0, "d": 2.8, "e": -0.9})
+
+
+def test_home_is_found_though_a_landmark_is_moved_on_the_way():
+    arrived = 0
+    for seed in range(6):
+        rig = Rig(seed).until(driving)
+        rig.until(lambda r: r.robot.distance < 0.6 * r.asked)
+        rig.robot.move_landmark("L1", 0.4, 0.3)
+        rig.until(lambda r: r.player.ending is not None)
+        if rig.player.ending.state == "arrived":
+            arrived += 1
+            assert rig.robot.distance < 0.05
+        else:  # who is not sure stands, and says so: with seed 4, docs/live.md
+            assert "not localised: unverified" in rig.player.ending.reason
+    assert arrived >= 5
+
+
+def test_limits_of_speed_turn_and_acceleration_are_kept():
+    limits = Limits(speed=0.2, turn_rate=0.6, acceleration=0.3, turn_acceleration=1.5)
+    rig = Rig(1, settings=LiveSettings(limits=limits)).until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+    assert max(c.v for _, c in rig.commands) <= 0.2
+    assert max(abs(c.omega) for _, c in rig.commands) <= 0.6
+    steps = list(zip(rig.commands, rig.commands[1:], strict=False))
+    assert all(b.v - a.v <= 0.3 * (t - s) + 1e-9 for (s, a), (t, b) in steps)
+    turns = [(abs(b.omega - a.omega), t - s) for (s, a), (t, b) in steps if b.state == "driving"]
+    assert all(change <= 1.5 * dt + 1e-9 for change, dt in turns)
+
+
+def without(kind):
+    return lambda message: [] if isinstance(message, kind) else [message]
+
+
+def repeating(kind):
+    said = []
+
+    def spoil(message):
+        if not isinstance(message, kind):
+            return [message]
+        said.append(message)
+        return said[:1]
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (without(BearingsIn), "no bearings for"),
+        (without(OdometryIn), "no odometry for"),
+        (repeating(BearingsIn), "no bearings for"),
+        (repeating(OdometryIn), "no odometry for"),
+    ],
+)
+def test_the_robot_is_told_to_stand_in_time_when_a_sensor_dies_and_goes_on_when_it_is_back(
+    spoil, words
+):
+    rig = Rig(2).until(driving)
+    sound, rig.spoil, died = rig.spoil, spoil, rig.robot.t
+    rig.until(Rig.standing)
+    assert rig.commands[-1][0] - died <= STOPS_WITHIN_S
+    assert rig.state == "held"
+    assert words in rig.commands[-1][1].reason
+    rig.spoil = sound
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+
+
+def test_who_is_held_for_long_gives_up_and_is_left_to_others():
+    rig = Rig(2, settings=LiveSettings(limits=Limits(patience=2.0))).until(driving)
+    rig.spoil = without(BearingsIn)
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "failed"
+    assert "no bearings" in rig.player.ending.reason
+    last = rig.robot.t
+    while rig.robot.t < last + 3.0:
+        rig.step()
+    assert rig.session.tick(rig.robot.t) is None
+
+
+def test_the_robot_stands_at_once_when_it_sees_nothing_for_longer_than_it_may_coast():
+    rig = Rig(3).until(driving)
+    began = rig.robot.t
+    rig.spoil = lambda m: [m.model_copy(update={"bearings": {}})] if hasattr(m, "bearings") else [m]
+    rig.until(Rig.standing)
+    assert rig.robot.t - began <= 2.0 + Limits().coast + 0.1  # localised for 2 s without bearings
+    assert "not localised" in rig.commands[-1][1].reason
+
+
+def test_the_robot_stands_where_it_is_too_uncertain():
+    rig = Rig(0, settings=LiveSettings(limits=Limits(largest_sigma=1e-4)))
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "failed"
+    assert "too uncertain" in rig.player.ending.reason
+    assert all(c.v == 0.0 == c.omega for _, c in rig.commands)
+
+
+def test_nothing_moves_before_the_robot_is_localised():
+    rig = Rig(0)
+    rig.session.receive(GoHome(), 0.0)
+    while rig.state != "failed":
+        rig.step()
+        if rig.session.localisation.fix.estimate.status is not Status.LOCALISED:
+            assert rig.standing()
+        elif rig.commands[-1][1].v:
+            break
+
+
+def test_an_emergency_stop_ends_the_drive_for_good():
+    rig = Rig(4).until(driving)
+    rig.session.receive(EStop(engaged=True), rig.robot.t)
+    rig.step()
+    assert rig.standing()
+    assert rig.state == "failed"
+    rig.session.receive(GoHome(), rig.robot.t)
+    for _ in range(20):
+        rig.step()
+        assert rig.standing()
+    rig.session.receive(Cancel(), rig.robot.t)
+    rig.session.receive(EStop(engaged=False), rig.robot.t)
+    for _ in range(100):
+        rig.step()
+        assert rig.standing()
+    rig.session.receive(GoHome(), rig.robot.t)
+    rig.until(driving)
+
+
+def test_the_robot_stands_before_an_obstacle_and_when_nobody_tells_of_them_any_more():
+    rig = Rig(5).until(driving)
+    rig.session.receive(Obstacle(distance=0.2), rig.robot.t)
+    rig.step()
+    assert rig.standing()
+    assert "obstacle" in rig.commands[-1][1].reason
+    rig.session.receive(Obstacle(distance=5.0), rig.robot.t)
+    rig.step()
+    assert rig.state == "driving"
+    rig.until(Rig.standing)
+    assert "nothing said of obstacles" in rig.commands[-1][1].reason
+
+
+def test_a_stamp_from_the_future_is_left_out_and_a_clock_set_ahead_or_back_is_followed():
+    rig = Rig(6).until(driving)
+    offset = 1e6
+    rig.spoil = lambda m: [m, m.model_copy(update={"t": m.t + offset})] if hasattr(m, "v") else [m]
+    rig.step()
+    rig.spoil = lambda m: [m]
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+    assert rig.session.counts["stamps far ahead of all others"] == 1
+    for offset in (500.0, 0.0):
+        rig.spoil = lambda m, o=offset: [m.model_copy(update={"t": m.t + o})]
+        until = rig.robot.t + 3.0
+        rig.until(lambda r, until=until: r.robot.t > until)
+        assert not rig.session.faults(rig.robot.t - rig.robot.period)
+
+
+def test_late_repeated_and_swapped_samples_do_no_harm():
+    waiting = []
+
+    def spoil(message):
+        waiting.append(message)
+        if len(waiting) < 4:
+            return []
+        out = [waiting[1], waiting[0], waiting[0], *waiting[2:]]
+        waiting.clear()
+        return out
+
+    rig = Rig(0)
+    rig.spoil = spoil
+    rig.until(lambda r: r.player.ending, 110.0)
+    assert rig.player.ending.state == "arrived", rig.session.diagnostics(rig.robot.t)
+    assert rig.robot.distance < 0.05
+
+
+def test_the_queue_is_bounded_and_throws_away_old_bearings_first():
+    session = Session(LiveSettings(queue=10))
+    session.receive(HOME, 0.0)
+    for k in range(100):
+        session.receive(OdometryIn(t=0.01 * k, v=0.1, omega=0.0), 0.01 * k)
+        session.receive(BearingsIn(t=0.01 * k, bearings={"a": 0.1}), 0.01 * k)
+        assert session.waiting <= 10
+    assert session.counts["samples thrown away, as too many waited"] == 191
+    assert not any(isinstance(out, Answer) for out in session.process())
+
+
+def test_a_stuck_estimator_stops_the_robot():
+    rig = Rig(1).until(driving)
+    rig.session.process = lambda: iter(())
+    stuck = rig.robot.t
+    rig.until(Rig.standing)
+    assert rig.robot.t - stuck < LiveSettings().largest_lag + 0.1
+    assert "answers are" in rig.commands[-1][1].reason
+
+
+def test_samples_come_in_while_the_estimator_works():
+    session = Session(LiveSettings(queue=50))
+    session.receive(HOME, 0.0)
+    stop = threading.Event()
+
+    def work():
+        while not stop.is_set():
+            list(session.process())
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    for k in range(3000):
+        session.receive(OdometryIn(t=0.01 * k, v=0.1, omega=0.1), 0.01 * k)
+        session.receive(BearingsIn(t=0.01 * k, bearings={"a": math.sin(k)}), 0.01 * k)
+        session.tick(0.01 * k)
+    stop.set()
+    worker.join(30.0)
+    assert not worker.is_alive()
+
+
+def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
+    session = Session()
+
+    def run(*messages):
+        for message in messages:
+            session.receive(message, 0.0)
+        return [out for out in session.process() if isinstance(out, Event)]
+
+    assert "nothing is seen" in run(StoreHome(name="dock"))[0].text
+    seen = {"a": 3.14159, "b": 0.5, "c": -1.0}
+    see = [BearingsIn(t=0.1 * k, bearings=seen) for k in range(1, 30)]
+    roll = [OdometryIn(t=0.1 * k, v=0.2, omega=0.0) for k in range(1, 30)]
+    assert "stand still" in run(*roll, *see, StoreHome(name="dock"))[0].text
+    assert session.localisation.homes == {}
+    stand = [OdometryIn(t=0.1 * k, v=0.0, omega=0.0) for k in range(30, 60)]
+    see = [BearingsIn(t=0.1 * k, bearings=seen) for k in range(30, 60)]
+    assert run(*stand, *see, StoreHome(name="dock"))[0].type == "event"
+    stored = session.localisation.homes["dock"]
+    assert {i: round(h.bearing, 5) for i, h in stored.items()} == seen
+    assert "no home attic; there is dock" in run(GoHome(name="attic"))[0].text
+    run(SetHome(name="attic", bearings=HOME.bearings), GoHome(name="dock"))
+    assert session.localisation.home == "dock"
+
+
+def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
+    rig = Rig(0)
+    pose = rig.robot.pose
+    rig.session.receive(Start(x=pose.x, y=pose.y, heading=pose.heading), 0.0)
+    for _ in range(10):
+        rig.step()
+    assert rig.session.localisation.fix.estimate.pose is not None
+    rig.session.receive(Reset(), rig.robot.t)
+    list(rig.session.process())
+    assert rig.session.belief(rig.robot.t).pose is None
+
+
+def test_the_belief_is_carried_on_by_odometry():
+    rig = Rig(0).until(driving)
+    answers = [a for a in rig.answers if isinstance(a, Answer)]
+    pose = rig.session.belief(rig.robot.t).pose
+    true = rig.robot.pose
+    assert math.hypot(pose.x - true.x, pose.y - true.y) < 0.05
+    assert answers[-1].status is Status.LOCALISED
