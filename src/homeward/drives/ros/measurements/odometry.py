@@ -42,7 +42,7 @@ Row = tuple[float, float, float]
 
 def twist_of(message: Any) -> Row:
     """Return forward speed [m/s], turn rate [rad/s] and sideways speed [m/s]."""
-    if message.__msgtype__ == ODOMETRY:
+    if hasattr(message, "v"):  # homeward_msgs/Odometry
         return message.v, message.omega, 0.0
     twist = message
     while hasattr(twist, "twist"):
@@ -52,7 +52,7 @@ def twist_of(message: Any) -> Row:
 
 def pose_of(message: Any) -> Row:
     """Return x [m], y [m] and heading [rad] in whatever frame the message has."""
-    if message.__msgtype__ == POSE:
+    if hasattr(message, "heading"):  # homeward_msgs/Pose
         return message.x, message.y, message.heading
     pose = message.pose
     while hasattr(pose, "pose"):

@@ -1,0 +1,29 @@
+"""``python -m homeward.ros``: the node, configured and active at once unless told otherwise."""
+
+from __future__ import annotations
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+
+from homeward.ros.node import HomewardNode
+
+
+def main() -> None:
+    """Run the node until it is stopped."""
+    rclpy.init()
+    node = HomewardNode()
+    try:
+        if node.get_parameter("autostart").value:
+            node.trigger_configure()
+            node.trigger_activate()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.on_shutdown(None)
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

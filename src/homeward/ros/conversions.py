@@ -1,0 +1,149 @@
+"""Messages of ROS 2 from and to those of a live session.
+
+Message classes are looked for where they are used: a robot has those that it needs.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from typing import Any
+
+from homeward.drives.ros.measurements.bearings import SightingRows
+from homeward.drives.ros.measurements.camera import Intrinsics
+from homeward.drives.ros.measurements.odometry import pose_of, twist_of
+from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.messages.stamps import NANO, seconds
+from homeward.drives.ros.settings import BearingsTopic
+from homeward.estimator import Status
+from homeward.frames import Pose
+from homeward.live.messages import Answer, BearingsIn, Diagnostics, Landmarks, OdometryIn, Start
+from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+
+PLANAR = (0, 1, 5)
+"""Places of x, y and the turn about z in ROS's covariances of six."""
+_SPHERE, _TEXT = 2, 9
+
+
+def message_class(kind: str) -> Any:
+    """Return the class of a type, as in ``nav_msgs/msg/Odometry``; ImportError without it."""
+    package, part, name = kind.split("/")
+    return getattr(import_module(f"{package}.{part}"), name)
+
+
+class Clock:
+    """Stamps of ROS as seconds from the first one's whole second: a double then loses nothing."""
+
+    def __init__(self) -> None:
+        self.epoch: int | None = None
+
+    def seconds(self, stamp: Any) -> float:
+        """Return the time [s] of a builtin_interfaces/Time."""
+        if self.epoch is None:
+            self.epoch = int(stamp.sec)
+        return seconds(stamp.sec * NANO + stamp.nanosec, self.epoch)
+
+
+def odometry_in(message: Any, t: float) -> OdometryIn:
+    """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose where it tells one."""
+    v, omega, _ = twist_of(message)
+    pose = pose_of(message)
+    return OdometryIn(t=t, v=v, omega=omega, pose=pose if all(map(math.isfinite, pose)) else None)
+
+
+def bearings_in(
+    message: Any, t: float, kind: str, told: BearingsTopic, camera: Intrinsics | None
+) -> BearingsIn:
+    """Return the bearings in a message of any type of `READERS`, as those in logs are read.
+
+    Raises
+    ------
+    InputError
+        When it tells none, or needs a camera model.
+    """
+    rows = SightingRows(told, kind, Remarks())
+    rows.add(t, message)
+    columns = rows.columns(camera)
+    ids = [str(i) for i in columns["landmark"]]
+    sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
+    return BearingsIn(
+        t=t,
+        bearings=dict(zip(ids, columns["bearing"].tolist(), strict=True)),
+        sigmas={i: s for i, s in sigmas if s > 0},
+    )
+
+
+def start_in(message: Any) -> Start:
+    """Return the start that a geometry_msgs/PoseWithCovarianceStamped tells."""
+    x, y, heading = pose_of(message)
+    c = message.pose.covariance
+    sigmas = {}
+    if (var := max(c[0], c[7])) > 0:
+        sigmas["sigma"] = math.sqrt(var)
+    if c[35] > 0:
+        sigmas["sigma_heading"] = math.sqrt(c[35])
+    return Start(x=x, y=y, heading=heading, **sigmas)
+
+
+def fill_pose(target: Any, pose: Pose) -> None:
+    """Fill a geometry_msgs/Pose."""
+    target.position.x, target.position.y = float(pose.x), float(pose.y)
+    target.orientation.z = math.sin(pose.heading / 2)
+    target.orientation.w = math.cos(pose.heading / 2)
+
+
+def fill_covariance(target: Any, answer: Answer) -> None:
+    """Fill the covariance of a geometry_msgs/PoseWithCovariance."""
+    xx, xy, xh, yy, yh, hh = answer.covariance or (0.0,) * 6
+    for row, values in zip(PLANAR, ((xx, xy, xh), (xy, yy, yh), (xh, yh, hh)), strict=True):
+        for column, value in zip(PLANAR, values, strict=True):
+            target.covariance[6 * row + column] = value
+
+
+def transform(stamp: Any, parent: str, child: str, pose: Pose) -> Any:
+    """Return a geometry_msgs/TransformStamped of the child frame in its parent's."""
+    message = message_class("geometry_msgs/msg/TransformStamped")()
+    message.header.stamp, message.header.frame_id, message.child_frame_id = stamp, parent, child
+    inner = message.transform
+    inner.translation.x, inner.translation.y = float(pose.x), float(pose.y)
+    inner.rotation.z, inner.rotation.w = math.sin(pose.heading / 2), math.cos(pose.heading / 2)
+    return message
+
+
+def diagnostics_out(said: Diagnostics, stamp: Any) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray: status and reason in words, counts as values."""
+    array = message_class("diagnostic_msgs/msg/DiagnosticArray")()
+    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")()
+    pair = message_class("diagnostic_msgs/msg/KeyValue")
+    fine = said.status is Status.LOCALISED and not said.faults
+    silent = said.status is Status.WAITING
+    status.level = status.OK if fine else status.STALE if silent else status.WARN
+    status.name = "homeward"
+    status.message = "; ".join([f"{said.status.value}: {said.reason}", *said.faults])
+    values = {"homing": said.homing, "waiting": said.waiting, "work_ms": f"{said.work_ms:.1f}"}
+    status.values = [pair(key=k, value=str(v)) for k, v in (values | said.counts).items()]
+    array.header.stamp, array.status = stamp, [status]
+    return array
+
+
+def markers_out(known: Landmarks, stamp: Any, frame: str) -> Any:
+    """Return a visualization_msgs/MarkerArray, coloured by the probability of having moved."""
+    array = message_class("visualization_msgs/msg/MarkerArray")()
+    make = message_class("visualization_msgs/msg/Marker")
+    for number, landmark in enumerate(known.landmarks):
+        if landmark.x is None or landmark.y is None:
+            continue
+        chance = landmark.moved_probability
+        shade = colour(UNJUDGED if chance is None else round(LEVELS * chance))
+        for kind, space in ((_SPHERE, "landmarks"), (_TEXT, "names")):
+            marker = make(ns=space, id=number, type=kind)
+            marker.header.stamp, marker.header.frame_id = stamp, frame
+            fill_pose(marker.pose, Pose(landmark.x, landmark.y, 0.0))
+            marker.scale.x = marker.scale.y = marker.scale.z = 0.2
+            for channel, at in (("r", 1), ("g", 3), ("b", 5)):
+                setattr(marker.color, channel, int(shade[at : at + 2], 16) / 255)
+            marker.color.a = 1.0
+            if kind == _TEXT:
+                marker.text, marker.pose.position.z = landmark.landmark, 0.3
+            array.markers.append(marker)
+    return array

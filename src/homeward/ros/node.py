@@ -1,0 +1,354 @@
+"""The lifecycle node: a live session on the topics of ROS 2.
+
+Callbacks take samples in and return at once; the estimator works in a thread of its own, and
+answers are published from there. Watchdogs and commands go by the steady clock, stamps by ROS's.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import qos_profile_sensor_data
+
+from homeward.drives.drive import DriveSettings
+from homeward.drives.folder import read_home
+from homeward.drives.ros.measurements.bearings import READERS
+from homeward.drives.ros.measurements.camera import Intrinsics, from_camera_info
+from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.text.settings import read_settings, validated
+from homeward.errors import HomewardError, InputError
+from homeward.frames import Pose
+from homeward.live.messages import (
+    Answer,
+    Cancel,
+    Command,
+    EStop,
+    GoHome,
+    Input,
+    Obstacle,
+    Output,
+    Reset,
+    StoreHome,
+    line_of,
+    parse,
+)
+from homeward.live.recording import Recorder
+from homeward.live.session import Session
+from homeward.live.settings import LiveSettings
+from homeward.one_thread import one_thread
+from homeward.ros import conversions as convert
+
+JSON = "std_msgs/msg/String"
+"""The type of bearings as JSON."""
+PARAMETERS: dict[str, Any] = {
+    "odometry_topic": "odom",
+    "bearings_topic": "bearings",
+    "bearings_type": "geometry_msgs/msg/PoseArray",
+    "bearings_axes": "",
+    "bearing_sigma": 0.0,
+    "camera_info_topic": "",
+    "rectified": False,
+    "scan_topic": "",
+    "scan_half_angle": 0.35,
+    "cmd_vel_topic": "cmd_vel",
+    "cmd_vel_stamped": False,
+    "map_frame": "map",
+    "odom_frame": "odom",
+    "home": "",
+    "robot": "",
+    "session": "",
+    "record": "",
+    "autostart": True,
+}
+"""With their defaults; docs/live.md says what they are."""
+DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class HomewardNode(LifecycleNode):  # type: ignore[misc]
+    """homeward on a robot."""
+
+    def __init__(self, name: str = "homeward", **options: Any) -> None:
+        super().__init__(name, **options)
+        for parameter, default in PARAMETERS.items():
+            self.declare_parameter(parameter, default)
+        self._session: Session | None = None
+        self._recorder: Recorder | None = None
+        self._parts: list[tuple[Any, Any]] = []
+        self._out: dict[str, Any] = {}
+        self._worker: threading.Thread | None = None
+        self._work, self._running = threading.Event(), False
+        self._camera: Intrinsics | None = None
+        self._stamps = convert.Clock()
+        self._map_to_odom: Pose | None = None
+        self._complained = ""
+
+    def on_configure(self, state: Any) -> Any:
+        """Read what the parameters name, and make the session."""
+        told = self._told
+        try:
+            settings, robot, homes = LiveSettings(), DriveSettings(), {}
+            if told("session"):
+                settings = read_settings(Path(told("session")), LiveSettings)
+            if told("robot"):
+                robot = read_settings(Path(told("robot")), DriveSettings)
+            if told("home"):
+                homes["home"] = read_home(Path(told("home")), {})
+            if told("bearings_type") not in (JSON, *READERS):
+                raise InputError(f"bearings_type: one of {', '.join((JSON, *READERS))}")
+            axes, sigma = told("bearings_axes") or None, told("bearing_sigma") or None
+            self._topic = validated(
+                BearingsTopic,
+                {
+                    "topic": told("bearings_topic"),
+                    "axes": axes,
+                    "sigma": sigma,
+                    "rectified": told("rectified"),
+                },
+            )
+            if told("record"):
+                self._recorder = Recorder(Path(told("record")), settings, robot, homes)
+            keep = self._recorder.keep if self._recorder else None
+            self._session = Session(settings, robot, homes, keep)
+            self._publish()
+        except (HomewardError, ImportError) as error:
+            self.get_logger().error(str(error))
+            self._clean()
+            return FAILED
+        return DONE
+
+    def on_activate(self, state: Any) -> Any:
+        """Listen, and let the estimator work."""
+        assert self._session is not None
+        self._listen()
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        for period, act in ((1 / self._session.settings.rate, self._tick), (1.0, self._tell)):
+            timer = self.create_timer(period, act, clock=steady)
+            self._parts.append((self.destroy_timer, timer))
+        self._running = True
+        self._worker = threading.Thread(target=self._process, daemon=True)
+        self._worker.start()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Tell the robot to stand, if it was driving home, and listen no more."""
+        assert self._session is not None
+        if self._session.homing.active:
+            self._session.receive(Cancel(), time.monotonic())
+            self._tick()
+        self._stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: Any) -> Any:
+        """Forget the session."""
+        self._clean()
+        return DONE
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Stop whatever runs."""
+        self._stop()
+        self._clean()
+        return DONE
+
+    def _told(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _publish(self) -> None:
+        make = self.create_lifecycle_publisher
+        stamped = "Stamped" if self._told("cmd_vel_stamped") else ""
+        topics = {
+            "said": (JSON, "~/said"),
+            "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", "~/pose"),
+            "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics"),
+            "landmarks": ("visualization_msgs/msg/MarkerArray", "~/landmarks"),
+            "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._told("cmd_vel_topic")),
+            "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
+        }
+        self._out = {
+            key: make(convert.message_class(kind), topic, 10)
+            for key, (kind, topic) in topics.items()
+        }
+        try:
+            self._out["tf"] = make(convert.message_class("tf2_msgs/msg/TFMessage"), "/tf", 10)
+        except ImportError:
+            self.get_logger().warning("no tf2_msgs here: map to odom is on ~/map_to_odom alone")
+
+    def _listen(self) -> None:
+        """Subscribe, and offer services."""
+        told = self._told
+        kind = told("bearings_type")
+        topics = [
+            ("nav_msgs/msg/Odometry", told("odometry_topic"), self._odometry),
+            (kind, told("bearings_topic"), self._line if kind == JSON else self._bearings),
+            ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
+            (JSON, "~/request", self._line),
+        ]
+        if told("camera_info_topic"):
+            topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), self._info))
+        if told("scan_topic"):
+            topics.append(("sensor_msgs/msg/LaserScan", told("scan_topic"), self._scan))
+        for kind, topic, callback in topics:
+            guarded = self._guarded(callback)
+            made = self.create_subscription(
+                convert.message_class(kind), topic, guarded, qos_profile_sensor_data
+            )
+            self._parts.append((self.destroy_subscription, made))
+        try:
+            trigger = convert.message_class("std_srvs/srv/Trigger")
+            switch = convert.message_class("std_srvs/srv/SetBool")
+        except ImportError:
+            self.get_logger().warning("no std_srvs here: ask on ~/request")
+            return
+        asked = {"store_home": StoreHome, "go_home": GoHome, "cancel": Cancel, "reset": Reset}
+        services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
+        stop = self._service(lambda request: EStop(engaged=request.data))
+        for kind, name, serve in (*services, (switch, "estop", stop)):
+            made = self.create_service(kind, f"~/{name}", serve)
+            self._parts.append((self.destroy_service, made))
+
+    def _guarded(self, callback: Any) -> Any:
+        """Return a callback of which an error is told once in the log, and no more."""
+
+        def safely(message: Any) -> None:
+            try:
+                callback(message)
+            except (HomewardError, ValueError) as error:
+                words = str(error).splitlines()[0]
+                if words != self._complained:
+                    self.get_logger().warning(words)
+                self._complained = words
+
+        return safely
+
+    def _service(self, make: Any) -> Any:
+        def serve(request: Any, response: Any) -> Any:
+            assert self._session is not None
+            self._take(make(request))
+            faults = self._session.faults(time.monotonic())
+            response.success = True
+            response.message = "; ".join(["asked, ~/said tells what comes of it", *faults])
+            return response
+
+        return serve
+
+    def _take(self, message: Input) -> None:
+        assert self._session is not None
+        self._session.receive(message, time.monotonic())
+        self._work.set()
+
+    def _odometry(self, message: Any) -> None:
+        self._take(convert.odometry_in(message, self._stamps.seconds(message.header.stamp)))
+
+    def _bearings(self, message: Any) -> None:
+        t, kind = self._stamps.seconds(message.header.stamp), self._told("bearings_type")
+        self._take(convert.bearings_in(message, t, kind, self._topic, self._camera))
+
+    def _line(self, message: Any) -> None:
+        said = parse(message.data)
+        if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
+            said = said.model_copy(update={"t": said.t - (self._stamps.epoch or 0)})
+        self._take(said)
+
+    def _start(self, message: Any) -> None:
+        self._take(convert.start_in(message))
+
+    def _info(self, message: Any) -> None:
+        if self._camera is None:
+            self._camera = from_camera_info(message, self._topic.rectified)
+
+    def _scan(self, message: Any) -> None:
+        half, least = self._told("scan_half_angle"), max(message.range_min, 1e-3)
+        angles = [
+            message.angle_min + k * message.angle_increment for k in range(len(message.ranges))
+        ]
+        ahead = [
+            r for a, r in zip(angles, message.ranges, strict=True) if abs(a) <= half and r >= least
+        ]
+        self._take(Obstacle(distance=min([*ahead, message.range_max])))
+
+    def _process(self) -> None:
+        """Let the estimator work, in a thread of its own."""
+        assert self._session is not None
+        with one_thread():
+            while self._running:
+                self._work.wait(0.1)
+                self._work.clear()
+                for said in self._session.process():
+                    self._say(said)
+                    if isinstance(said, Answer) and said.pose is not None:
+                        self._answer(said)
+
+    def _say(self, said: Output) -> None:
+        self._out["said"].publish(convert.message_class(JSON)(data=line_of(said).rstrip()))
+
+    def _answer(self, said: Answer) -> None:
+        message = convert.message_class("geometry_msgs/msg/PoseWithCovarianceStamped")()
+        message.header.frame_id = self._told("map_frame")
+        stamp = round(said.t * NANO) + (self._stamps.epoch or 0) * NANO
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANO)
+        convert.fill_pose(message.pose.pose, Pose(*said.pose or (0.0, 0.0, 0.0)))
+        convert.fill_covariance(message.pose, said)
+        self._out["pose"].publish(message)
+
+    def _tick(self) -> None:
+        """Say the command, and where the odometry frame lies."""
+        assert self._session is not None
+        command = self._session.tick(time.monotonic())
+        if command is not None:
+            self._drive(command)
+        # Where there is no pose any more, the last transform is the best there is.
+        self._map_to_odom = self._session.localisation.fix.odom or self._map_to_odom
+        if self._map_to_odom is not None:
+            stamp = self.get_clock().now().to_msg()
+            frames = self._told("map_frame"), self._told("odom_frame")
+            message = convert.transform(stamp, *frames, self._map_to_odom)
+            self._out["transform"].publish(message)
+            if "tf" in self._out:
+                tf = convert.message_class("tf2_msgs/msg/TFMessage")
+                self._out["tf"].publish(tf(transforms=[message]))
+
+    def _drive(self, command: Command) -> None:
+        stamped = self._told("cmd_vel_stamped")
+        message = convert.message_class(f"geometry_msgs/msg/Twist{'Stamped' * stamped}")()
+        if stamped:
+            message.header.stamp = self.get_clock().now().to_msg()
+        twist = message.twist if stamped else message
+        twist.linear.x, twist.angular.z = float(command.v), float(command.omega)
+        self._out["cmd_vel"].publish(message)
+        self._say(command)
+
+    def _tell(self) -> None:
+        assert self._session is not None
+        stamp = self.get_clock().now().to_msg()
+        said = self._session.diagnostics(time.monotonic())
+        self._out["diagnostics"].publish(convert.diagnostics_out(said, stamp))
+        self._say(said)
+        known = self._session.localisation.landmarks()
+        markers = convert.markers_out(known, stamp, self._told("map_frame"))
+        self._out["landmarks"].publish(markers)
+
+    def _stop(self) -> None:
+        self._running = False
+        self._work.set()
+        if self._worker is not None:
+            self._worker.join()
+        self._worker = None
+        for destroy, part in self._parts:
+            destroy(part)
+        self._parts.clear()
+
+    def _clean(self) -> None:
+        for publisher in self._out.values():
+            self.destroy_publisher(publisher)
+        self._out = {}
+        self._session, self._map_to_odom = None, None
+        self._stamps = convert.Clock()
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            recorder.close()

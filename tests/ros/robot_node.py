@@ -1,0 +1,81 @@
+"""A simulated robot as a node of ROS 2: odometry and bearings out, cmd_vel in.
+
+`python robot_node.py SEED`. Its base stands when it hears no command for 0.2 s, as a real one must.
+It writes a line of JSON a period: t, true distance from home, speed; "move" on stdin moves L1.
+"""
+
+import json
+import math
+import sys
+import threading
+import time
+
+import rclpy
+from geometry_msgs.msg import Pose, PoseArray, Twist
+from live_rig import SCENARIO
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+
+from homeward.control import Twist as Command
+from homeward.frames import Pose as Planar
+from homeward.frames import compose
+from homeward.simulation.files import load_scenario
+from homeward.simulation.live_robot import LiveRobot
+from homeward.simulation.trajectories import advance
+
+
+class RobotNode(Node):
+    def __init__(self, seed):
+        super().__init__("robot")
+        more = {"seed": seed, "landmarks.count": 12, "rates.bearings": 30.0}
+        self.robot = LiveRobot(load_scenario("paper-homing", SCENARIO | more))
+        self.rolled = Planar(0.0, 0.0, 0.0)
+        self.epoch = time.time()
+        self.odometry = self.create_publisher(Odometry, "odom", 10)
+        self.bearings = self.create_publisher(PoseArray, "bearings", 10)
+        self.create_subscription(Twist, "cmd_vel", self.command, 10)
+        self.create_timer(self.robot.period, self.step)
+        threading.Thread(target=self.listen, daemon=True).start()
+
+    def listen(self):
+        for line in sys.stdin:
+            if line.strip() == "move":
+                self.robot.move_landmark("L01", 0.4, 0.3)
+
+    def command(self, message):
+        self.robot.command(Command(message.linear.x, message.angular.z), 0.2)
+
+    def step(self):
+        before = self.robot.pose
+        sensed = self.robot.step()
+        stamp = round((self.epoch + sensed.t) * 1e9)
+        message = Odometry()
+        message.header.frame_id, message.child_frame_id = "odom", "base_link"
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+        message.twist.twist.linear.x = sensed.twist.v
+        message.twist.twist.angular.z = sensed.twist.omega
+        message.pose.pose.position.x = float(self.rolled.x)
+        message.pose.pose.position.y = float(self.rolled.y)
+        message.pose.pose.orientation.z = math.sin(self.rolled.heading / 2)
+        message.pose.pose.orientation.w = math.cos(self.rolled.heading / 2)
+        step = advance(Planar(0.0, 0.0, 0.0), sensed.twist, self.robot.period)
+        self.rolled = compose(self.rolled, step)
+        self.odometry.publish(message)
+        if sensed.seen is not None:
+            array = PoseArray()
+            array.header.stamp, array.header.frame_id = message.header.stamp, "camera"
+            for name in self.robot.world.ids:
+                pose = Pose()  # at the origin: not seen
+                if name in sensed.seen:
+                    pose.position.x = math.cos(sensed.seen[name])
+                    pose.position.y = math.sin(sensed.seen[name])
+                array.poses.append(pose)
+            self.bearings.publish(array)
+        moved = math.hypot(self.robot.pose.x - before.x, self.robot.pose.y - before.y)
+        line = {"t": sensed.t, "distance": self.robot.distance, "v": moved / self.robot.period}
+        print(json.dumps(line), flush=True)
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    rclpy.spin(RobotNode(int(sys.argv[1])))
