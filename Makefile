@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test test-mcu lint docs paper bench clean
+.PHONY: install demo plan test test-mcu test-ros lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -30,6 +30,10 @@ test: install
 test-mcu: install
 	$(BIN)/python -m pytest -n 0 -rs tests/engine/test_export.py -k CortexM4F
 	$(BIN)/python -m benchmarks.mcu
+
+# Real nodes of ROS 2, from PyPI's wheels, in an environment of their own.
+test-ros: install
+	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 0 -rs -s tests/ros
 
 lint: install
 	$(BIN)/ruff check .
@@ -71,4 +75,4 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 clean:
-	rm -rf $(VENV) out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-ros out build dist src/*.egg-info

@@ -44,7 +44,7 @@ Homes = dict[str, dict[str, HomeBearing]]
 FIRST = "home"
 """The name of a home that nobody named."""
 STORE_S, STANDING = 1.0, 0.01
-"""Home is what was seen for so long [s], by a robot that moved no faster [m/s, rad/s]."""
+"""Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
 AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
 """Of a robot that stores home where it stands."""
 NO_HOME = "no home yet: store_home while the robot stands there, or send one"
@@ -81,7 +81,7 @@ class Localisation:
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
         """The last one."""
         self._lately: deque[BearingsIn] = deque(maxlen=400)
-        self._moved_t = -math.inf
+        self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
         if FIRST in homes:
             self._begin(None)
 
@@ -97,8 +97,7 @@ class Localisation:
         """
         match message:
             case OdometryIn():
-                if max(abs(message.v), abs(message.omega)) > STANDING:
-                    self._moved_t = message.t
+                self._twists.append((message.t, message.v, message.omega))
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case BearingsIn():
@@ -163,7 +162,8 @@ class Localisation:
         views = [v for v in self._lately if v.t > self._lately[-1].t - STORE_S]
         if not any(v.bearings for v in views):
             raise InputError("home cannot be stored: nothing is seen")
-        if self._moved_t > views[0].t:
+        rolled = [(v, omega) for t, v, omega in self._twists if t >= views[0].t]
+        if rolled and np.abs(np.mean(rolled, axis=0)).max() > STANDING:
             raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
         seen: dict[str, list[float]] = {}
         for view in views:

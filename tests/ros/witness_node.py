@@ -1,0 +1,100 @@
+"""Hears everything that is said on ROS 2, a line of JSON each, and says what stdin tells it to.
+
+In: {"twist": [v, omega]} until the next one, {"twist": null}, {"call": "go_home"},
+{"estop": true}, {"transition": "deactivate"}.
+"""
+
+import json
+import math
+import sys
+import threading
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Twist
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+
+class Witness(Node):
+    def __init__(self):
+        super().__init__("witness")
+        self.twist = None
+        self.out = self.create_publisher(Twist, "cmd_vel", 10)
+        self.create_timer(0.05, self.drive)
+        topics = {
+            "/homeward/said": (String, lambda m: json.loads(m.data)),
+            "/homeward/pose": (PoseWithCovarianceStamped, self.pose),
+            "/homeward/map_to_odom": (TransformStamped, self.transform),
+            "/homeward/landmarks": (MarkerArray, lambda m: len(m.markers)),
+            "/diagnostics": (DiagnosticArray, lambda m: m.status[0].message),
+            "cmd_vel": (Twist, lambda m: [m.linear.x, m.angular.z]),
+        }
+        try:
+            from tf2_msgs.msg import TFMessage
+
+            topics["/tf"] = (TFMessage, lambda m: self.transform(m.transforms[0]))
+        except ImportError:
+            pass
+        for topic, (kind, read) in topics.items():
+            heard = self.heard(topic, read)
+            self.create_subscription(kind, topic, heard, 100)
+        threading.Thread(target=self.listen, daemon=True).start()
+
+    @staticmethod
+    def pose(message):
+        at, now = message.header.stamp, time.time()
+        p = message.pose.pose.position
+        return [p.x, p.y, message.pose.covariance[0], now - at.sec - at.nanosec / 1e9]
+
+    @staticmethod
+    def transform(message):
+        shift, turn = message.transform.translation, message.transform.rotation
+        heading = 2 * math.atan2(turn.z, turn.w)
+        return [message.header.frame_id, message.child_frame_id, shift.x, shift.y, heading]
+
+    def heard(self, topic, read):
+        def hear(message):
+            self.tell(topic, read(message))
+
+        return hear
+
+    def tell(self, topic, value):
+        line = {"at": time.monotonic(), "topic": topic, "value": value}
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
+
+    def drive(self):
+        if self.twist is not None:
+            message = Twist()
+            message.linear.x, message.angular.z = self.twist
+            self.out.publish(message)
+
+    def listen(self):
+        for line in sys.stdin:
+            for what, value in json.loads(line).items():
+                if what == "twist":
+                    self.twist = value
+                elif what == "call":
+                    self.call(Trigger, f"/homeward/{value}", Trigger.Request())
+                elif what == "estop":
+                    self.call(SetBool, "/homeward/estop", SetBool.Request(data=value))
+                else:
+                    request = ChangeState.Request()
+                    request.transition.id = getattr(Transition, f"TRANSITION_{value.upper()}")
+                    self.call(ChangeState, "/homeward/change_state", request)
+
+    def call(self, kind, name, request):
+        client = self.create_client(kind, name)
+        client.wait_for_service(5.0)
+        future = client.call_async(request)
+        future.add_done_callback(lambda f: self.tell(name, f.result().success))
+
+
+rclpy.init()
+rclpy.spin(Witness())
