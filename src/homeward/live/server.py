@@ -139,8 +139,9 @@ class Server:
             if opened is not None:
                 opened(self.ports)
             if stdio:
-                threading.Thread(target=self._read_stdin, args=(loop,), daemon=True).start()
-                self._listeners.add(_Listener(_print, lambda: 0, lambda: None))
+                me = _Listener(_print, lambda: 0, lambda: None)
+                self._listeners.add(me)
+                threading.Thread(target=self._read_stdin, args=(loop, me), daemon=True).start()
             try:
                 await ended.wait()
             finally:
@@ -226,9 +227,8 @@ class Server:
         listener.tell(line_of(Event(type="error", text=why)))
         return False
 
-    def _read_stdin(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _read_stdin(self, loop: asyncio.AbstractEventLoop, me: _Listener) -> None:
         """Take lines from stdin, no faster than the estimator does."""
-        (me,) = (x for x in self._listeners if x.tell is _print)
         while line := sys.stdin.buffer.readline(LONGEST_LINE + 1):
             while self.session.waiting > self.session.settings.queue // 2:
                 time.sleep(0.001)

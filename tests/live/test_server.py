@@ -1,0 +1,200 @@
+"""The host of a session: who may talk to it, and how."""
+
+import asyncio
+import contextlib
+import json
+import subprocess
+import sys
+
+import pytest
+from live_rig import SCENARIO
+
+from homeward.errors import HomewardError, InputError
+from homeward.live.messages import Hello, OdometryIn, line_of
+from homeward.live.player import Player, play
+from homeward.live.server import Address, Server, address
+from homeward.live.session import Session
+from homeward.live.settings import LiveSettings
+from homeward.simulation.files import load_scenario
+from homeward.simulation.live_robot import LiveRobot
+
+ANY = Address("127.0.0.1", 0)
+HELLO = line_of(Hello()).encode()
+
+
+@contextlib.asynccontextmanager
+async def serving(token=None, **where):
+    """The ports of a server, and the server."""
+    server, opened = Server(Session(), token), asyncio.get_running_loop().create_future()
+    task = asyncio.create_task(server.serve(**where, opened=opened.set_result))
+    try:
+        await asyncio.wait({task, opened}, return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        yield opened.result(), server
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def answers(port, *lines, count=1):
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    for line in lines:
+        writer.write(line)
+    out = [json.loads(line) for line in [await reader.readline() for _ in range(count)] if line]
+    return out, reader, writer
+
+
+def test_a_robot_comes_home_over_tcp():
+    async def whole():
+        async with serving(tcp=ANY) as (ports, _):
+            changes = SCENARIO | {"rates.odometry": 40.0, "rates.bearings": 20.0}
+            player = Player(LiveRobot(load_scenario("paper-homing", changes)))
+            await play(player, Address("127.0.0.1", ports[0]), 1.0, None, lambda text: None)
+            return player
+
+    player = asyncio.run(whole())
+    assert player.ending.state == "arrived"
+    assert player.robot.distance < 0.05
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "Invalid JSON"),
+        (b'{"type":"estop","engaged":false}\n', "say hello first"),
+        (b'{"type":"hello"}\n', "wrong token"),
+        (b'{"type":"hello","token":"guess"}\n', "wrong token"),
+        (b'{"type":"hello","version":7}\n', "must be 1"),
+    ],
+)
+def test_who_does_not_say_hello_as_he_must_is_let_go(first, words):
+    async def whole():
+        async with serving(token="secret", tcp=ANY) as (ports, server):
+            (said,), reader, writer = await answers(ports[0], first, HELLO)
+            assert said["type"] == "error"
+            assert words in said["text"]
+            with contextlib.suppress(ConnectionError):
+                assert await reader.read() == b""
+            writer.close()
+            assert server.session.waiting == 0
+
+    asyncio.run(whole())
+
+
+def test_bad_lines_are_answered_and_an_endless_one_ends_the_talk():
+    async def whole():
+        async with serving(tcp=ANY) as (ports, _):
+            out, reader, writer = await answers(ports[0], HELLO, b"nonsense\n", count=2)
+            assert [x["type"] for x in out] == ["hello", "error"]
+            writer.write(b"x" * 200_000)
+            with contextlib.suppress(ConnectionError):
+                async with asyncio.timeout(5):
+                    await reader.read()
+            writer.close()
+            # The session goes on for others.
+            out, _, writer = await answers(ports[0], HELLO)
+            assert out[0]["type"] == "hello"
+            writer.close()
+
+    asyncio.run(whole())
+
+
+def test_who_does_not_read_is_let_go_and_others_hear_on():
+    async def whole():
+        async with serving(tcp=ANY) as (ports, server):
+            _, _, deaf = await answers(ports[0], HELLO)
+            deaf.transport.pause_reading()
+            _, reader, writer = await answers(ports[0], HELLO)
+            big = Hello(token="x" * 60_000)
+            for _ in range(400):
+                server._tell(big)
+                async with asyncio.timeout(5):
+                    await reader.readline()
+            assert len(server._listeners) == 1
+            deaf.close()
+            writer.close()
+
+    asyncio.run(whole())
+
+
+def test_others_than_this_machine_need_a_token():
+    async def whole():
+        async with serving(tcp=Address("0.0.0.0", 0)):
+            pass
+
+    with pytest.raises(InputError, match="give a token"):
+        asyncio.run(whole())
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("7707", Address("127.0.0.1", 7707)),
+        ("robot:80", Address("robot", 80)),
+        ("[::1]:80", Address("::1", 80)),
+    ],
+)
+def test_addresses(text, meant):
+    assert address(text) == meant
+    assert meant.is_loopback == (text != "robot:80")
+
+
+@pytest.mark.parametrize("text", ["", "robot", "a:b", "1:99999", "-1", "²"])
+def test_what_is_no_address_is_refused(text):
+    with pytest.raises(InputError, match="HOST:PORT"):
+        address(text)
+
+
+def test_nobody_listens():
+    async def whole():
+        async with serving(tcp=ANY) as (ports, _):
+            port = ports[0]
+        player = Player(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+        await play(player, Address("127.0.0.1", port), 1.0, None, lambda text: None)
+
+    with pytest.raises(HomewardError, match="nobody listens"):
+        asyncio.run(whole())
+
+
+def test_websockets_take_the_same_messages_and_no_pages_of_other_sites():
+    connect = pytest.importorskip("websockets.asyncio.client").connect
+    from websockets.exceptions import InvalidStatus
+
+    async def whole():
+        async with serving(websocket=ANY) as (ports, _):
+            url = f"ws://127.0.0.1:{ports[0]}"
+            async with connect(url) as socket:
+                await socket.send(HELLO.decode())
+                assert json.loads(await socket.recv())["type"] == "hello"
+                await socket.send("nonsense")
+                while json.loads(await socket.recv())["type"] != "error":
+                    pass
+                await socket.send(line_of(OdometryIn(t=0.0, v=0.0, omega=0.0)))
+                said = {"faults": ["no odometry yet"]}
+                while "no odometry yet" in said.get("faults", ["no odometry yet"]):
+                    said = json.loads(await socket.recv())
+            async with connect(url, origin="http://localhost:8000"):
+                pass
+            with pytest.raises(InvalidStatus):
+                await connect(url, origin="https://example.org")
+
+    asyncio.run(whole())
+
+
+def test_a_session_over_stdin_answers_every_line_and_ends_with_it(tmp_path):
+    lines = [{"type": "hello"}, {"type": "home", "bearings": {"a": 0.1, "b": 1.0, "c": 2.0}}]
+    for k in range(300):
+        lines.append({"type": "odometry", "t": 0.02 * k, "v": 0.2, "omega": 0.3})
+        lines.append({"type": "bearings", "t": 0.02 * k, "bearings": {"a": 0.1 + 0.001 * k}})
+    text = "".join(json.dumps(line) + "\n" for line in lines) + "nonsense\n"
+    command = [sys.executable, "-m", "homeward", "live", "--record", str(tmp_path / "r")]
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert sum(x["type"] == "estimate" for x in said) == 300
+    assert any("Invalid JSON" in x.get("text", "") for x in said)
+    command = [sys.executable, "-m", "homeward", "live", "--replay"]
+    again = subprocess.run([*command, str(tmp_path / "r" / "session.jsonl")], capture_output=True)
+    assert again.stdout.decode() == "300 answers, all equal to the last bit\n"
+    assert LiveSettings().queue == 200  # less than what came: stdin waits for the estimator
