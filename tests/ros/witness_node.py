@@ -12,13 +12,17 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Twist
+from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped, TransformStamped, Twist
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
+
+
+def stamp(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 class Witness(Node):
@@ -33,6 +37,7 @@ class Witness(Node):
             "/homeward/map_to_odom": (TransformStamped, self.transform),
             "/homeward/landmarks": (MarkerArray, lambda m: len(m.markers)),
             "/diagnostics": (DiagnosticArray, lambda m: m.status[0].message),
+            "bearings": (PoseArray, stamp),
             "cmd_vel": (Twist, lambda m: [m.linear.x, m.angular.z]),
         }
         try:
@@ -48,9 +53,8 @@ class Witness(Node):
 
     @staticmethod
     def pose(message):
-        at, now = message.header.stamp, time.time()
         p = message.pose.pose.position
-        return [p.x, p.y, message.pose.covariance[0], now - at.sec - at.nanosec / 1e9]
+        return [p.x, p.y, message.pose.covariance[0], stamp(message)]
 
     @staticmethod
     def transform(message):

@@ -206,6 +206,9 @@ class Server:
         except InputError as error:
             listener.tell(line_of(Event(type="error", text=str(error))))
 
+    async def _take_soon(self, line: bytes, listener: _Listener) -> None:
+        self._take_line(line, listener)
+
     def _welcome(self, line: bytes | str, listener: _Listener) -> bool:
         """Return whether a first line says hello as it must; answer it."""
         try:
@@ -233,7 +236,7 @@ class Server:
             while self.session.waiting > self.session.settings.queue // 2:
                 time.sleep(0.001)
             if line.strip():
-                loop.call_soon_threadsafe(self._take_line, line, me)
+                asyncio.run_coroutine_threadsafe(self._take_soon(line, me), loop).result()
         while self.session.waiting:
             time.sleep(0.001)
         self._end()
