@@ -33,7 +33,7 @@ class RobotNode(Node):
         self.epoch = time.time()
         self.odometry = self.create_publisher(Odometry, "odom", 10)
         self.bearings = self.create_publisher(PoseArray, "bearings", 10)
-        self.create_subscription(Twist, "cmd_vel", self.command, 10)
+        self.create_subscription(Twist, "cmd_vel", self.command, 1)  # the newest alone counts
         self.create_timer(self.robot.period, self.step)
         threading.Thread(target=self.listen, daemon=True).start()
 

@@ -160,7 +160,7 @@ class Stage:
     def start(self, **parameters):
         parameters = {"home": self.tmp_path / "home.csv", **parameters}
         told = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
-        told += ["--params-file", str(ROOT / "docs" / "ros" / "homeward.yaml")]
+        told = ["--params-file", str(ROOT / "docs" / "ros" / "homeward.yaml"), *told]
         return Running(self.python, "-m", "homeward.ros", "--ros-args", *told, quiet=True)
 
     def tell(self, **what):
@@ -190,7 +190,7 @@ class Stage:
         pages = Path(f"/proc/{self.node.process.pid}/statm").read_text().split()[1]
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
-    def stands(self, longest=1.0):
+    def stands(self, longest=5.0):
         """How long until the robot, which moves now, stands [s]; by its own clock."""
         began = len(self.robot.lines)
         t = self.robot.lines[-1][1]["t"]

@@ -275,14 +275,19 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _process(self) -> None:
         """Let the estimator work, in a thread of its own."""
         assert self._session is not None
-        with one_thread():
-            while self._running:
-                self._work.wait(0.1)
-                self._work.clear()
-                for said in self._session.process():
-                    self._say(said)
-                    if isinstance(said, Answer) and said.pose is not None:
-                        self._answer(said)
+        try:
+            with one_thread():
+                while self._running:
+                    self._work.wait(0.1)
+                    self._work.clear()
+                    for said in self._session.process():
+                        self._say(said)
+                        if isinstance(said, Answer) and said.pose is not None:
+                            self._answer(said)
+        except Exception as error:
+            if self.context.ok():  # else it was shut down, and nobody hears
+                self.get_logger().fatal(f"the estimator's thread ended: {error}")
+                raise
 
     def _say(self, said: Output) -> None:
         self._out["said"].publish(convert.message_class(JSON)(data=line_of(said).rstrip()))
