@@ -81,7 +81,7 @@ def test_a_file_that_is_wrong_is_refused_in_one_line(tmp_path, content, words):
 
 
 def test_the_example_in_the_docs_is_read(tmp_path):
-    docs = Path(__file__).parents[2] / "docs" / "known-landmarks.md"
+    docs = Path(__file__).parents[2] / "docs" / "do" / "known-landmarks.md"
     example = docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
     known = read_folder(put(tmp_path / "a", landmarks_yaml=example.encode())).known
     assert known.surveyed_from_home

@@ -37,7 +37,7 @@ def test_home_is_found_though_a_landmark_is_moved_on_the_way():
         if rig.player.ending.state == "arrived":
             arrived += 1
             assert rig.robot.distance < 0.05
-        else:  # who is not sure stands, and says so: with seed 4, docs/live.md
+        else:  # who is not sure stands, and says so: with seed 4, docs/do/live.md
             assert "not localised: unverified" in rig.player.ending.reason
     assert arrived >= 5
 

@@ -9,8 +9,8 @@ import math
 from importlib import import_module
 from typing import Any
 
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.bearings import SightingRows
-from homeward.drives.ros.measurements.camera import Intrinsics
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.stamps import NANO, seconds
@@ -52,7 +52,7 @@ def odometry_in(message: Any, t: float) -> OdometryIn:
 
 
 def bearings_in(
-    message: Any, t: float, kind: str, told: BearingsTopic, camera: Intrinsics | None
+    message: Any, t: float, kind: str, told: BearingsTopic, camera: Lens | None
 ) -> BearingsIn:
     """Return the bearings in a message of any type of `READERS`, as those in logs are read.
 
@@ -61,9 +61,9 @@ def bearings_in(
     InputError
         When it tells none, or needs a camera model.
     """
-    rows = SightingRows(told, kind, Remarks())
+    rows = SightingRows(told, kind, Remarks(), lambda: camera)
     rows.add(t, message)
-    columns = rows.columns(camera)
+    columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
     return BearingsIn(

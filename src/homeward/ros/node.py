@@ -16,10 +16,11 @@ from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
 
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
 from homeward.drives.ros.measurements.bearings import READERS
-from homeward.drives.ros.measurements.camera import Intrinsics, from_camera_info
+from homeward.drives.ros.measurements.camera import from_camera_info
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.text.settings import read_settings, validated
@@ -67,7 +68,7 @@ PARAMETERS: dict[str, Any] = {
     "record": "",
     "autostart": True,
 }
-"""With their defaults; docs/live.md says what they are."""
+"""With their defaults; docs/do/live.md says what they are."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -84,7 +85,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._out: dict[str, Any] = {}
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
-        self._camera: Intrinsics | None = None
+        self._camera: Lens | None = None
         self._stamps = convert.Clock()
         self._map_to_odom: Pose | None = None
         self._complained = ""

@@ -45,7 +45,7 @@ def live(
 
     By stdin and stdout, or where --tcp or --websocket says so. Without a HOST only this machine can
     connect; with one, everybody must say hello with the token in the environment's HOMEWARD_TOKEN.
-    It ends with stdin, or by Ctrl-C or SIGTERM. docs/live.md says what the messages are.
+    It ends with stdin, or by Ctrl-C or SIGTERM. docs/do/live.md says what the messages are.
     """
     from homeward.drives.drive import DriveSettings
     from homeward.drives.folder import read_home

@@ -55,9 +55,7 @@ class HomeProblem:
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
         """Return it with home where these were surveyed from (k, 2), in whose frame all is."""
         exactly = np.eye(3) * SURVEYED**-2
-        return replace(
-            self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed
-        )
+        return replace(self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed)
 
     def with_noise(self, scale: float) -> HomeProblem:
         """Return it with home's bearings so many times noisier than they were said to be."""

@@ -51,12 +51,14 @@ class LandmarkReport:
     ) -> LandmarkEstimate:
         """Return what is known of one landmark; one that moved on the way is where it is now."""
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
-        probability = surveyed if math.isnan(probability) else max(probability, surveyed)
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
         moved_at = self.known.moved_at.get(name, math.nan)
         unjudged = 1.0 if math.isfinite(moved_at) else math.nan
         probability = unjudged if judged is None else judged
+        probability = max(
+            (p for p in (probability, surveyed) if math.isfinite(p)), default=math.nan
+        )
         x, y, deviation = place
         mapped = self.known.mapped.get(name)
         return LandmarkEstimate(
