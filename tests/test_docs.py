@@ -15,6 +15,7 @@ from typer.exceptions import TyperException
 
 from homeward.cli.main import app
 from homeward.cli.settings import other_models
+from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.settings import parse_settings
 from homeward.errors import InputError
 
@@ -92,7 +93,7 @@ def test_programs_beside_homeward_exist(page):
 def test_yaml_is_what_some_reader_takes(page):
     for text in re.findall(r"```yaml\n(.*?)```", PAGES[page], re.DOTALL):
         refusals = []
-        for _, model in other_models().values():
+        for model in (KnownLandmarks, *(model for _, model in other_models().values())):
             try:
                 parse_settings(text, model, ROOT / page)
                 break
@@ -113,6 +114,9 @@ def test_links_lead_to_files(page):
 def test_every_page_with_python_is_run():
     run = (ROOT / "tests" / "test_readme.py").read_text(encoding="utf-8")
     elsewhere = {"do/studies.md": "studies/test_study.py", "do/estimators.md": "test_plugins.py"}
+    elsewhere["do/cameras.md"] = "vision/test_tags.py"
+    elsewhere["do/live.md"] = "live/test_live_client.py"
+    elsewhere["do/known-landmarks.md"] = "drives/test_landmarks_yaml.py"
     for page, text in PAGES.items():
         if "```python" not in text:
             continue

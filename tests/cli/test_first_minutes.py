@@ -272,7 +272,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    assert named == {"gpu", "vision", "view", "scale"} <= set(extras)
+    assert named == {"gpu", "live", "vision", "view", "scale"} <= set(extras)
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from valid_drive import put
 
+from homeward import Localizer
 from homeward.drives.drive import KnownDistance, KnownLandmarks, SurveyedLandmark
 from homeward.drives.folder import read_folder, write_folder
 from homeward.drives.saving import save_drive
@@ -82,7 +83,9 @@ def test_a_file_that_is_wrong_is_refused_in_one_line(tmp_path, content, words):
 
 def test_the_example_in_the_docs_is_read(tmp_path):
     docs = Path(__file__).parents[2] / "docs" / "do" / "known-landmarks.md"
-    example = docs.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    page = docs.read_text(encoding="utf-8")
+    example = page.split("```yaml\n")[1].split("```")[0]
     known = read_folder(put(tmp_path / "a", landmarks_yaml=example.encode())).known
     assert known.surveyed_from_home
     assert [d.between for d in known.distances] == [("3", "7")]
+    exec(page.split("```python\n")[1].split("```")[0], {"Localizer": Localizer, "home": {"3": 0.1}})

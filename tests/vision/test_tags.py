@@ -1,5 +1,8 @@
 """Tags from pixels to bearings: exact pictures, all kinds of records, and what is left out."""
 
+import re
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -14,11 +17,14 @@ from homeward.drives.cameras.camera import angles
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.folder import read_folder
 from homeward.errors import InputError
+from homeward.estimator import Status
+from homeward.localizer.localizer import Localizer
 from homeward.vision.cameras.messages import picture_of
 from homeward.vision.recorded.recording import see_recording
 from homeward.vision.tags.detector import TagDetector
 from homeward.vision.tags.front_end import TagFrontEnd
 
+DOCS = Path(__file__).parents[2] / "docs"
 SHAPE = (240, 320)
 PINHOLE = Lens(fx=250, fy=252, cx=161, cy=118, width=320, height=240, tilt_sigma=1e-6)
 FISHEYE = Lens(
@@ -255,3 +261,17 @@ def test_hostile_pictures(wrong):
         object.__setattr__(bad, name, value)
     with pytest.raises(InputError):
         picture_of(bad)
+
+
+def test_the_manuals_python_runs(tmp_path):
+    (code,) = re.findall(
+        r"```python\n(.*?)```", (DOCS / "do" / "cameras.md").read_text(), re.DOTALL
+    )
+    camera = "fx: 250\nfy: 252\ncx: 161\ncy: 118\nwidth: 320\nheight: 240\n"
+    (tmp_path / "camera.yaml").write_text(camera)
+    localizer = Localizer({"7": 0.1})
+    localizer.odometry(0.0, 0.1, 0.0)
+    told = {"folder": tmp_path, "picture": drawn(PINHOLE)[0], "localizer": localizer, "t": 0.1}
+    exec(code, told)
+    assert list(told["seen"].bearings) == ["7"]
+    assert told["answer"].status is Status.MAPPING

@@ -23,7 +23,7 @@ def see(
     out: Annotated[Path, typer.Option(help="The drive folder to write.")],
     tags: Annotated[
         str | None,
-        typer.Option(help="Look for tags of this family: 36h11, 25h9, 16h5, 4x4_50, ..."),
+        typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
     ] = None,
     topics: Topics = None,
     force: Annotated[

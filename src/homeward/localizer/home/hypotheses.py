@@ -83,9 +83,12 @@ class Hypotheses:
         best = self.best
         off = np.array([f.home for f in self.fits]) - best.home
         off[:, 2] = wrap(off[:, 2])
-        information = np.linalg.inv(best.covariance + 1e-12 * np.eye(3))
-        apart = np.vecdot(off @ information, off) > deviations**2
-        return float(self.weights @ apart)
+        # By the less noise it supposes: more would hide that another home is more precise.
+        scale = best.problem.noise_scale
+        finest = [f if f.problem.noise_scale < scale else best for f in self.fits]
+        covariances = np.array([f.covariance for f in finest]) + 1e-12 * np.eye(3)
+        apart = (off * np.linalg.solve(covariances, off[:, :, None])[:, :, 0]).sum(axis=1)
+        return float(self.weights @ (apart > deviations**2))
 
 
 def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:
