@@ -99,7 +99,9 @@ class Localizer:
         if self.signs_reversed:
             words = Reason.SIGNS_REVERSED.words
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
-        noisy = (NOISY_NOTE,) if self.chart.noise.scale > 1.0 else ()
+        noise = self.chart.noise
+        noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
+        noisy += noise.lasting.words(noise.sigma)
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
         survey = self.chart.map.survey
         scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes

@@ -9,6 +9,8 @@ counts the less the sooner it follows the last one of its landmark.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from homeward.localizer.tunables import GATE
@@ -21,6 +23,8 @@ STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55)
 """Each sighting is paired with the so many-th after it, of the same landmark."""
 PAIRS = 40
 """So many pairs are needed to tell the correlation of a class."""
+RARE_S = 0.5
+"""They are worth telling where a sighting so long after the last one counts for half [s]."""
 LEAST_GAP_S = 1e-3
 """Sightings of one landmark are not nearer to each other than that [s]."""
 
@@ -48,6 +52,13 @@ class LastingErrors:
         """
         gaps = np.maximum(gaps, LEAST_GAP_S)
         return np.asarray(self.share * (1.0 / np.tanh(gaps / (2.0 * self.time)) - 1.0))
+
+    def words(self, sigma: float) -> tuple[str, ...]:
+        """Return what the user should know of it, where the deviation of a bearing is so [rad]."""
+        if self.excess(np.array([RARE_S]))[0] < 1.0:
+            return ()
+        slow = math.degrees(sigma * math.sqrt(self.share))
+        return (f"Errors of {slow:.1f} deg in the bearings last for some {self.time:.1f} s.",)
 
     def update(
         self, errors: np.ndarray, gaps: np.ndarray, landmarks: np.ndarray, weight: float
