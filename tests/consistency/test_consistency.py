@@ -145,7 +145,8 @@ def test_chance_alone_hardly_ever_fails_and_twice_the_nees_does(runs):
     means = drives.mean(axis=1)
     assert np.all((low < means) & (means < high))
     assert low > 0.6
-    assert np.mean(2.0 * means > high) > (0.98 if runs == 20 else 0.2)
+    # Of two drives a sixth: each scenario and figure more makes all bands a little wider.
+    assert np.mean(2.0 * means > high) > (0.98 if runs == 20 else 1 / 6)
 
 
 def test_a_weakness_has_its_band_where_it_was_and_theory_where_it_holds():
