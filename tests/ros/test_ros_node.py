@@ -160,7 +160,7 @@ class Stage:
     def start(self, **parameters):
         parameters = {"home": self.tmp_path / "home.csv", **parameters}
         told = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
-        told = ["--params-file", str(ROOT / "docs" / "ros" / "homeward.yaml"), *told]
+        told = ["--params-file", str(ROOT / "docs" / "do" / "ros" / "homeward.yaml"), *told]
         return Running(self.python, "-m", "homeward.ros", "--ros-args", *told, quiet=True)
 
     def tell(self, **what):
