@@ -21,7 +21,6 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
 from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.scoring import errors
 from homeward.simulation.scenario import (
@@ -204,17 +203,17 @@ def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
 
 
 def rows(
-    names: list[str], seeds: range, final: bool, settings: LocalizerSettings
+    names: list[str], seeds: range, final: bool
 ) -> Iterator[tuple[str, int, dict[str, float]]]:
     """Run all; give name, seed and figures of each."""
     for name in names:
         for seed in seeds:
             drive, whole = drive_of(name, seed)
             if final:
-                track = smooth(drive, settings)
+                track = smooth(drive)
             else:
                 robot = drive.settings.robot
-                track = run(drive, Localizer(drive.home, settings=settings, **robot))
+                track = run(drive, Localizer(drive.home, **robot))
             yield name, seed, figures(track, drive, whole)
 
 
@@ -232,7 +231,7 @@ def main() -> None:
     columns = ("scale", "rmse", "nees", "beyond", "inside", "pose", "nis")
     print(f"{'':20}" + "".join(f"{c:>9}" for c in columns) + "    worst nees")
     found: dict[str, list[dict[str, float]]] = {}
-    for name, seed, one in rows(given.only, seeds, given.smooth, LocalizerSettings()):
+    for name, seed, one in rows(given.only, seeds, given.smooth):
         found.setdefault(name, []).append(one)
         if given.each:
             print(

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import Pool
+from typing import Any
 
 import numpy as np
 
@@ -57,13 +58,17 @@ TILTS = (0.0, 0.01, 0.02, 0.02, 0.03)
 each room [rad]; images.yaml says as much."""
 
 
-def scenario(number: int, width: int, distance: tuple[float, float], moved: int) -> RenderScenario:
-    """Return room number `number`, its camera `width` pixels wide."""
+def room_number(number: int, distance: tuple[float, float], moved: int) -> dict[str, Any]:
+    """Return the settings of room number `number`, `robust` driving home in it."""
     names = list(PLANS)
     made = room(names[number % len(names)], number // len(names), distance, moved)
-    tree = made.model_dump(exclude_none=True)
+    return made.model_dump(exclude_none=True) | {"estimator": "robust"}
+
+
+def scenario(number: int, width: int, distance: tuple[float, float], moved: int) -> RenderScenario:
+    """Return room number `number`, its camera `width` pixels wide."""
+    tree = room_number(number, distance, moved)
     tree["camera"] |= {"width": width, "height": width // 4}
-    tree["estimator"] = "robust"
     if not moved:
         tree["furnish"]["movers"] = 0
     return validated(RenderScenario, tree)

@@ -19,6 +19,7 @@ from multiprocessing import Pool
 
 import numpy as np
 
+from benchmarks.render import room_number
 from homeward.angles import wrap
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
@@ -26,7 +27,7 @@ from homeward.frames import compose
 from homeward.registry import make_estimator
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageLoop
-from homeward.simulation.render.room.presets import PLANS, room
+from homeward.simulation.render.room.presets import PLANS
 from homeward.simulation.render.room.settings import RenderScenario
 from homeward.simulation.render.scene import tag_places
 
@@ -40,10 +41,8 @@ TAGS = {"size": 0.2, "walls": 24}
 
 def scenario(number: int) -> RenderScenario:
     """Room number `number`."""
-    names = list(PLANS)
-    made = room(names[number % len(names)], number // len(names), (1.0, 4.0), 3)
-    tree = made.model_dump(exclude_none=True)
-    tree["camera"], tree["tags"], tree["estimator"] = CAMERA, TAGS, "robust"
+    tree = room_number(number, (1.0, 4.0), 3)
+    tree["camera"], tree["tags"] = CAMERA, TAGS
     tree["rates"]["bearings"] = 2.5
     return validated(RenderScenario, tree)
 

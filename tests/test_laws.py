@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from homeward.control import advance
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.laws import LAWS, average_landmark_vector, squared_angles, steer, way_home
 from homeward.simulation.files import load_scenario
 from homeward.simulation.simulate import Ending, simulate
-from homeward.simulation.trajectories import advance
 
 TERMS = {
     average_landmark_vector: lambda d: 1 - np.cos(d),

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.consistency.trial import Trial
+from benchmarks.consistency.trial import Trial, now_and_then
 from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose, bearing, compose
@@ -102,9 +102,6 @@ def stalling(whole: Trial, seed: int, every_s: float, for_s: float) -> Trial:
         How often in the mean, and for how long [s].
     """
     o = whole.drive.odometry
-    rng = np.random.default_rng([seed, 6])
-    starts = np.cumsum(rng.exponential(every_s, int(3 * o.t[-1] / every_s) + 3))
-    before = np.searchsorted(starts, o.t, side="right") - 1
-    fails = (before >= 0) & (o.t - starts[before] < for_s)
+    fails = now_and_then(o.t, np.random.default_rng([seed, 6]), every_s, for_s)
     dead = replace(o, v=np.where(fails, 0.0, o.v), omega=np.where(fails, 0.0, o.omega))
     return replace(whole, drive=replace(whole.drive, odometry=dead))

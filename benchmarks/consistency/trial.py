@@ -158,12 +158,18 @@ def slipping(whole: Trial, seed: int, share: float, every_s: float, for_s: float
         How often in the mean, and for how long [s].
     """
     o = whole.drive.odometry
-    rng = np.random.default_rng([seed, 1])
-    starts = np.cumsum(rng.exponential(every_s, int(3 * o.t[-1] / every_s) + 3))
-    before = np.searchsorted(starts, o.t, side="right") - 1
-    slips = (before >= 0) & (o.t - starts[before] < for_s)
+    slips = now_and_then(o.t, np.random.default_rng([seed, 1]), every_s, for_s)
     faster = replace(o, v=np.where(slips, o.v / (1.0 - share), o.v))
     return replace(whole, drive=replace(whole.drive, odometry=faster))
+
+
+def now_and_then(
+    t: np.ndarray, rng: np.random.Generator, every_s: float, for_s: float
+) -> np.ndarray:
+    """Return which times (n,) lie in spells; they begin so often in the mean, and last so long."""
+    starts = np.cumsum(rng.exponential(every_s, int(3 * t[-1] / every_s) + 3))
+    before = np.searchsorted(starts, t, side="right") - 1
+    return np.asarray((before >= 0) & (t - starts[before] < for_s))
 
 
 def lagging(whole: Trial, seconds: float) -> Trial:

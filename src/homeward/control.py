@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from homeward.angles import wrap
-from homeward.frames import Polar
+from homeward.frames import Polar, Pose
 
 STOP_RADIUS = 0.05
 """Home counts as reached within this distance [m]; the paper does not say."""
@@ -17,6 +17,22 @@ class Twist(NamedTuple):
 
     v: Any
     omega: Any
+
+
+def advance(pose: Pose, twist: Twist, dt: float) -> Pose:
+    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
+
+    Headings [rad] are not wrapped here.
+    """
+    half = 0.5 * twist.omega * dt
+    # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
+    shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
+    chord = twist.v * dt * shrink
+    return Pose(
+        pose.x + chord * math.cos(pose.heading + half),
+        pose.y + chord * math.sin(pose.heading + half),
+        pose.heading + 2.0 * half,
+    )
 
 
 def homing(polar: Polar, speed: Any) -> Twist:

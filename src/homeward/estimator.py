@@ -17,7 +17,6 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
-import homeward.old_numpy  # noqa: F401
 from homeward.by_value import ByValue
 from homeward.errors import InputError
 from homeward.frames import Polar, Pose, to_polar

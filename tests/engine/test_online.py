@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_model import scene
 
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -23,7 +23,6 @@ from homeward.estimator import Status
 from homeward.frames import Pose, bearing, compose, from_polar
 from homeward.reasons import Rejection
 from homeward.registry import NEED_START, make_estimator
-from homeward.simulation.trajectories import advance
 
 NAMES = NEED_START
 NOTHING = np.empty(0)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import Estimate, Status
@@ -18,7 +18,6 @@ from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.twists import Twists
-from homeward.simulation.trajectories import advance
 
 BEARING_SIGMA = 0.01
 SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01

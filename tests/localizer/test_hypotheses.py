@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from rig import Rig, ring
+from scipy.integrate import trapezoid
 from test_far_homes import FAR, divided
 from test_parts import problem
 
@@ -36,14 +37,14 @@ CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 def test_right_and_wrong_are_densities_on_the_circle(sigma):
     variance = np.full(CIRCLE.size, sigma**2)
     for density in (log_inlier, log_outlier):
-        assert np.trapezoid(np.exp(density(CIRCLE, variance)), CIRCLE) == pytest.approx(1, abs=1e-3)
+        assert trapezoid(np.exp(density(CIRCLE, variance)), CIRCLE) == pytest.approx(1, abs=1e-3)
 
 
 def test_a_wrong_bearing_is_predicted_as_uncertainly_as_its_fault_and_the_map_together():
     fault = np.exp(log_outlier(CIRCLE, np.zeros(CIRCLE.size)))
     for off in (0.0, 0.2, 0.7, 1.5):
         noise = np.exp(log_inlier(off - CIRCLE, np.full(CIRCLE.size, 0.15**2)))
-        both = np.trapezoid(fault * noise, CIRCLE)
+        both = trapezoid(fault * noise, CIRCLE)
         assert np.exp(log_outlier(np.array(off), np.array(0.15**2))) == pytest.approx(
             both, rel=1e-3
         )

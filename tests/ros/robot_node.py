@@ -17,11 +17,11 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 from homeward.control import Twist as Command
+from homeward.control import advance
 from homeward.frames import Pose as Planar
 from homeward.frames import compose
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.trajectories import advance
 
 
 class RobotNode(Node):

@@ -5,7 +5,7 @@ import pytest
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.control import homing
+from homeward.control import advance, homing
 from homeward.engine.generic import BELIEF
 from homeward.engine.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
@@ -15,7 +15,6 @@ from homeward.filters.steps import predict_function, update_function
 from homeward.frames import Polar, Pose, bearing, from_polar
 from homeward.model import PolarModel
 from homeward.simulation.closed_loop import closed_loop_function
-from homeward.simulation.trajectories import advance
 
 Q, DT, SPEED = 5, 0.05, 0.125
 SHARED = ("stored", "input_covariance", "state_variance", "variance", "gate", "minimum_visible")

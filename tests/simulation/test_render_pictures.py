@@ -10,7 +10,7 @@ import yaml
 from rooms import scenario
 from shapely import Polygon, contains_xy
 
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
@@ -29,7 +29,7 @@ from homeward.simulation.render.shading.textures import (
     build_atlas,
     paint,
 )
-from homeward.simulation.trajectories import SEARCH_RADIUS, advance
+from homeward.simulation.trajectories import SEARCH_RADIUS
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 HERE = Pose(0.5, 0.3, 1.0)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
 from homeward.frames import Pose, from_polar, to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.files import load_scenario
 from homeward.simulation.simulate import Ending, prepare, simulate
-from homeward.simulation.trajectories import SEARCH_RADIUS, advance
+from homeward.simulation.trajectories import SEARCH_RADIUS
 
 SHORT = {"trajectory.duration": 10.0}
 SILENT = {

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.frames import Pose
 from homeward.simulation.files import load_scenario
 from homeward.simulation.presets import WAREHOUSE
@@ -16,7 +16,6 @@ from homeward.simulation.trajectories import (
     SEARCH_RADIUS,
     SLOWEST,
     TURN_ACCELERATION,
-    advance,
     make_control,
 )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, TypedDict
@@ -209,6 +209,14 @@ class Sightings:
     """From the camera's axis [rad], in (-pi, pi]."""
     sigma: np.ndarray
     """[rad]; NaN where not given."""
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[tuple[float, str, float, float]]) -> Self:
+        """Return those of rows (t, landmark, bearing, sigma), in order of time."""
+        ids = np.empty(len(rows), object)
+        ids[:] = [landmark for _, landmark, _, _ in rows]
+        numbers = np.array([(t, b, s) for t, _, b, s in rows], float).reshape(-1, 3)
+        return cls(numbers[:, 0], ids, numbers[:, 1], numbers[:, 2])
 
     def stamps(self) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
         """Yield (t, {id: bearing}, {id: sigma}) for each stamp; of equal ids the last counts."""

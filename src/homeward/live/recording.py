@@ -156,13 +156,10 @@ def read_drive(file: Path) -> Drive | None:
         return None
     twists = np.array([(t, *odometry[t]) for t in sorted(odometry)], float)
     seen.sort(key=lambda row: row[0])
-    ids = np.empty(len(seen), object)
-    ids[:] = [i for _, i, _, _ in seen]
-    numbers = np.array([(t, b, sigma) for t, _, b, sigma in seen], float).reshape(-1, 3)
     return replace(
         localisation.drive,
         odometry=Odometry(*twists.T.copy()),
-        sightings=Sightings(numbers[:, 0], ids, numbers[:, 1], numbers[:, 2]),
+        sightings=Sightings.of_rows(seen),
     )
 
 

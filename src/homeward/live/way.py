@@ -6,8 +6,10 @@ import math
 from bisect import bisect_right
 from collections import deque
 
+from homeward.angles import wrap
+from homeward.control import Twist, advance
 from homeward.estimator import HOLD_S
-from homeward.frames import Pose, compose
+from homeward.frames import Pose
 from homeward.live.messages import OdometryIn
 
 PATH_S = 3.0
@@ -47,6 +49,5 @@ class Way:
         row = max(bisect_right(self._t, t) - 1, 0)
         pose, v, omega = self._samples[row]
         dt = min(max(t - self._t[row], 0.0), HOLD_S)
-        half = omega * dt / 2
-        chord = v * dt * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
-        return compose(pose, Pose(chord * math.cos(half), chord * math.sin(half), 2 * half))
+        there = advance(pose, Twist(v, omega), dt)
+        return there._replace(heading=wrap(there.heading))

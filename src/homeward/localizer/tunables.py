@@ -77,7 +77,7 @@ PUSHED = 0.5
 """Half of the landmarks that moved were pushed by about so much, seen from home; the other half was
 carried anywhere [rad]."""
 NOISE_DOUBT = 0.01
-"""One in ten deviations of home bearings is wrong, ..."""
+"""The deviation of home bearings is wrong in one of a hundred homes, ..."""
 NOISIER = (3.0, 10.0)
 """... as they are by so many times: half a decade tells one noise from another [1]."""
 HOME_SHARE = 0.5

@@ -6,6 +6,7 @@ Message classes are looked for where they are used: a robot has those that it ne
 from __future__ import annotations
 
 import math
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -25,6 +26,7 @@ PLANAR = (0, 1, 5)
 _SPHERE, _TEXT = 2, 9
 
 
+@cache
 def message_class(kind: str) -> Any:
     """Return the class of a type, as in ``nav_msgs/msg/Odometry``; ImportError without it."""
     package, part, name = kind.split("/")

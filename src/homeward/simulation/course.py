@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -23,7 +23,7 @@ from homeward.frames import Polar, Pose, from_polar, to_polar
 from homeward.simulation.log import Clock, Log
 from homeward.simulation.scenario import Course
 from homeward.simulation.sensing import Wheels
-from homeward.simulation.trajectories import advance, make_control
+from homeward.simulation.trajectories import make_control
 from homeward.simulation.world import Stream, generator, quantise
 
 STEPS_PER_TELLING = 200

@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from homeward.control import Twist
+from homeward.control import Twist, advance
 from homeward.frames import Pose
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera, Wheels
 from homeward.simulation.simulate import prepare
-from homeward.simulation.trajectories import advance
 from homeward.simulation.world import build_world
 
 STAND = Twist(0.0, 0.0)

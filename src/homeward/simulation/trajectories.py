@@ -246,19 +246,3 @@ def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
     return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)
-
-
-def advance(pose: Pose, twist: Twist, dt: float) -> Pose:
-    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
-
-    Headings [rad] are not wrapped here.
-    """
-    half = 0.5 * twist.omega * dt
-    # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
-    shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
-    chord = twist.v * dt * shrink
-    return Pose(
-        pose.x + chord * math.cos(pose.heading + half),
-        pose.y + chord * math.sin(pose.heading + half),
-        pose.heading + 2.0 * half,
-    )

@@ -177,7 +177,7 @@ class HomeFit:
         """
         bearing, by_place, by_home = expected(self.problem, self.home, places, self.known[YAW])
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
-        variance += np.vecdot(by_home @ self.covariance, by_home)
+        variance += ((by_home @ self.covariance) * by_home).sum(axis=1)
         return log_odds(wrap(bearings - bearing), variance, self.moved_share(self.inliers))
 
     def moved_share(self, right: np.ndarray) -> float:

@@ -76,7 +76,7 @@ class Evidence:
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:
         """Innovations (r,) of the set, each by the others of it, and their variances."""
         jacobian, residual = self.of_set.weighted[:, HOME], self.of_set.weighted[:, RESIDUAL]
-        left = self.of_set.precision - np.vecdot(jacobian @ self.covariance, jacobian)
+        left = self.of_set.precision - ((jacobian @ self.covariance) * jacobian).sum(axis=1)
         variance = 1.0 / np.maximum(left, 1e-9)
         return (residual - jacobian @ self.step) * variance, variance
 
@@ -88,7 +88,7 @@ class Evidence:
         jacobian = linear.by_home[rest] - products[:, HOME]
         innovation = wrap(linear.residual[rest] - products[:, RESIDUAL] - jacobian @ self.step)
         variance = linear.residual_covariance[rest, rest] - products[:, REST].diagonal()
-        return innovation, variance + np.vecdot(jacobian @ self.covariance, jacobian)
+        return innovation, variance + ((jacobian @ self.covariance) * jacobian).sum(axis=1)
 
     def _all(self, inliers: np.ndarray, outliers: np.ndarray) -> np.ndarray:
         """Return values of the set (r,) and of the rest (q - r,), in their places (q,)."""

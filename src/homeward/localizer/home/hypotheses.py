@@ -198,20 +198,21 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
 def seeds(problem: HomeProblem) -> list[Seed]:
     """Return seeds of the local search, the sets of one noise all different."""
     found: list[Seed] = []
+    q = problem.bearings.size
+    cameras = np.zeros((0, 3))
+    if q >= POSE:
+        cameras = poses_from_triples(problem.landmarks, problem.bearings)
     for scale in (1.0, *NOISIER):
         if problem.prior is not None:
-            found.append((problem.prior, np.ones(problem.bearings.size, bool), scale))
-        if problem.bearings.size >= POSE:
-            found.extend(_from_triples(problem.with_noise(scale)))
+            found.append((problem.prior, np.ones(q, bool), scale))
+        if len(cameras):
+            found.extend(_best_of_triples(cameras, problem.with_noise(scale)))
     return found
 
 
-def _from_triples(problem: HomeProblem) -> list[Seed]:
-    """Return the best poses of home made of triples, with the set that each one makes right."""
+def _best_of_triples(cameras: np.ndarray, problem: HomeProblem) -> list[Seed]:
+    """Return the best of home's cameras (k, 3) made of triples, with the set each makes right."""
     points = problem.landmarks
-    cameras = poses_from_triples(points, problem.bearings)
-    if not len(cameras):
-        return []
     each = POSE_AND_YAW + np.arange(2 * len(points)).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     scores, inliers = mixture_scores(

@@ -106,5 +106,5 @@ def _own_errors(
     without = shared.view(complex)[:, of_set]
     variance, mixed = covariance.diagonal(), covariance.diagonal(1)
     xx, xy, yy = variance[::2][of_set], mixed[::2][of_set], variance[1::2][of_set]
-    spread = xx + yy - 2.0 * np.vecdot(motions.T, without.T).real
-    return spread, xx - yy + 2j * xy - 2.0 * np.vecdot(motions.T.conj(), without.T)
+    spread = xx + yy - 2.0 * (motions.conj() * without).sum(axis=0).real
+    return spread, xx - yy + 2j * xy - 2.0 * (motions * without).sum(axis=0)

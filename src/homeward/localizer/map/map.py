@@ -342,8 +342,7 @@ class Map:
         since = smoother.newest - self._solved_at
         self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        columns = (smoother.sightings[:, c] for c in (OWN, SIGMA, GAP, LANDMARK))
-        own, whole, gaps, landmarks = columns
+        own, whole, gaps, landmarks = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
         wider = noise.update(residuals, own, whole, gaps, landmarks, since)
         if wider != 1.0:
             smoother.scale_noise(wider)

@@ -8,7 +8,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
-from homeward.control import Twist, arrived, homing
+from homeward.control import Twist, advance, arrived, homing
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -22,7 +22,6 @@ from homeward.drives.drive import (
 from homeward.estimator import Status
 from homeward.frames import Polar, Pose, bearing, from_polar, polar_covariance_to_pose, to_polar
 from homeward.registry import make_estimator
-from homeward.simulation.trajectories import advance
 from homeward.studies.paper.many import Errors, errors_over
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World

@@ -93,7 +93,7 @@ def see_folder(
         raise InputError("no rows", folder / IMAGES)
     odometry = read_odometry(folder / ODOMETRY, remarks)
     # Before images are looked at, which takes long.
-    spans = {"the odometry": _span(odometry.t), "the images": _span(images.t)}
+    spans = {"the odometry": span(odometry.t), "the images": span(images.t)}
     require_overlap(spans, OTHER_CLOCK, folder)
     sensor = read_drive_settings(folder / SETTINGS)
     truth = read_truth(folder / TRUTH, remarks)
@@ -155,7 +155,7 @@ def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, fo
         raise InputError(error.what, folder) from None
 
 
-def _span(t: np.ndarray) -> tuple[float, float]:
+def span(t: np.ndarray) -> tuple[float, float]:
     """Return the first and the last of times in order [s]."""
     return float(t[0]), float(t[-1])
 
@@ -232,7 +232,4 @@ def _sightings(t: np.ndarray, glances: list[FrameBearings], remarks: dict[str, i
     kept = [row for row in rows if times[row[1]] >= LASTING]
     if rare := len(rows) - len(kept):
         remarks[RARE] = rare
-    names = np.empty(len(kept), object)
-    names[:] = [row[1] for row in kept]
-    numbers_of = np.array([(row[0], row[2], row[3]) for row in kept], float).reshape(-1, 3)
-    return Sightings(numbers_of[:, 0], names, numbers_of[:, 1], numbers_of[:, 2])
+    return Sightings.of_rows(kept)

@@ -26,7 +26,7 @@ from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.cameras.messages import picture_of
-from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image
+from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image, span
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 from homeward.vision.tags.detector import TagDetector
@@ -69,8 +69,8 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     if not frames.t.size:
         raise InputError("no pictures in it", path)
     odometry = read_odometry(folder / ODOMETRY, remarks)
-    ends = {"the odometry": odometry.t[[0, -1]], "the images": frames.t[[0, -1]]}
-    require_overlap({k: (float(a), float(b)) for k, (a, b) in ends.items()}, OTHER_CLOCK, folder)
+    spans = {"the odometry": span(odometry.t), "the images": span(frames.t)}
+    require_overlap(spans, OTHER_CLOCK, folder)
     home = _home(eye, folder, settings)
     sightings = _sightings(eye, frames, remarks, tell)
     return Drive(
@@ -139,7 +139,4 @@ def _sightings(
         if tell is not None:
             tell((k + 1) / frames.t.size)
     remarks |= {reason: count for reason, count in counts.items() if count}
-    names = np.empty(len(rows), object)
-    names[:] = [row[1] for row in rows]
-    numbers = np.array([(t, b, s) for t, _, b, s in rows], float).reshape(-1, 3)
-    return Sightings(numbers[:, 0], names, numbers[:, 1], numbers[:, 2])
+    return Sightings.of_rows(rows)

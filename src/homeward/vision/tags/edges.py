@@ -9,6 +9,7 @@ about their planes tells the corners' standard deviation.
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from homeward.drives.cameras.camera import Camera, angles, unit_vectors
 from homeward.vision.opencv import opencv
@@ -106,7 +107,7 @@ def _steps(
     dark, bright = (values[..., k].mean(axis=2)[..., None, None] for k in (0, -1))
     with np.errstate(divide="ignore", invalid="ignore"):
         level = (values - dark) / np.where(bright - dark > LEAST_CONTRAST, bright - dark, np.nan)
-    area = np.trapezoid(level, step, axis=-1)
+    area = trapezoid(level, step, axis=-1)
     return places, (reach[:, None, None] * (1 - area))[..., None] * outwards
 
 
