@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from homeward.angles import wrap
 from homeward.frames import Polar, Pose
 
@@ -19,18 +21,24 @@ class Twist(NamedTuple):
     omega: Any
 
 
-def advance(pose: Pose, twist: Twist, dt: float) -> Pose:
+def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
     """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
 
-    Headings [rad] are not wrapped here.
+    Floats, or arrays of one shape. Headings [rad] are not wrapped here.
     """
-    half = 0.5 * twist.omega * dt
-    # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
-    shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
+    half: Any = 0.5 * twist.omega * dt
+    trig: Any = np
+    shrink: Any
+    if isinstance(half, np.ndarray):
+        shrink = np.sinc(half / math.pi)
+    else:  # the same, much quicker
+        trig = math
+        # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
+        shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
     chord = twist.v * dt * shrink
     return Pose(
-        pose.x + chord * math.cos(pose.heading + half),
-        pose.y + chord * math.sin(pose.heading + half),
+        pose.x + chord * trig.cos(pose.heading + half),
+        pose.y + chord * trig.sin(pose.heading + half),
         pose.heading + 2.0 * half,
     )
 

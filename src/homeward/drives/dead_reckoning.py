@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control import Twist, advance
 from homeward.drives.drive import Odometry
 from homeward.estimator import HOLD_S
 from homeward.frames import Pose
@@ -27,19 +26,12 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     Pose
         x [m], y [m], heading [rad], each of shape (n,).
     """
-    held = np.minimum(np.diff(odometry.t), HOLD_S)
-    turn = odometry.omega[:-1] * held
-    heading = np.concatenate([[0.0], np.cumsum(turn)])
-    dx, dy = _arc(heading[:-1], odometry.v[:-1] * held, turn)
-    x, y = np.concatenate([[0.0], np.cumsum(dx)]), np.concatenate([[0.0], np.cumsum(dy)])
+    twists, held = Twist(odometry.v, odometry.omega), np.minimum(np.diff(odometry.t), HOLD_S)
+    heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
+    steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
+    x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
     last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
     since = np.clip(t - odometry.t[last], 0.0, HOLD_S)
-    turn = odometry.omega[last] * since
-    dx, dy = _arc(heading[last], odometry.v[last] * since, turn)
-    return Pose(x[last] + dx, y[last] + dy, wrap(heading[last] + turn))
-
-
-def _arc(heading: np.ndarray, way: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the chord of an arc, begun at a heading."""
-    chord = way * np.sinc(turn / math.tau)
-    return chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2)
+    begun = Pose(x[last], y[last], heading[last])
+    end = advance(begun, Twist(*(a[last] for a in twists)), since)
+    return end._replace(heading=wrap(end.heading))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control import Twist, advance
 from homeward.filters.carrier import LOST_SIGMA, Known, Outputs
 from homeward.filters.invariant import SensorNoise
 from homeward.filters.settings import Engine
@@ -116,16 +117,7 @@ class ParticleFilter:
         v, omega = np.array(twist or (0.0, 0.0))[:, None] + np.sqrt(density / interval)[
             :, None
         ] * self._normal(belief.draws, 2)
-        x, y, heading = belief.pose
-        half = 0.5 * omega * interval
-        chord = v * interval * np.sinc(half / np.pi)
-        pose = np.stack(
-            [
-                x + chord * np.cos(heading + half),
-                y + chord * np.sin(heading + half),
-                heading + 2 * half,
-            ]
-        )
+        pose = np.stack(advance(Pose(*belief.pose), Twist(v, omega), interval))
         return replace(belief, pose=pose, draws=belief.draws + 1)
 
     def update(

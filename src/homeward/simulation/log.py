@@ -104,12 +104,9 @@ class Log:
 
     def fill(self, drive: Drive) -> Drive:
         """Return the drive with everything that was logged."""
-        landmarks = np.empty(len(self._sightings), object)
-        landmarks[:] = [landmark for _, landmark, _, _ in self._sightings]
-        numbers = np.array([(t, b, s) for t, _, b, s in self._sightings], float).reshape(-1, 3)
         return replace(
             drive,
             odometry=Odometry(*np.array(self._odometry, float).T),
-            sightings=Sightings(numbers[:, 0], landmarks, numbers[:, 1], numbers[:, 2]),
+            sightings=Sightings.of_rows(self._sightings),
             truth=Truth(*np.array(self._truth, float).T),
         )

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.frames import Pose, compose
+from homeward.control import Twist, advance
+from homeward.frames import Pose
 from homeward.studies.planning.floor import Floor
 from homeward.studies.planning.settings import Plan
 
@@ -197,14 +198,8 @@ def _stops(plan: Plan, heading: float) -> np.ndarray:
     """Return the stops of the arc: offsets from its middle [m] and headings [rad], (s, 3)."""
     drive = plan.drive
     along = np.linspace(-0.5, 0.5, drive.stops) * drive.length
-    curvature = drive.turn / drive.length
-    if abs(drive.turn) < 1e-9:
-        local = Pose(along, 0.0 * along, 0.0 * along)
-    else:
-        turned = curvature * along
-        local = Pose(np.sin(turned) / curvature, (1 - np.cos(turned)) / curvature, turned)
-    there = compose(Pose(0.0, 0.0, heading), local)
-    return np.stack([there.x, there.y, there.heading], axis=1)
+    arc = Twist(1.0, drive.turn / drive.length)
+    return np.stack(advance(Pose(0.0, 0.0, heading), arc, along), axis=1)
 
 
 def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
