@@ -6,11 +6,13 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
-from homeward.drives.drive import Drive, Strict
+from homeward.drives.drive import Drive, DriveSettings, Strict
+from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
 from homeward.engine.online import OnlineFilter
 from homeward.engine.paper import a_ekf, ekf, pi_ekf
 from homeward.engine.peers import adaptive, invariant, particle, schmidt, ukf
+from homeward.engine.told import Seen
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
@@ -42,13 +44,23 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
 
 
 def _filter(make: Callable[..., OnlineFilter]) -> _Maker:
-    """Return what makes a filter for a drive."""
+    """Return what makes one of the paper's filters for a drive."""
 
     def for_drive(drive: Drive, settings: NoiseSettings) -> OnlineFilter:
-        samples = drive.odometry.t.size + drive.sightings.t.size
-        return make(drive.home, settings=settings, samples=samples, **drive.settings.robot)
+        robot = drive.settings.robot
+        return make(drive.home, settings=settings, samples=_samples(drive), **robot)
 
     return for_drive
+
+
+def _peer(make: Callable[[Seen, DriveSettings, Any, int], OnlineFilter]) -> _Maker:
+    """Return what makes one of their peers for a drive."""
+    return lambda drive, told: make(known_home(drive.home), drive.settings, told, _samples(drive))
+
+
+def _samples(drive: Drive) -> int:
+    """Return how many samples are coming: many are worth compiling for."""
+    return drive.odometry.t.size + drive.sightings.t.size
 
 
 ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
@@ -56,11 +68,11 @@ ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
     "ekf": (FilterSettings, _filter(ekf)),
     "a-ekf": (AugmentedSettings, _filter(a_ekf)),
     "pi-ekf": (ProportionalIntegralSettings, _filter(pi_ekf)),
-    "adaptive": (FilterSettings, _filter(adaptive)),
-    "invariant": (CartesianSettings, _filter(invariant)),
-    "particle": (ParticleSettings, _filter(particle)),
-    "schmidt": (SchmidtSettings, _filter(schmidt)),
-    "ukf": (FilterSettings, _filter(ukf)),
+    "adaptive": (FilterSettings, _peer(adaptive)),
+    "invariant": (CartesianSettings, _peer(invariant)),
+    "particle": (ParticleSettings, _peer(particle)),
+    "schmidt": (SchmidtSettings, _peer(schmidt)),
+    "ukf": (FilterSettings, _peer(ukf)),
 }
 """Each name with the model of its settings and what makes it."""
 DEFAULT = "robust"

@@ -1,13 +1,14 @@
-"""Filters that readers of the paper would name as its peers, ready to run."""
+"""Filters that readers of the paper would name as its peers, ready to run.
+
+Each is made of what home saw, what is known of the robot, its settings, and how many samples are
+coming, and raises `InputError` where home is empty or there is no start prior.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Unpack
-
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, Robot
-from homeward.drives.known import Home, known_home, known_robot, known_settings
+from homeward.drives.drive import DriveSettings
 from homeward.engine.adaptive import AdaptiveRunner
 from homeward.engine.online import OnlineFilter
 from homeward.engine.told import (
@@ -38,104 +39,56 @@ from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.model import PolarModel
 
 
-def adaptive(
-    home: Home,
-    *,
-    settings: FilterSettings | dict[str, Any] | None = None,
-    samples: int = 0,
-    **robot: Unpack[Robot],
-) -> OnlineFilter:
-    """Return the EKF that identifies its noise; see `homeward.engine.paper.ekf`."""
-    told, seen, known = (
-        known_settings(FilterSettings, settings),
-        known_home(home),
-        known_robot(robot),
-    )
-    kind = ExtendedKalmanFilter(PolarModel(len(seen), guard=told.guard), told.integration)
-    runner = polar_runner("adaptive", kind, seen, known, told, samples)
-    return online("adaptive", AdaptiveRunner(runner), seen, known)
+def adaptive(home: Seen, known: DriveSettings, told: FilterSettings, samples: int) -> OnlineFilter:
+    """Return the EKF that identifies its noise."""
+    kind = ExtendedKalmanFilter(PolarModel(len(home), guard=told.guard), told.integration)
+    runner = polar_runner("adaptive", kind, home, known, told, samples)
+    return online("adaptive", AdaptiveRunner(runner), home, known)
 
 
-def schmidt(
-    home: Home,
-    *,
-    settings: SchmidtSettings | dict[str, Any] | None = None,
-    samples: int = 0,
-    **robot: Unpack[Robot],
-) -> OnlineFilter:
-    """Return the EKF that considers doubtful home bearings; see `homeward.engine.paper.ekf`."""
-    told, seen = known_settings(SchmidtSettings, settings), known_home(home)
-    model = PolarModel(len(seen), places("doubtful", told.doubtful, seen), told.guard)
+def schmidt(home: Seen, known: DriveSettings, told: SchmidtSettings, samples: int) -> OnlineFilter:
+    """Return the EKF that considers doubtful home bearings."""
+    model = PolarModel(len(home), places("doubtful", told.doubtful, home), told.guard)
     kind, doubt = SchmidtFilter(model, told.integration), told.doubt_sigma**2
-    known = known_robot(robot)
-    return polar_filter("schmidt", kind, seen, known, told, samples, parameter_variance=doubt)
+    return polar_filter("schmidt", kind, home, known, told, samples, parameter_variance=doubt)
 
 
-def ukf(
-    home: Home,
-    *,
-    settings: FilterSettings | dict[str, Any] | None = None,
-    samples: int = 0,
-    **robot: Unpack[Robot],
-) -> OnlineFilter:
-    """Return the UKF; see `homeward.engine.paper.ekf`."""
-    told, seen = known_settings(FilterSettings, settings), known_home(home)
-    kind = UnscentedFilter(PolarModel(len(seen), guard=told.guard), told.integration)
-    return polar_filter("ukf", kind, seen, known_robot(robot), told, samples)
+def ukf(home: Seen, known: DriveSettings, told: FilterSettings, samples: int) -> OnlineFilter:
+    """Return the UKF."""
+    kind = UnscentedFilter(PolarModel(len(home), guard=told.guard), told.integration)
+    return polar_filter("ukf", kind, home, known, told, samples)
 
 
-def invariant(
-    home: Home,
-    *,
-    settings: CartesianSettings | dict[str, Any] | None = None,
-    samples: int = 0,
-    **robot: Unpack[Robot],
-) -> OnlineFilter:
-    """Return the invariant EKF; see `homeward.engine.paper.ekf`. `samples` changes nothing."""
-    told, seen, known = (
-        known_settings(CartesianSettings, settings),
-        known_home(home),
-        known_robot(robot),
-    )
-    start, expected = start_prior("invariant", seen, known), 1 / (2 * told.nearest)
+def invariant(home: Seen, known: DriveSettings, told: CartesianSettings, _: int) -> OnlineFilter:
+    """Return the invariant EKF."""
+    start, expected = start_prior("invariant", home, known), 1 / (2 * told.nearest)
     spread = np.diag(np.square(prior_sigmas(start)))
     prior = CartesianPrior(
         from_polar(start.polar),
         polar_covariance_to_pose(start.polar, spread),
-        stored(seen, known),
-        _home_sigma(seen, known, told),
+        stored(home, known),
+        _home_sigma(home, known, told),
         expected,
         expected,
     )
     carrier = InvariantFilter(prior, _sensor_noise(known, told), told.minimum_visible)
-    return online("invariant", carrier, seen, known)
+    return online("invariant", carrier, home, known)
 
 
-def particle(
-    home: Home,
-    *,
-    settings: ParticleSettings | dict[str, Any] | None = None,
-    samples: int = 0,
-    **robot: Unpack[Robot],
-) -> OnlineFilter:
-    """Return the particle filter; see `homeward.engine.paper.ekf`. `samples` changes nothing."""
-    told, seen, known = (
-        known_settings(ParticleSettings, settings),
-        known_home(home),
-        known_robot(robot),
-    )
-    start = start_prior("particle", seen, known)
+def particle(home: Seen, known: DriveSettings, told: ParticleSettings, _: int) -> OnlineFilter:
+    """Return the particle filter."""
+    start = start_prior("particle", home, known)
     prior = ParticlePrior(
         start.polar,
         prior_sigmas(start),
-        stored(seen, known),
-        _home_sigma(seen, known, told),
+        stored(home, known),
+        _home_sigma(home, known, told),
         1 / (2 * told.nearest),
     )
     count, share, seed = told.particles, told.outliers, told.seed
     noise = _sensor_noise(known, told)
     carrier = ParticleFilter(prior, noise, count, share, seed, told.minimum_visible)
-    return online("particle", carrier, seen, known)
+    return online("particle", carrier, home, known)
 
 
 def _home_sigma(home: Seen, known: DriveSettings, settings: CartesianSettings) -> np.ndarray:
