@@ -94,11 +94,18 @@ def png(figure: Figure, dpi: float = 150) -> bytes:
     return out.getvalue()
 
 
-def drawn(folder: Path, name: str, caption: str, figure: Figure) -> tuple[str, Markup]:
-    """Write a figure as a PNG file into a folder; return its caption, and its SVG for a page."""
+def drawn(
+    folder: Path, name: str, caption: str, figure: Figure, vector: bool = False
+) -> tuple[str, Markup]:
+    """Write a figure into a folder as a PNG file, and perhaps as an SVG file.
+
+    Returns its caption, plain words of ours, and its SVG for a page.
+    """
+    drawing = svg(figure, caption)
     (folder / f"{name}.png").write_bytes(png(figure))
-    # matplotlib has escaped every text in it.
-    return caption, Markup(svg(figure, caption))
+    if vector:
+        (folder / f"{name}.svg").write_text(svg_file(drawing), encoding="utf-8")
+    return caption, Markup(drawing)  # matplotlib has escaped every text in it
 
 
 def svg(figure: Figure, label: str) -> str:

@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from homeward.observability.paper import printed_matrix, rank_table
 from homeward.observability.study import ModelView, observe_motions
 from homeward.report import words
-from homeward.report.canvas import png, svg, svg_file
+from homeward.report.canvas import drawn
 from homeward.report.observe.figures import draw_drive_view, draw_family
 from homeward.report.output import whole_folder
 from homeward.report.template import render
-from homeward.report.versions import versions
+from homeward.report.versions import versions, write_settings
 from homeward.studies.observing import DriveView
 
 SETTINGS_FILE = "observe.yaml"
@@ -123,21 +121,16 @@ def same_to(view: ModelView) -> float:
 def _write(
     directory: Path, figure: Figure, label: str, values: dict[str, Any], settings: dict[str, Any]
 ) -> None:
-    # matplotlib has escaped every text in it.
-    drawing = svg(figure, label)
-    page = render(
-        "observe.html.j2",
-        **values,
-        words=words,
-        figure=Markup(drawing),
-        table=rank_table(),
-        motions=observe_motions(),
-        entries=printed_matrix(),
-        version=versions()["homeward"],
-    )
     with whole_folder(directory, SETTINGS_FILE) as scratch:
-        (scratch / f"{FIGURE}.png").write_bytes(png(figure))
-        (scratch / f"{FIGURE}.svg").write_text(svg_file(drawing), encoding="utf-8")
+        page = render(
+            "observe.html.j2",
+            **values,
+            words=words,
+            figure=drawn(scratch, FIGURE, label, figure, vector=True)[1],
+            table=rank_table(),
+            motions=observe_motions(),
+            entries=printed_matrix(),
+            version=versions()["homeward"],
+        )
         (scratch / PAGE).write_text(page, encoding="utf-8")
-        text = yaml.safe_dump({**settings, "versions": versions()}, sort_keys=False)
-        (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        write_settings(scratch / SETTINGS_FILE, settings)

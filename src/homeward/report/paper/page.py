@@ -13,7 +13,7 @@ from homeward.report.output import whole_folder
 from homeward.report.paper.claims import median, triple, verdict
 from homeward.report.paper.figures import QUANTITIES, figures_of
 from homeward.report.template import render
-from homeward.report.versions import versions
+from homeward.report.versions import versions, write_settings
 from homeward.report.words import count, listing
 from homeward.studies.paper.cases import DEAD_RECKONING
 from homeward.studies.paper.layouts import Reading
@@ -34,7 +34,6 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
     InputError
         When the folder holds something else, or cannot be written.
     """
-    settings = result.settings.model_dump(mode="json")
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         figures = [
             drawn(scratch, name, caption, draw(result))
@@ -42,8 +41,7 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
         ]
         (scratch / "rmse.csv").write_text(_every_run(result), encoding="utf-8")
         (scratch / PAGE).write_text(_page(result, figures), encoding="utf-8")
-        text = yaml.safe_dump({**settings, "versions": versions()}, sort_keys=False)
-        (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        write_settings(scratch / SETTINGS_FILE, result.settings.model_dump(mode="json"))
 
 
 def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:

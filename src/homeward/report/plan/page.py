@@ -9,7 +9,7 @@ import yaml
 from markupsafe import Markup
 
 from homeward.report import words
-from homeward.report.canvas import png, svg, svg_file
+from homeward.report.canvas import drawn
 from homeward.report.files import number
 from homeward.report.output import whole_folder
 from homeward.report.plan.figures import costliest, draw_accuracy, draw_begin, draw_hidden
@@ -40,17 +40,17 @@ def write_plan(directory: Path, view: PlanView) -> None:
     }
     if costliest(view):
         figures["hidden"] = (draw_hidden(view), "What hiding one landmark costs")
-    drawings = {key: svg(figure, label) for key, (figure, label) in figures.items()}
     with whole_folder(directory, SETTINGS_FILE) as scratch:
-        for key, (figure, _) in figures.items():
-            (scratch / f"{key}.png").write_bytes(png(figure))
-            (scratch / f"{key}.svg").write_text(svg_file(drawings[key]), encoding="utf-8")
+        drawings = {
+            key: drawn(scratch, key, label, figure, vector=True)[1]
+            for key, (figure, label) in figures.items()
+        }
         (scratch / "floor.csv").write_text(_floor(view), encoding="utf-8")
         (scratch / PAGE).write_text(_page(view, drawings), encoding="utf-8")
         (scratch / SETTINGS_FILE).write_text(_settings(view), encoding="utf-8")
 
 
-def _page(view: PlanView, drawings: dict[str, str]) -> str:
+def _page(view: PlanView, drawings: dict[str, Markup]) -> str:
     common, begins = view.common, view.begins
     q = len(view.names)
     order = sorted(range(q), key=lambda i: float((view.hidden[:, i] <= 1).mean()))
@@ -61,8 +61,7 @@ def _page(view: PlanView, drawings: dict[str, str]) -> str:
         plan=view.plan,
         title=words.name(view.plan.name, 60),
         summary=plan_summary(view),
-        # matplotlib has escaped every text in them.
-        figures={key: Markup(drawing) for key, drawing in drawings.items()},
+        figures=drawings,
         headline=[
             ("homing can begin", words.percent(float(begins.mean()))),
             ("with any one hidden", words.percent(float(view.safe.mean()))),

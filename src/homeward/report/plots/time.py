@@ -6,6 +6,7 @@ import numpy as np
 from bokeh.layouts import column
 from bokeh.models import BoxAnnotation, Column, ColumnDataSource, DataRange1d, Range1d
 from bokeh.plotting import figure
+from scipy.special import chdtri
 
 from homeward.drives.drive import Truth
 from homeward.estimator import Status
@@ -78,13 +79,8 @@ def consistency_plots(track: Track, span: Range1d) -> Column:
 
 
 def chi_square_interval(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the 95 % interval of the mean of n squared unit normals.
-
-    Wilson and Hilferty (1931), to 1 % for n of ten and more.
-    """
-    spread = 2.0 / (9.0 * n)
-    low, high = ((1.0 - spread + z * np.sqrt(spread)) ** 3 for z in (-NORMAL_95, NORMAL_95))
-    return np.asarray(low), np.asarray(high)
+    """Return the 95 % interval of the mean of n squared unit normals."""
+    return chdtri(n, 0.975) / n, chdtri(n, 0.025) / n
 
 
 def windowed_nis(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from homeward.drives.drive import Drive
 from homeward.report.files import write_estimate, write_landmarks, write_metrics, write_trajectory
 from homeward.report.output import whole_folder
 from homeward.report.run.mcap import write_recording
 from homeward.report.run.page import write_page
 from homeward.report.run.summary import summarise
-from homeward.report.versions import versions
+from homeward.report.versions import write_settings
 from homeward.scoring import score
 from homeward.track import Track
 
@@ -44,16 +42,14 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
     """
     metrics = score(track, drive.truth)
     summary = summarise(drive, track, metrics)
-    run = {**settings, "versions": versions()}
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         write_estimate(scratch / ESTIMATE, track)
         write_trajectory(scratch / "trajectory.tum", track, drive.settings.epoch or 0)
         write_landmarks(scratch / "landmarks.csv", track.landmarks)
         write_metrics(scratch / "metrics.json", metrics)
         write_recording(scratch / "run.mcap", drive, track)
-        write_page(scratch / "report.html", drive, track, metrics, run)
-        text = yaml.safe_dump(run, sort_keys=False, allow_unicode=True)
-        (scratch / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        write_page(scratch / "report.html", drive, track, metrics, settings)
+        write_settings(scratch / SETTINGS_FILE, settings)
     return summary
 
 

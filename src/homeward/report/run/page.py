@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from bokeh.models import UIElement
 
 from homeward.drives.drive import Drive
@@ -24,14 +23,15 @@ from homeward.report.plots.time import consistency_plots, error_plots, sigma_plo
 from homeward.report.plots.timeline import MOST_ROWS, timeline
 from homeward.report.run.summary import caution, sentence
 from homeward.report.template import render
+from homeward.report.versions import with_versions
 from homeward.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track
 
 
 def write_page(
-    file: Path, drive: Drive, track: Track, metrics: Metrics, run: Mapping[str, Any]
+    file: Path, drive: Drive, track: Track, metrics: Metrics, settings: Mapping[str, Any]
 ) -> None:
-    """Write the page of a run; `run` is what run.yaml holds: every setting, and the versions."""
+    """Write the page of a run; `settings` is every one used, as plain data."""
     plots = _plots(drive, track)
     html = render(
         "report.html.j2",
@@ -57,7 +57,7 @@ def write_page(
         left_out=[*drive.remarks.items(), *((why.words, n) for why, n in metrics.rejected.items())],
         stages=_stages(track, metrics),
         timing=_timing(metrics),
-        settings=yaml.safe_dump(dict(run), sort_keys=False, allow_unicode=True),
+        settings=with_versions(settings),
     )
     file.write_text(html, encoding="utf-8")
 

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import binomtest
 
 from homeward.studies.study.results import Results
 
@@ -106,10 +107,8 @@ def wilson(hits: int, number: int) -> tuple[float, float]:
     """Return the 95 % interval of a share of which `hits` in `number` were seen (Wilson 1927)."""
     if not number:
         return np.nan, np.nan
-    z, share = 1.959963984540054, hits / number
-    middle = (share + z**2 / (2 * number)) / (1 + z**2 / number)
-    half = z / (1 + z**2 / number) * np.sqrt(share * (1 - share) / number + (z / number / 2) ** 2)
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+    low, high = binomtest(hits, number).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.ndarray:
