@@ -1,12 +1,13 @@
-"""The order in which people expect names: numbers in them by their size, so L2 before L10."""
+"""Names as people expect them: in order, numbers in them by their size, and in lists."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 
 def natural(name: object) -> tuple[list[str | tuple[int, str]], str]:
-    """Return a key that sorts names as people do; any names, and numbers of any length.
+    """Return a key that sorts names as people do, L2 before L10; any names, and any numbers.
 
     Parameters
     ----------
@@ -20,3 +21,11 @@ def natural(name: object) -> tuple[list[str | tuple[int, str]], str]:
         digits = str(parts[at]).lstrip("0")
         parts[at] = (len(digits), digits)
     return parts, text
+
+
+def listing(items: Sequence[str], longest: int = 8) -> str:
+    """Return "A, B and C"; when there are more than `longest`, "A, B, C and 12 more"."""
+    shown = list(items[:longest])
+    if len(items) > longest:
+        return ", ".join(shown) + f" and {len(items) - longest:,} more"
+    return shown[0] if len(shown) == 1 else ", ".join(shown[:-1]) + f" and {shown[-1]}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.model import POLAR
+from homeward.naming import listing
 from homeward.observability.scene import Scene
 
 ON_IT = 1e-4
@@ -82,10 +83,3 @@ def slide_of_home(scene: Scene, move: np.ndarray) -> str:
 def names(scene: Scene, which: np.ndarray) -> str:
     """Return "L1, L2 and L3"."""
     return listing([scene.names[i] for i in which])
-
-
-def listing(names: list[str]) -> str:
-    """Return "A, B and C"; of more than eight, seven and how many more."""
-    if len(names) > 8:
-        return ", ".join(names[:7]) + f" and {len(names) - 7} more"
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

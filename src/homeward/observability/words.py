@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.model import POLAR
-from homeward.observability.home_words import freedom_of_home, listing, names, slide_of_home
+from homeward.naming import listing
+from homeward.observability.home_words import freedom_of_home, names, slide_of_home
 from homeward.observability.scene import CALIBRATIONS, UNITS, Scene
 from homeward.observability.subspaces import beyond, common, orthonormal
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+
+from homeward.naming import listing as listing
 
 _SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
@@ -38,14 +39,6 @@ def percent(share: float) -> str:
 def degrees(angle: float) -> str:
     """Return an angle [rad] in degrees, with two significant digits."""
     return quantity(math.degrees(angle), "deg").replace(" deg", "°")
-
-
-def listing(items: Sequence[str], longest: int = 8) -> str:
-    """Return "A, B and C"; when there are more than `longest`, "A, B, C and 12 more"."""
-    shown = list(items[:longest])
-    if len(items) > longest:
-        return ", ".join(shown) + f" and {len(items) - longest:,} more"
-    return shown[0] if len(shown) == 1 else ", ".join(shown[:-1]) + f" and {shown[-1]}"
 
 
 def name(landmark: str, longest: int = 24) -> str:

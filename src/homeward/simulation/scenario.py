@@ -69,6 +69,7 @@ class RoomPose(Strict):
     x: Finite = 0.0
     y: Finite = 0.0
     heading: Finite = 0.0
+    """[rad]"""
 
     @property
     def pose(self) -> Pose:

@@ -19,7 +19,7 @@ from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
-from homeward.simulation.closed_loop import closed_loop_function
+from homeward.studies.paper.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, bearing_error, draw_world
 

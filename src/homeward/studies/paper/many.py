@@ -10,8 +10,8 @@ import numpy as np
 from homeward.engine.batch.homing import run_homing
 from homeward.engine.choice import Engine
 from homeward.engine.interpreter import Interpreter
-from homeward.simulation.closed_loop import closed_loop_function
 from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
+from homeward.studies.paper.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
 

@@ -13,28 +13,20 @@ from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
-from homeward.frames import Pose
-from homeward.simulation.scenario import Interval, Point
+from homeward.simulation.scenario import Interval, Point, RoomPose
 
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)]
 """Corners x, y [m] in order; the last one joins the first."""
 MOST_LANDMARKS = 200
 
 
-class HomePlace(Strict):
+class HomePlace(RoomPose):
     """Where home is stored, in plan coordinates."""
 
     x: Finite
     """[m]"""
     y: Finite
     """[m]"""
-    heading: Finite = 0.0
-    """[rad]"""
-
-    @property
-    def pose(self) -> Pose:
-        """As (x [m], y [m], heading [rad])."""
-        return Pose(self.x, self.y, self.heading)
 
 
 class PlanSensor(Strict):

@@ -14,7 +14,7 @@ from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.filters.steps import predict_function, update_function
 from homeward.frames import Polar, Pose, bearing, from_polar
 from homeward.model import PolarModel
-from homeward.simulation.closed_loop import closed_loop_function
+from homeward.studies.paper.closed_loop import closed_loop_function
 
 Q, DT, SPEED = 5, 0.05, 0.125
 SHARED = ("stored", "input_covariance", "state_variance", "variance", "gate", "minimum_visible")
