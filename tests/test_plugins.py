@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from cli.commands import call, first_seconds, refused
+from cli.commands import call, done, first_seconds, refused
 
 from homeward.drives.opening import open_drive
 from homeward.estimator import Counts
@@ -125,11 +125,9 @@ def test_an_installed_estimator_is_one_of_all(installed):
 
 def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path):
     out = tmp_path / "out"
-    result = call("run", short, "--estimator", "mine:make", "--set", "x=2.5", "--out", out)
-    assert result.exit_code == 0, result.output
+    done(call("run", short, "--estimator", "mine:make", "--set", "x=2.5", "--out", out))
     assert ",2.5,0,0," in (out / "estimate.csv").read_text().splitlines()[1]
-    again = call("run", out / "run.yaml", "--out", tmp_path / "again")
-    assert again.exit_code == 0, again.output
+    done(call("run", out / "run.yaml", "--out", tmp_path / "again"))
     assert "x=1.0" in call("settings", "mine:make").stdout
     assert "y" in refused(call("run", short, "--estimator", "mine:make", "--set", "y=1"))
     assert "cannot smooth" in refused(call("run", short, "--estimator", "mine:make", "--smooth"))
@@ -170,15 +168,13 @@ def test_the_settings_of_the_manual_are_read(installed, short, tmp_path):
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (installed / "of_the_manual.py").write_text(code)
     words = ["run", short, "--estimator", "of_the_manual:make", "--start", "1,0,0"]
-    result = call(*words, "--set", "noise=0.1", "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.output
+    done(call(*words, "--set", "noise=0.1", "--out", tmp_path / "out"))
     assert "noise: 0.1" in (tmp_path / "out" / "run.yaml").read_text()
 
 
 def test_an_estimator_of_somebody_else_steers(mine, tmp_path):
     words = ["simulate", "paper-homing", "--set", "trajectory.duration=2", "--estimator"]
-    result = call(*words, "mine:Mine", "--out", tmp_path / "a")
-    assert result.exit_code == 0, result.output
+    done(call(*words, "mine:Mine", "--out", tmp_path / "a"))
     assert "division by zero" in refused(call(*words, "mine:Late", "--out", tmp_path / "b"))
     assert not (tmp_path / "b").exists()
 

@@ -12,6 +12,12 @@ def call(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+def done(result):
+    """The result of a command that must succeed."""
+    assert result.exit_code == 0, result.output
+    return result
+
+
 def refused(result):
     """A single line on standard error, exit status 2, no traceback."""
     assert result.exit_code == 2, result.output

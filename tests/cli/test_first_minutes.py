@@ -301,34 +301,3 @@ def test_listed_defaults_are_those_of_the_model_that_holds_them():
     told = {key.name: key.default for key in keys(other_models()["render"][1])}
     assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
     assert told["boxes.*.at"] == "needed"
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        ("run sample --set windwo=3", "windwo: there is no such key; did you mean window?"),
-        ("run sample --set odometry.distnce=1", "did you mean odometry.distance?"),
-        ("run sample --set window=3", "window: must be at least 5, not 3"),
-        ("run sample --set window=wide", "window: must be a whole number, not wide"),
-        ("run sample --set window=[1]", "window: must be a whole number"),
-        ("run sample --set odometry=3", "odometry: must be keys and values, not 3"),
-        ("run sample --set moved_prior=1", "moved_prior: must be less than 1, not 1"),
-        ("run sample --set gate=.nan", "gate: must be finite, not nan"),
-        ("run sample --estimator ekf --set integration=rk5", "must be rk4 or euler, not rk5"),
-        ("run sample --estimator pi-ekf --set proportional=x", "must be a number or a list, not x"),
-        ("run sample --estimator pi-ekf --set proportional=[[1,x]]", "proportional.0.1: must be"),
-        ("run sample --seed -1", "seed: must be at least 0, not -1"),
-        ("simulate circle --set probability=1", "did you mean visibility.probability?"),
-        ("simulate circle --set trajectory.kind=spiral", "kind must be one of homing, circle"),
-        ("simulate circle --set visibility.range=[1]", "visibility.range.1: is needed"),
-        ("simulate circle --set visibility.range=[1,2,3]", "takes 2 values or fewer"),
-        ("simulate circle --set visibility.occlusion=perhaps", "must be true or false"),
-        ("render study --set camera.widht=64", "did you mean camera.width?"),
-        ("reproduce --set assumed.falt=[0.1,0.2]", "did you mean assumed.fault?"),
-        ("reproduce --set colour=red", "homeward settings lists those that there are"),
-    ],
-)
-def test_mistakes_in_settings_are_told_in_plain_words(words, complaint, tmp_path):
-    line = refused(call(*words.split(), "--out", tmp_path / "out"))
-    assert complaint in line
-    assert not re.search(r"[Ii]nput|[Ff]ield|permitted|valid |Value error", line)

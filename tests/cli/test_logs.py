@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from commands import call, refused
+from commands import call, done, first_seconds, refused
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import OUTSIDE
@@ -17,13 +17,12 @@ from homeward.studies.single_run import sample_drive
 @pytest.fixture
 def log(tmp_path):
     target = tmp_path / "sample.mcap"
-    assert call("convert", sample_drive(), target).exit_code == 0
+    done(call("convert", sample_drive(), target))
     return target
 
 
 def test_info_lists_topics_and_prints_the_topics_file_that_is_used(log, tmp_path):
-    result = call("info", log)
-    assert result.exit_code == 0, result.output
+    result = done(call("info", log))
     head, columns, *rows = result.stdout.splitlines()
     assert "MCAP, 5 topics" in head
     assert columns.split()[:3] == ["topic", "type", "messages"]
@@ -45,8 +44,7 @@ def test_info_of_a_drive_folder(tmp_path):
 
 def test_info_of_an_unfinished_drive_folder_says_what_is_there_and_what_is_missing(tmp_path):
     shutil.copy(sample_drive() / "odometry.csv", tmp_path)
-    result = call("info", tmp_path)
-    assert result.exit_code == 0, result.output
+    result = done(call("info", tmp_path))
     assert f"{tmp_path}: drive folder" in result.stdout
     assert re.search(r"odometry.csv +t,v,omega +3604 +20.0 Hz", result.stdout)
     assert "refuses it: there is no bearings.csv, no home.csv." in result.stdout
@@ -76,7 +74,7 @@ def test_a_log_without_home_names_the_way_out(tmp_path):
     shutil.copytree(sample_drive(), folder)
     (folder / "home.csv").write_text("landmark,bearing\n")
     log = tmp_path / "homeless.mcap"
-    assert call("convert", folder, log).exit_code == 0
+    done(call("convert", folder, log))
     line = refused(call("run", log, "--out", tmp_path / "out"))
     assert "name it under home in a topics file" in line
     assert "home.csv has no rows" in refused(call("run", folder, "--out", tmp_path / "out"))
@@ -87,7 +85,7 @@ def test_a_log_without_bearings_names_the_way_out(tmp_path):
     shutil.copytree(sample_drive(), folder)
     (folder / "bearings.csv").write_text("t,landmark,bearing\n")
     log = tmp_path / "blind.mcap"
-    assert call("convert", folder, log).exit_code == 0
+    done(call("convert", folder, log))
     line = refused(call("run", log, "--out", tmp_path / "out"))
     assert "name its topics under bearings in a topics file" in line
 
@@ -101,8 +99,7 @@ def test_info_says_why_a_drive_would_be_refused(tmp_path):
     cells = [row.partition(",") for row in rows]
     late = [f"{float(t) + 5000},{rest}" for t, _, rest in cells]
     file.write_text("\n".join([head, *late]) + "\n")
-    told = call("info", folder)
-    assert told.exit_code == 0, told.output
+    told = done(call("info", folder))
     assert "odometry.csv" in told.stdout
     *_, last = told.stdout.splitlines()
     words = refused(call("run", folder, "--out", tmp_path / "out"))
@@ -120,8 +117,7 @@ def test_info_says_that_most_bearings_are_beyond_the_odometry(tmp_path):
 
 def test_convert_there_and_back(log, tmp_path):
     back = tmp_path / "back"
-    result = call("convert", log, back)
-    assert result.exit_code == 0, result.output
+    result = done(call("convert", log, back))
     assert "3604 twists" in result.stdout
     for name in ("odometry.csv", "bearings.csv", "home.csv", "truth.csv"):
         assert (back / name).read_bytes() == (sample_drive() / name).read_bytes(), name
@@ -131,16 +127,10 @@ def test_convert_there_and_back(log, tmp_path):
 
 
 def test_a_log_runs_as_its_folder_does(tmp_path):
-    folder = tmp_path / "short"
-    shutil.copytree(sample_drive(), folder)
-    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
-        head, *rows = (folder / name).read_text().splitlines()
-        kept = [row for row in rows if float(row.split(",")[0]) <= 5.0]
-        (folder / name).write_text("\n".join([head, *kept]) + "\n")
-    assert call("convert", folder, tmp_path / "short.bag").exit_code == 0
+    folder = first_seconds(tmp_path / "short", 5.0)
+    done(call("convert", folder, tmp_path / "short.bag"))
     for source in ("short", "short.bag"):
-        result = call("run", tmp_path / source, "--out", tmp_path / f"out-{source}")
-        assert result.exit_code == 0, result.output
+        done(call("run", tmp_path / source, "--out", tmp_path / f"out-{source}"))
     one, other = tmp_path / "out-short", tmp_path / "out-short.bag"
     for name in ("estimate.csv", "trajectory.tum", "landmarks.csv"):
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
@@ -171,7 +161,6 @@ def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
 
 
 def test_the_sample_is_converted_by_its_name(tmp_path):
-    result = call("convert", "sample", tmp_path / "folder")
-    assert result.exit_code == 0, result.output
+    done(call("convert", "sample", tmp_path / "folder"))
     for name in ("odometry.csv", "bearings.csv", "home.csv"):
         assert (tmp_path / "folder" / name).read_bytes() == (sample_drive() / name).read_bytes()

@@ -4,9 +4,8 @@ import csv
 
 import pytest
 import yaml
-from typer.testing import CliRunner
+from commands import call, done, refused
 
-from homeward.cli.main import app
 from homeward.report.plan.words import plan_summary
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan, plans_folder
@@ -17,10 +16,6 @@ FILES = {
     "floor.csv",
     *(f"{name}.{kind}" for name in ("begin", "accuracy", "hidden") for kind in ("png", "svg")),
 }
-
-
-def call(*words):
-    return CliRunner().invoke(app, ["plan", *map(str, words)])
 
 
 @pytest.fixture
@@ -38,8 +33,7 @@ def example(tmp_path):
 
 def test_the_example(tmp_path, example):
     out = tmp_path / "out"
-    answer = call(example(), "--out", out)
-    assert answer.exit_code == 0, answer.output
+    answer = done(call("plan", example(), "--out", out))
     for part in ("Homing can begin from", "Whichever one", "The worst two", "best place found"):
         assert part in answer.stdout
     assert {p.name for p in out.iterdir()} == FILES
@@ -75,8 +69,7 @@ def test_poor_plans_get_a_clear_statement(example, changes, words):
     "marks", [{}, {"$x^{<b>": [0, 5], "日本 🏠": [0, 2], "": [3, 0], "d\n": [0, 1]}]
 )
 def test_pages_of_no_landmarks_and_of_odd_names(tmp_path, example, marks):
-    answer = call(example(landmarks=marks, grid=1.0, further=0), "--out", tmp_path / "out")
-    assert answer.exit_code == 0, answer.output
+    done(call("plan", example(landmarks=marks, grid=1.0, further=0), "--out", tmp_path / "out"))
     assert "<b>" not in (tmp_path / "out" / "plan.html").read_text()
 
 
@@ -98,14 +91,6 @@ def test_pages_of_no_landmarks_and_of_odd_names(tmp_path, example, marks):
     ],
 )
 def test_wrong_plans_are_one_line(tmp_path, example, changes, word):
-    answer = call(example(**changes), "--out", tmp_path / "out")
-    assert answer.exit_code == 2
-    assert word in answer.stderr
-    assert len(answer.stderr.strip().splitlines()) == 1
+    answer = call("plan", example(**changes), "--out", tmp_path / "out")
+    assert word in refused(answer)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_plan_that_is_not_there(tmp_path):
-    answer = call("cellar", "--out", tmp_path / "out")
-    assert answer.exit_code == 2
-    assert "warehouse" in answer.stderr

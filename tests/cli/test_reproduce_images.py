@@ -5,11 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from commands import call, done
 from studies.chores import in_this_process
-from typer.testing import CliRunner
 
 from homeward.angles import wrap
-from homeward.cli.main import app
 from homeward.frames import Pose, bearing
 from homeward.studies.paper.cases import DEAD_RECKONING, run_filter
 from homeward.studies.paper.layouts import Block, Question, run_block
@@ -80,8 +79,7 @@ def test_the_page_has_the_panorama(tmp_path, monkeypatch):
     words = ["--measurements", "images", "--runs", "1", "--set", "images.width=512"]
     changes = ("longest=0.2", "circle_time=0.2", "faults=0", "single_fault=0", "several_faults=[]")
     words += [part for change in changes for part in ("--set", f"assumed.{change}")]
-    answer = CliRunner().invoke(app, ["reproduce", "--out", str(out), *words])
-    assert answer.exit_code == 0, answer.output
+    answer = done(call("reproduce", "--out", out, *words))
     assert (out / "panorama_case_2.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "paper.html").read_text()
     assert "extracted features" in page

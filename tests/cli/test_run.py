@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from commands import call, first_seconds, refused
+from commands import call, done, first_seconds, refused
 
 from homeward.studies.single_run import sample_drive
 
@@ -34,8 +34,7 @@ def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_pa
     shutil.copytree(sample_drive(), folder)
     (folder / "drive.yaml").write_text("sensor: {x: 0.2, field_of_view: 4.19}\n")
     out = tmp_path / "out"
-    result = call("run", folder, "--out", out)
-    assert result.exit_code == 0, result.output
+    result = done(call("run", folder, "--out", out))
     assert "L01, L02 and L08" in result.stdout
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["position_rmse_m"] < 0.25
@@ -53,8 +52,7 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
     degrees = [(t, i, str(math.degrees(float(b))), *rest) for t, i, b, *rest in cells]
     file.write_text("\n".join([head, *map(",".join, degrees)]) + "\n")
     where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
-    result = call(command, short, *where[command])
-    assert result.exit_code == 0, result.output
+    result = done(call(command, short, *where[command]))
     (line,) = [row for row in result.stdout.splitlines() if "in degrees?" in row]
     beyond = sum(abs(float(cells[2])) > math.tau for cells in degrees)
     assert line.startswith(f"Note: {beyond} bearings beyond a full turn")
@@ -68,18 +66,16 @@ def test_stamps_in_milliseconds_are_remarked_on_the_terminal(short, tmp_path, co
         late = [f"{round(1000 * float(t))},{rest}" for t, _, rest in cells]
         (short / name).write_text("\n".join([head, *late]) + "\n")
     where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
-    result = call(command, short, *where[command])
-    assert result.exit_code == 0, result.output
+    result = done(call(command, short, *where[command]))
     assert "odometry rows, 50.0 s apart in the median" in " ".join(result.stdout.split())
     assert "(are their stamps in milliseconds?)" in result.stdout
 
 
 def test_smoothing_is_said_and_repeats(short, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
-    result = call("run", short, "--smooth", "--out", first)
-    assert result.exit_code == 0, result.output
+    result = done(call("run", short, "--smooth", "--out", first))
     assert "smoothed" in result.stdout
-    assert call("run", first / "run.yaml", "--out", second).exit_code == 0
+    done(call("run", first / "run.yaml", "--out", second))
     assert (first / "estimate.csv").read_bytes() == (second / "estimate.csv").read_bytes()
     line = refused(call("run", short, "--smooth", "--estimator", "ekf", "--out", tmp_path / "x"))
     assert "cannot smooth" in line
@@ -88,8 +84,7 @@ def test_smoothing_is_said_and_repeats(short, tmp_path):
 @pytest.mark.parametrize("name", ["ekf", "a-ekf", "pi-ekf"])
 def test_run_writes_everything_and_all_of_it_is_finite(short, tmp_path, name):
     out = tmp_path / "out"
-    result = call("run", short, "--estimator", name, "--out", out)
-    assert result.exit_code == 0, result.output
+    result = done(call("run", short, "--estimator", name, "--out", out))
     assert "Position error" in result.stdout
     assert str(out / "report.html") in result.stdout
     assert {p.name for p in out.iterdir()} == WRITTEN
@@ -105,8 +100,8 @@ def test_run_writes_everything_and_all_of_it_is_finite(short, tmp_path, name):
 def test_run_repeats_bit_for_bit_from_its_run_yaml(short, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     options = ["--estimator", "a-ekf", "--start", "1.2,-0.45,-1.0", "--set", "gate=null"]
-    assert call("run", short, *options, "--out", first).exit_code == 0
-    assert call("run", first / "run.yaml", "--out", second).exit_code == 0
+    done(call("run", short, *options, "--out", first))
+    done(call("run", first / "run.yaml", "--out", second))
     for name in ("estimate.csv", "trajectory.tum", "landmarks.csv", "run.yaml"):
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
     assert yaml.safe_load((first / "run.yaml").read_text())["settings"]["gate"] is None
@@ -114,8 +109,8 @@ def test_run_repeats_bit_for_bit_from_its_run_yaml(short, tmp_path):
 
 def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
     out = tmp_path / "out"
-    assert call("run", short, "--out", out).exit_code == 0
-    assert call("run", short, "--out", out, "--estimator", "ekf").exit_code == 0
+    done(call("run", short, "--out", out))
+    done(call("run", short, "--out", out, "--estimator", "ekf"))
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("irreplaceable")
@@ -143,32 +138,8 @@ def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
 def test_run_without_truth_has_no_errors_to_tell(short, tmp_path):
     (short / "truth.csv").unlink()
     out = tmp_path / "out"
-    assert call("run", short, "--out", out).exit_code == 0
+    done(call("run", short, "--out", out))
     assert "position_rmse_m" not in json.loads((out / "metrics.json").read_text())
-
-
-@pytest.mark.parametrize(
-    ("words", "fragment"),
-    [
-        (["nowhere"], "nowhere"),
-        (["sample", "--set", "window=0"], "window"),
-        (["sample", "--estimator", "kalman"], "kalman"),
-        (["sample", "--start", "1,2"], "--start"),
-        (["sample", "--start", "1,2,x"], "--start"),
-        (["sample", "--start", "-1,0,0"], "R"),
-        (["sample", "--start", "nan,0,0"], "must be finite"),
-        (["sample", "--set", "gate"], "--set gate"),
-        (["sample", "--estimator", "ekf", "--set", "gate=7"], "gate"),
-        (["sample", "--set", "colour=red"], "colour"),
-        (["sample", "--set", "gate=[1"], "YAML"),
-        (["sample", "--robot", "2"], "robot"),
-        (["sample", "--seed", "-1"], "seed"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line(tmp_path, words, fragment):
-    out = tmp_path / "out"
-    assert fragment in refused(call("run", *words, "--out", out))
-    assert not out.exists()
 
 
 def test_a_bad_file_is_named_with_its_row_and_nothing_is_written(short, tmp_path):
@@ -183,7 +154,7 @@ def test_a_bad_file_is_named_with_its_row_and_nothing_is_written(short, tmp_path
 
 def test_run_yaml_takes_no_changes_and_must_be_one(short, tmp_path):
     out = tmp_path / "out"
-    assert call("run", short, "--out", out).exit_code == 0
+    done(call("run", short, "--out", out))
     assert "--seed" in refused(call("run", out / "run.yaml", "--seed", "3", "--out", out))
     (tmp_path / "other.yaml").write_text("- 1\n")
     assert "other.yaml" in refused(call("run", tmp_path / "other.yaml", "--out", out))
@@ -195,8 +166,7 @@ def test_real_drive_runs_to_the_end(data_dir, tmp_path):
     if not drive.is_dir():
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
     home = ["--home", "2.0,0.0,0.3", "--home-noise-deg", "0.5"]
-    result = call("run", drive, "--robot", "2", *home, "--estimator", "ekf", "--out", out)
-    assert result.exit_code == 0, result.output
+    done(call("run", drive, "--robot", "2", *home, "--estimator", "ekf", "--out", out))
     with (out / "estimate.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert all(math.isfinite(float(v)) for r in rows for k, v in r.items() if k != "status")
@@ -223,8 +193,7 @@ def test_without_a_compiler_the_run_says_so_and_names_the_engine_that_ran(
 ):
     monkeypatch.setenv("CC", str(tmp_path / "nothing"))
     out = tmp_path / "out"
-    result = call("run", short, "--estimator", "ekf", "--engine", "native", "--out", out)
-    assert result.exit_code == 0, result.output
+    result = done(call("run", short, "--estimator", "ekf", "--engine", "native", "--out", out))
     said = [line for line in result.stdout.splitlines() if "interpreter" in line]
     assert len(said) == 1
     assert yaml.safe_load((out / "run.yaml").read_text())["settings"]["engine"] == "interpreter"

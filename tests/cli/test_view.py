@@ -4,9 +4,7 @@ import shutil
 import sys
 
 import pytest
-from cli.test_run import call, refused
-
-from homeward.studies.single_run import sample_drive
+from commands import call, done, first_seconds, refused
 
 pytest.importorskip("rerun", reason="the extra view is not installed")
 
@@ -14,43 +12,35 @@ pytest.importorskip("rerun", reason="the extra view is not installed")
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
     """The first half minute of the sample drive."""
-    folder = tmp_path_factory.mktemp("drives") / "short"
-    shutil.copytree(sample_drive(), folder)
-    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
-        header, *rows = (folder / name).read_text().splitlines()
-        kept = [row for row in rows if float(row.split(",")[0]) < 30.0]
-        (folder / name).write_text("\n".join([header, *kept]) + "\n")
-    return folder
+    return first_seconds(tmp_path_factory.mktemp("drives") / "short", 30.0)
 
 
 @pytest.fixture(scope="module")
-def done(short, tmp_path_factory):
+def ran(short, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "run"
-    assert call("run", short, "--out", out).exit_code == 0
+    done(call("run", short, "--out", out))
     return out
 
 
-def test_a_run_becomes_a_recording(done, tmp_path):
+def test_a_run_becomes_a_recording(ran, tmp_path):
     file = tmp_path / "new" / "run.rrd"
-    result = call("view", done, "--rerun", file)
-    assert result.exit_code == 0, result.output
+    result = done(call("view", ran, "--rerun", file))
     assert result.stdout == f"Recording: {file}\n"
     assert file.read_bytes()[:3] == b"RRF"
 
 
-def test_it_says_when_the_run_no_longer_repeats(done, tmp_path):
+def test_it_says_when_the_run_no_longer_repeats(ran, tmp_path):
     old = tmp_path / "old"
-    shutil.copytree(done, old)
+    shutil.copytree(ran, old)
     text = (old / "estimate.csv").read_text()
     (old / "estimate.csv").write_text(text.replace("localised", "unverified", 1))
-    result = call("view", old, "--rerun", tmp_path / "run.rrd")
-    assert result.exit_code == 0, result.output
+    result = done(call("view", old, "--rerun", tmp_path / "run.rrd"))
     assert "has changed since" in result.stdout
 
 
-def test_a_drive_that_is_gone_is_named(done, tmp_path):
+def test_a_drive_that_is_gone_is_named(ran, tmp_path):
     old = tmp_path / "old"
-    shutil.copytree(done, old)
+    shutil.copytree(ran, old)
     text = (old / "run.yaml").read_text()
     (old / "run.yaml").write_text(text.replace("drive: ", "drive: /nowhere", 1))
     assert "no such file" in refused(call("view", old, "--rerun", tmp_path / "run.rrd"))

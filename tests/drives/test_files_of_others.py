@@ -4,10 +4,9 @@ import os
 from pathlib import Path
 
 import pytest
+from cli.commands import call
 from drives.valid_drive import put
-from typer.testing import CliRunner
 
-from homeward.cli.main import app
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_folder
 from homeward.drives.mrclam import read_mrclam
@@ -213,7 +212,7 @@ def test_from_the_command_line_one_line_and_nothing_written(tmp_path, words):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     words = [word.format(tmp=tmp_path, out=tmp_path / "out") for word in words]
 
-    result = CliRunner().invoke(app, words)
+    result = call(*words)
     assert result.exit_code == 2, (result.output, result.exception)
     assert len(result.stderr.strip().splitlines()) == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["loop"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from cli.commands import call, done, refused
 
 from benchmarks.mcu import (
     LIMITS,
@@ -22,17 +22,12 @@ from benchmarks.mcu import (
     samples,
     scene,
 )
-from homeward.cli.main import app
 from homeward.engine.export.source import FUNCTIONS
 from homeward.engine.export.work import most_work
 from homeward.filters.settings import FilterSettings
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-
-
-def call(*words):
-    return CliRunner().invoke(app, ["export", *map(str, words)])
 
 
 @pytest.mark.parametrize(("single", "tolerance"), [(False, 1e-9), (True, 2e-4)])
@@ -149,14 +144,17 @@ def test_a_moved_landmark_is_left_out(tmp_path, q, moved):
 
 def test_an_export(tmp_path):
     out = tmp_path / "out"
-    answer = call("ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null")
-    assert answer.exit_code == 0, answer.output
+    answer = done(
+        call(
+            "export", "ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null"
+        )
+    )
     assert "at most" in answer.stdout
     assert {p.name for p in out.iterdir()} == {
         *("library.json", "library.properties", "src", "examples"),
     }
     assert "gate = INFINITY" in (out / "src" / "homeward_ekf.c").read_text()
-    assert call("ekf", "--landmarks", 7, "--out", out).exit_code == 0
+    done(call("export", "ekf", "--landmarks", 7, "--out", out))
     files = [out / "src" / "homeward_ekf.c", out / "examples" / "cortex_m4f" / "main.c"]
     exe = tmp_path / "main"
     subprocess.run(
@@ -190,7 +188,7 @@ def test_an_export(tmp_path):
     ],
 )
 def test_what_cannot_be_exported_is_said(tmp_path, words, said):
-    answer = call(*words, "--out", tmp_path / "out")
+    answer = call("export", *words, "--out", tmp_path / "out")
     assert answer.exit_code == 2
     assert said in answer.output
     assert not (tmp_path / "out").exists()
@@ -198,9 +196,8 @@ def test_what_cannot_be_exported_is_said(tmp_path, words, said):
 
 def test_a_folder_of_others_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    answer = call("ekf", "--landmarks", 7, "--out", tmp_path)
-    assert answer.exit_code == 2
-    assert "not ours to replace" in answer.output
+    answer = call("export", "ekf", "--landmarks", 7, "--out", tmp_path)
+    assert "not ours to replace" in refused(answer)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 

@@ -3,7 +3,7 @@
 import csv
 
 import pytest
-from cli.commands import call, first_seconds, refused
+from cli.commands import call, done, first_seconds, refused
 
 from homeward.report.tables import comma_separated, latex, markdown
 
@@ -33,8 +33,7 @@ def bad(tmp_path, monkeypatch):
 
 def test_several_estimators_share_a_page_and_one_that_fails_ends_nothing(short, bad, tmp_path):
     out = tmp_path / "out"
-    result = call("run", short, "--estimator", f"robust, ekf,{bad}", "--out", out)
-    assert result.exit_code == 0, result.output
+    result = done(call("run", short, "--estimator", f"robust, ekf,{bad}", "--out", out))
     assert "bad_one:Bad: odometry at 0 s raised ValueError: <b>no</b>" in result.stdout
     assert {p.name for p in out.iterdir()} == {
         *("estimators.html", "table.csv", "table.md", "table.tex"),
@@ -53,7 +52,7 @@ def test_several_estimators_share_a_page_and_one_that_fails_ends_nothing(short, 
     same = [(f / "estimate.csv").read_bytes() for f in (out / "ekf", tmp_path / "again")]
     assert same[0] == same[1]
     # The same command again replaces its own output.
-    assert call("run", short, "--estimator", "ekf,robust", "--out", out).exit_code == 0
+    done(call("run", short, "--estimator", "ekf,robust", "--out", out))
 
 
 def test_where_no_estimator_has_a_pose_the_status_says_so(short, bad, tmp_path):
@@ -82,8 +81,7 @@ def test_what_cannot_be_compared_is_one_line(short, tmp_path, words, told):
 def test_without_truth_the_page_shows_what_each_claims(short, tmp_path):
     (short / "truth.csv").unlink()
     out = tmp_path / "out"
-    result = call("run", short, "--estimator", "robust,ekf", "--out", out)
-    assert result.exit_code == 0, result.output
+    done(call("run", short, "--estimator", "robust,ekf", "--out", out))
     assert "claimed sigma" in (out / "estimators.html").read_text()
 
 

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from cli.commands import done
 from studies.test_study import QUICK, call, computed, plan_of, written
 
 from homeward.drives.opening import open_drive
@@ -40,8 +41,7 @@ def test_labels_are_plain_text_wherever_they_are_drawn(tmp_path):
 def test_a_label_is_printed_so_that_a_terminal_does_nothing_else(tmp_path):
     label = "\x1b[2J\nhome"
     file = written(tmp_path, runs=1, grid={}, estimators=[{"estimator": "ekf", "label": label}])
-    result = call("study", file, "--out", tmp_path / "out", "--workers", "1")
-    assert result.exit_code == 0, result.output
+    result = done(call("study", file, "--out", tmp_path / "out", "--workers", "1"))
     assert r"\x1b[2J\nhome" in result.stdout
     assert "\x1b" not in result.stdout
 
@@ -112,7 +112,7 @@ def with_a_full_disk(size, *words):
 def test_a_full_disk_leaves_no_half_of_a_drive(tmp_path, name):
     with_a_full_disk(20_000, "convert", sample_drive(), tmp_path / name)
     assert not list(tmp_path.iterdir())
-    assert call("convert", sample_drive(), tmp_path / name).exit_code == 0
+    done(call("convert", sample_drive(), tmp_path / name))
     assert open_drive(tmp_path / name).odometry.t.size == 3604
 
 
@@ -124,6 +124,5 @@ def test_a_study_goes_on_when_there_is_room_again(tmp_path, size):
     with_a_full_disk(size, *words)
     check_output(out, MARKER)
     assert not out.exists() or not [p for p in out.rglob("*") if "writing" in p.name]
-    result = call(*words)
-    assert result.exit_code == 0, result.output
+    done(call(*words))
     assert json.loads((out / "blocks" / "manifest.json").read_text())["name"] == QUICK["name"]

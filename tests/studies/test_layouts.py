@@ -5,11 +5,10 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from cli.commands import call, done, refused
 from report.figure_faults import faults
 from studies.chores import in_this_process
-from typer.testing import CliRunner
 
-from homeward.cli.main import app
 from homeward.report.paper.claims import claims, command
 from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.paper.layout_page import CLAIMED, grid_table, headline
@@ -46,10 +45,6 @@ from homeward.studies.paper.world import draw_world
 SETTINGS = PaperSettings()
 OFF = PaperSettings(assumed=Assumed(initial_error=(0.05, 0.1, 0.1)))
 """A start that is off."""
-
-
-def call(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.fixture
@@ -209,8 +204,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
         LONG: {"assumed": {"circle_time": 2}}
     }
     monkeypatch.setattr("homeward.studies.paper.layouts.VARIANTS", short_ones)
-    answer = call(*words, *sizes)
-    assert answer.exit_code == 0, answer.output
+    answer = done(call(*words, *sizes))
     page = (tmp_path / "out" / "layouts.html").read_text()
     for text in ("4 random layouts", "What holds: ", "free Pi, M own", "as its table prints"):
         assert text in page
@@ -256,7 +250,5 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
 )
 def test_wrong_options_are_one_line(tmp_path, words, complaint):
     answer = call("reproduce", "--out", tmp_path / "x", *words)
-    assert answer.exit_code == 2
-    assert complaint in answer.stderr
-    assert len(answer.stderr.strip().splitlines()) == 1
+    assert complaint in refused(answer)
     assert not (tmp_path / "x").exists()

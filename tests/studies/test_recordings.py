@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 import yaml
-from cli.commands import call, first_seconds, refused
+from cli.commands import call, done, first_seconds, refused
 from studies.chores import in_this_process
 
 from homeward.drives.opening import open_drive
@@ -75,8 +75,7 @@ def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, mo
     entry = {"drive": "short", "label": "real", "grid": {"dropped": [0.0, 0.3]}}
     changes = {"scenario": "circle", "set": {"trajectory.duration": 3}}
     path = study(tmp_path, drives=[entry], **changes)
-    result = call("study", path, "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.output
+    done(call("study", path, "--out", tmp_path / "out"))
     with (tmp_path / "out" / "table.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [(r["scenario"], r["estimator"], r["runs"]) for r in rows] == [
@@ -91,7 +90,7 @@ def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, mo
     # It repeats from what it wrote, wherever that lies.
     again = load_study(str(tmp_path / "out" / "study.yaml"))
     assert again.drives[0].drive == str(short)
-    assert call("study", tmp_path / "out" / "study.yaml", "--out", tmp_path / "out").exit_code == 0
+    done(call("study", tmp_path / "out" / "study.yaml", "--out", tmp_path / "out"))
     assert "x ekf" in (tmp_path / "out" / "table.md").read_text()
 
 

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cli.commands import call, done, refused
 from studies.chores import in_this_process
-from typer.testing import CliRunner
 
-from homeward.cli.main import app
 from homeward.errors import InputError
 from homeward.registry import make_estimator
 from homeward.report.canvas import new_figure, png, style, svg
@@ -61,10 +60,6 @@ def computed(plan, folder):
     for name, block in plan.blocks().items():
         store.save(name, run_block(block))
     return _gather(plan, store)
-
-
-def call(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +117,7 @@ def test_an_axis_may_name_points_that_set_several_keys(tmp_path):
 def test_what_is_wrong_is_named_in_one_line_before_anything_is_computed(tmp_path, changes, words):
     path = written(tmp_path, **changes)
     answer = call("study", path, "--out", tmp_path / "out")
-    assert answer.exit_code == 2
-    assert words in answer.stderr
-    assert len(answer.stderr.strip().splitlines()) == 1
+    assert words in refused(answer)
     assert not (tmp_path / "out").exists()
 
 
@@ -133,8 +126,7 @@ def test_files_that_are_no_study_are_one_line(tmp_path, text):
     path = tmp_path / "bad.yaml"
     path.write_bytes(text.encode("latin-1"))
     answer = call("study", path, "--out", tmp_path / "out")
-    assert answer.exit_code == 2
-    assert len(answer.stderr.strip().splitlines()) == 1
+    refused(answer)
 
 
 def test_a_run_is_the_same_in_any_block_and_beside_any_other(tmp_path, results):
@@ -278,16 +270,14 @@ def test_lines_and_means_over_time_are_those_of_the_runs(results):
 def test_a_study_repeats_from_the_study_yaml_that_it_wrote(tmp_path, monkeypatch):
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
     path = written(tmp_path, runs=1, grid={}, estimators=["ekf"])
-    first = call("study", path, "--out", tmp_path / "a")
-    assert first.exit_code == 0, first.output
+    done(call("study", path, "--out", tmp_path / "a"))
     assert {"results.nc", "study.html", "overview.png"} <= {
         p.name for p in (tmp_path / "a").iterdir()
     }
     again = load_study(str(tmp_path / "a" / "study.yaml"))
     assert again == load_study(str(path))
     more = call("study", path, "--out", tmp_path / "a", "--runs", "2")
-    assert more.exit_code == 2
-    assert "runs was 1, is 2" in more.stderr
+    assert "runs was 1, is 2" in refused(more)
 
 
 def test_somebody_elses_folder_is_left_alone(tmp_path):
@@ -327,8 +317,7 @@ def test_a_stopped_study_goes_on_from_its_finished_blocks(tmp_path, how, monkeyp
     assert 3 <= len(kept) < 12
     assert not (out / "results.nc").exists()
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
-    answer = call("study", path, "--out", out)
-    assert answer.exit_code == 0, answer.output
+    done(call("study", path, "--out", out))
     assert len(list(blocks.glob("*.npz"))) == 12
     assert {name: (blocks / name).stat().st_mtime_ns for name in kept} == kept
 

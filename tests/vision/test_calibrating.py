@@ -3,10 +3,9 @@
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from cli.commands import call, done, refused
 from vision.drawn import picture, placed
 
-from homeward.cli.main import app
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.lens import Lens
 from homeward.errors import InputError
@@ -70,8 +69,7 @@ def test_by_command(tmp_path):
     boards(tmp_path / "boards", PINHOLE, CHARUCO, 8)
     asked = ["camera", "calibrate", str(tmp_path / "boards"), "--board", "7x5"]
     asked += ["--charuco", "4x4_50", "--out", str(tmp_path / "camera")]
-    made = CliRunner().invoke(app, asked)
-    assert made.exit_code == 0, made.output
+    made = done(call(*asked))
     assert "plumb_bob from" in made.output
     lens = read_calibration(tmp_path / "camera", "camera.yaml")
     assert lens.fx == pytest.approx(330, abs=3)
@@ -95,6 +93,5 @@ def test_what_cannot_be_calibrated(tmp_path):
 )
 def test_words_that_are_none(tmp_path, wrong):
     asked = ["camera", "calibrate", str(tmp_path), "--out", str(tmp_path / "out"), "--board", "7x5"]
-    made = CliRunner().invoke(app, [*asked, *wrong])
-    assert made.exit_code == 2
-    assert len(made.output.strip().splitlines()) == 1
+    made = call(*asked, *wrong)
+    refused(made)

@@ -2,15 +2,13 @@
 
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import pytest
-from typer.testing import CliRunner
+from cli.commands import call
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
 from test_seam import ordinary
 from vision_scene import look as draw
 from vision_scene import make_room
-
-from homeward.cli.main import app
 
 FRAMES = 6
 
@@ -43,7 +41,7 @@ def pinholes(tmp_path):
 
 
 def answer(*words):
-    result = CliRunner().invoke(app, [str(word) for word in words])
+    result = call(*words)
     return result.exit_code, " ".join(result.output.split())
 
 

@@ -5,13 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from cli.commands import call
 from vision_scene import look as draw
 from vision_scene import make_room
 
 cv2 = pytest.importorskip("cv2")
 
-from homeward.cli.main import app  # noqa: E402
 from homeward.errors import InputError  # noqa: E402
 from homeward.vision import Equirectangular, compare, look  # noqa: E402
 from homeward.vision.cameras.image_files import read_grey  # noqa: E402
@@ -136,10 +135,10 @@ def test_compare_refuses_and_takes_them_all_the_same_when_told(tmp_path):
         cv2.imwrite(str(tmp_path / f"{name}.png"), discs)
     given = ["compare", str(tmp_path / "home.png"), str(tmp_path / "now.png")]
     given += ["--out", str(tmp_path / "out")]
-    refused = CliRunner().invoke(app, given)
+    refused = call(*given)
     assert refused.exit_code != 0
     assert not (tmp_path / "out").exists()
-    CliRunner().invoke(app, [*given, "--force"])
+    call(*given, "--force")
     assert (tmp_path / "out").exists()
 
 

@@ -3,7 +3,7 @@
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from cli.commands import call
 
 cv2 = pytest.importorskip("cv2")
 
@@ -11,7 +11,6 @@ from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, TURN, WIDTH, on_robot
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.cli.main import app
 from homeward.vision import Mask, compare, look
 from homeward.vision.checks.self_occlusion import SelfOcclusionDetector, find_self_occlusion
 
@@ -104,7 +103,7 @@ def folder(tmp_path):
 
 
 def words(*arguments):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    result = call(*arguments)
     assert result.exit_code in (0, 1), result.output
     return " ".join(result.output.split())
 

@@ -6,13 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cli.commands import call, done, refused
 from drives.ros.rig import NANO
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
-from typer.testing import CliRunner
 from vision.drawn import picture, placed, tag
 
-from homeward.cli.main import app
 from homeward.drives.cameras.camera import angles
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.folder import read_folder
@@ -117,8 +116,7 @@ def record(tmp_path_factory):
 
 def test_a_folder_by_command(record, tmp_path):
     asked = ["see", str(record), "--tags", "36h11", "--out", str(tmp_path / "drive")]
-    made = CliRunner().invoke(app, asked)
-    assert made.exit_code == 0, made.output
+    done(call(*asked))
     drive = read_folder(tmp_path / "drive")
     assert drive.sightings.landmark.tolist() == ["0", "1", "2", "3"]
     true = np.arctan2(0.2, 1.0 + 0.1 * np.arange(4))
@@ -127,9 +125,8 @@ def test_a_folder_by_command(record, tmp_path):
 
 
 def test_a_forward_camera_without_tags_is_refused(record, tmp_path):
-    made = CliRunner().invoke(app, ["see", str(record), "--out", str(tmp_path / "drive")])
-    assert made.exit_code == 2
-    assert "needs tags" in made.output
+    made = call("see", record, "--out", tmp_path / "drive")
+    assert "needs tags" in refused(made)
 
 
 def test_a_video(record):

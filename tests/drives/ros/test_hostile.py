@@ -9,6 +9,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from cli.commands import call
 from drives.ros import crafted
 from drives.ros.crafted import (
     bag,
@@ -19,9 +20,7 @@ from drives.ros.crafted import (
     ros1_messages,
     ros1_odometry,
 )
-from typer.testing import CliRunner
 
-from homeward.cli.main import app
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.opening import open_drive
 from homeward.drives.saving import save_drive
@@ -296,7 +295,7 @@ def test_from_the_command_line_nothing_is_written(tmp_path):
     path, out = tmp_path / "cut.bag", tmp_path / "out"
     path.write_bytes(bag(IN_BAG, 5)[:5000])
     for words in (["run", path, "--out", out], ["convert", path, out], ["info", path]):
-        result = CliRunner().invoke(app, [str(word) for word in words])
+        result = call(*words)
         assert result.exit_code == 2, result.output
         assert len(result.stderr.strip().splitlines()) == 1
         assert not out.exists()

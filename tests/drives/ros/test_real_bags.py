@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 import yaml
+from cli.commands import call, done
 from drives.ros.rig import NANO, odometry_of, real_bag, stamp_of, with_sightings
 from rosbags.highlevel import AnyReader
-from typer.testing import CliRunner
 
-from homeward.cli.main import app
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.containers.bag_folder import open_log
 
@@ -69,8 +68,7 @@ def test_whole_chain_on_real_odometry(data_dir, name, tmp_path):
     topics = tmp_path / "topics.yaml"
     topics.write_text(yaml.safe_dump(TOPICS))
     words = ["run", target, "--topics", topics, "--out", tmp_path / "out"]
-    result = CliRunner().invoke(app, [str(w) for w in words])
-    assert result.exit_code == 0, result.output
+    done(call(*words))
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     drive = open_drive(target, topics=topics)
     size = np.hypot(np.ptp(drive.truth.x), np.ptp(drive.truth.y))

@@ -1,0 +1,86 @@
+"""What commands refuse: one line in plain words, exit status 2, and nothing is written."""
+
+import re
+import shlex
+
+import pytest
+from commands import call, refused
+
+REFUSED = {
+    "run nowhere": "nowhere",
+    "run sample --estimator kalman": "kalman",
+    "run sample --start 1,2": "--start",
+    "run sample --start 1,2,x": "--start",
+    "run sample --start -1,0,0": "R",
+    "run sample --start nan,0,0": "must be finite",
+    "run sample --robot 2": "robot",
+    "run sample --seed -1": "seed: must be at least 0, not -1",
+    "run sample --set gate": "--set gate",
+    "run sample --set gate=[1": "YAML",
+    "run sample --set gate=.nan": "gate: must be finite, not nan",
+    "run sample --set colour=red": "colour",
+    "run sample --set windwo=3": "windwo: there is no such key; did you mean window?",
+    "run sample --set odometry.distnce=1": "did you mean odometry.distance?",
+    "run sample --set window=3": "window: must be at least 5, not 3",
+    "run sample --set window=wide": "window: must be a whole number, not wide",
+    "run sample --set window=[1]": "window: must be a whole number",
+    "run sample --set odometry=3": "odometry: must be keys and values, not 3",
+    "run sample --set moved_prior=1": "moved_prior: must be less than 1, not 1",
+    "run sample --estimator ekf --set gate=7": "gate",
+    "run sample --estimator ekf --set integration=rk5": "must be rk4 or euler, not rk5",
+    "run sample --estimator pi-ekf --set proportional=x": "must be a number or a list, not x",
+    "run sample --estimator pi-ekf --set proportional=[[1,x]]": "proportional.0.1: must be",
+    "simulate nosuch": "presets",
+    "simulate warehouse --set noise.bearing_sigma=-1": "noise.bearing_sigma",
+    "simulate warehouse --set noise": "--set noise",
+    "simulate warehouse --set noise=[": "YAML",
+    "simulate warehouse --set room=null": "room",
+    "simulate warehouse --set landmarks.count=500": "landmarks.count",
+    "simulate warehouse --estimator oracle": "oracle",
+    "simulate paper-homing --estimator ekf --set start.prior=false": "start prior",
+    "simulate circle --set probability=1": "did you mean visibility.probability?",
+    "simulate circle --set trajectory.kind=spiral": "kind must be one of homing, circle",
+    "simulate circle --set visibility.range=[1]": "visibility.range.1: is needed",
+    "simulate circle --set visibility.range=[1,2,3]": "takes 2 values or fewer",
+    "simulate circle --set visibility.occlusion=perhaps": "must be true or false",
+    "render cellar": "rooms",
+    "render office --set camera.width=7": "camera.width",
+    "render office --set camera.depth=7": "camera.depth",
+    "render office --set trajectory=5": "trajectory: must be keys and values, not 5",
+    "render office --set start.R=40": "runs into a wall",
+    "render bedroom --estimator robot": "robot",
+    "render study --set camera.widht=64": "did you mean camera.width?",
+    "reproduce --set assumed.speed=1": "speed",
+    "reproduce --set assumed.fault=x": "fault",
+    "reproduce --set assumed.fault=[0.5,0.2]": "least",
+    "reproduce --set assumed.layout_distance=[2,1]": "least",
+    "reproduce --set assumed.longest=0.01": "sample_time",
+    "reproduce --set assumed.meaning_of_Q=z": "Q",
+    "reproduce --set assumed.falt=[0.1,0.2]": "did you mean assumed.fault?",
+    "reproduce --set colour=red": "homeward settings lists those that there are",
+    "observe nowhere": "nowhere",
+    "observe --landmarks 0": "1 to 40",
+    "observe --landmarks 99": "1 to 40",
+    "observe --motion flying": "flying",
+    "observe --unknown height": "height",
+    "observe --window 5": "needs a drive",
+    "observe sample --landmarks 3": "not for a drive",
+    "observe sample --compass": "not for a drive",
+    "observe sample --window nan": "window",
+    "observe sample --window 1e-9": "too many",
+    "observe sample --topics x.yaml": "topics",
+    "observe sample --home 1,2,3": "home",
+    "plan cellar": "warehouse",
+}
+"""Words to what the line says."""
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_a_mistake_is_told_in_one_plain_line(words, tmp_path):
+    if words.startswith("render"):
+        pytest.importorskip("cv2", reason="pictures need the extra `vision`")
+    line = refused(call(*shlex.split(words), "--out", tmp_path / "out"))
+    assert REFUSED[words] in line
+    assert line.startswith("homeward: ")
+    assert not re.search(r"Input should|Field required|permitted|a valid|Value error", line)
+    assert not (tmp_path / "out").exists()
