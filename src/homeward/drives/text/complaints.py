@@ -28,7 +28,9 @@ _PLAIN = {
     "literal_error": "must be {expected}",
     "union_tag_invalid": "{discriminator} must be one of {expected_tags}, not {tag}",
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
-    **dict.fromkeys(("dict_type", "model_type"), "must be keys and values"),
+    **dict.fromkeys(
+        ("dict_type", "model_type", "model_attributes_type"), "must be keys and values"
+    ),
     "too_short": "too few values: at least {min_length} needed",
     "too_long": "takes {max_length} values or fewer",
     "missing": "is needed",
