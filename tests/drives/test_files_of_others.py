@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from cli.commands import call
+from drives.refusals import refusal
 from drives.valid_drive import put
 
 from homeward.drives.drive import DriveSettings
@@ -38,14 +39,6 @@ EVERY = pytest.mark.parametrize("read", SETTINGS_READERS.values(), ids=SETTINGS_
 TYPED = pytest.mark.parametrize("read", [load_run, lambda file: load_study(str(file))])
 
 
-def refusal(read, *arguments):
-    with pytest.raises(InputError) as caught:
-        read(*arguments)
-    message = str(caught.value)
-    assert message.isprintable()
-    return message
-
-
 @EVERY
 def test_settings_come_from_regular_files_alone(tmp_path, read):
     os.mkfifo(fifo := tmp_path / "fifo.yaml")
@@ -76,7 +69,7 @@ def test_settings_come_from_regular_files_alone(tmp_path, read):
 def test_yaml_that_is_a_trap(tmp_path, read, text):
     (file := tmp_path / "trap.yaml").write_text(text)
     assert len(text) < LARGEST_SETTINGS
-    assert len(refusal(read, file)) < 300 + len(str(file))
+    assert len(refusal(read, file)) < 300
 
 
 @TYPED
@@ -99,7 +92,7 @@ def test_yaml_that_is_a_trap(tmp_path, read, text):
 )
 def test_values_that_are_not_what_their_tag_says(tmp_path, read, value):
     (file := tmp_path / "odd.yaml").write_text(f"seed: {value}\n")
-    assert "odd.yaml" in refusal(read, file)
+    assert refusal(read, file)
 
 
 def test_so_many_values_and_no_more(tmp_path, monkeypatch):
@@ -157,7 +150,7 @@ def test_nor_is_that_of_a_file_without_a_header(tmp_path):
     (tmp_path / "Landmark_Groundtruth.dat").symlink_to(secret)
     told = refusal(read_mrclam, tmp_path, 1, Pose(0.0, 0.0, 0.0))
     assert "subject is not a finite number" in told
-    assert "token" not in told.replace(str(tmp_path), "")
+    assert "token" not in told
 
 
 def test_tables_come_from_regular_files_with_lines_that_end(tmp_path):

@@ -5,6 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from refusals import refusal
 from valid_drive import VALID, put
 
 from homeward.drives.drive import (
@@ -15,17 +16,6 @@ from homeward.drives.folder import (
     REPEATED_SIGHTINGS,
     read_folder,
 )
-from homeward.errors import InputError
-
-
-def refusal(folder):
-    """Return the message with which a folder is refused, without the path of the folder."""
-    with pytest.raises(InputError) as caught:
-        read_folder(folder)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.startswith(str(folder))
-    return message.removeprefix(str(folder)).removeprefix("/")
 
 
 def test_reads_every_file(tmp_path):
@@ -194,29 +184,34 @@ HOSTILE = [
 @pytest.mark.parametrize(("name", "content", "message"), HOSTILE)
 def test_refuses(tmp_path, name, content, message):
     folder = put(tmp_path / "run", **{name.replace(".", "_"): content})
-    assert refusal(folder).startswith(message)
+    assert refusal(read_folder, folder).startswith(message)
 
 
 def test_a_fault_far_down_a_long_file_is_found(tmp_path):
     rows = [b"%d,0,0" % i for i in range(5000)]
     rows[4321] = b"4321,0,zero"
     folder = put(tmp_path / "run", odometry_csv=b"t,v,omega\n" + b"\n".join(rows))
-    assert refusal(folder) == "odometry.csv, row 4323: omega is 'zero', not a finite number"
+    assert (
+        refusal(read_folder, folder)
+        == "odometry.csv, row 4323: omega is 'zero', not a finite number"
+    )
 
 
 def test_refuses_what_is_no_drive(tmp_path):
-    assert refusal(tmp_path / "absent") == ": no such folder"
+    assert refusal(read_folder, tmp_path / "absent") == "no such folder"
     (tmp_path / "empty").mkdir()
-    assert refusal(tmp_path / "empty").startswith(": not a drive folder: no odometry.csv, bear")
-    assert "no home.csv in it" in refusal(put(tmp_path / "lacks", home_csv=None))
+    assert refusal(read_folder, tmp_path / "empty").startswith(
+        "not a drive folder: no odometry.csv, bear"
+    )
+    assert "no home.csv in it" in refusal(read_folder, put(tmp_path / "lacks", home_csv=None))
     (tmp_path / "file").write_text("t,v,omega\n")
-    assert refusal(tmp_path / "file") == ": not a folder"
+    assert refusal(read_folder, tmp_path / "file") == "not a folder"
     folder = put(tmp_path / "nested", odometry_csv=None)
     (folder / "odometry.csv").mkdir()
-    assert refusal(folder) == "odometry.csv: not a regular file"
+    assert refusal(read_folder, folder) == "odometry.csv: not a regular file"
     folder = put(tmp_path / "yaml", drive_yaml=None)
     (folder / "drive.yaml").mkdir()
-    assert refusal(folder) == "drive.yaml: not a regular file"
+    assert refusal(read_folder, folder) == "drive.yaml: not a regular file"
 
 
 def test_a_yaml_key_without_a_value_counts_as_absent(tmp_path):

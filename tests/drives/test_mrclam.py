@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from refusals import refusal
 from valid_drive import spoilt
 
 from homeward.angles import wrap
@@ -33,14 +34,6 @@ def put(folder, changed=None):
         if content is not None:
             (folder / name).write_bytes(content)
     return folder
-
-
-def refusal(folder, robot=1, home=HOME, **choices):
-    with pytest.raises(InputError) as caught:
-        read_mrclam(folder, robot, home, **choices)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message.removeprefix(str(folder)).removeprefix("/")
 
 
 def test_reads_every_file(tmp_path):
@@ -141,17 +134,22 @@ HOSTILE = [
 
 @pytest.mark.parametrize(("name", "content", "message"), HOSTILE)
 def test_refuses(tmp_path, name, content, message):
-    assert refusal(put(tmp_path / "set", {name: content})).startswith(message)
+    folder = put(tmp_path / "set", {name: content})
+    assert refusal(read_mrclam, folder, 1, HOME).startswith(message)
 
 
 def test_refuses_choices_that_make_no_sense(tmp_path):
     folder = put(tmp_path / "set")
-    assert refusal(tmp_path / "absent") == ": no such folder"
-    assert refusal(folder, robot=2) == ": no robot 2 in it; there are: 1"
-    assert "home must be" in refusal(folder, home=Pose(math.nan, 0.0, 0.0))
-    assert "home noise is -0.1" in refusal(folder, home_noise=-0.1)
-    assert "home noise is inf" in refusal(folder, home_noise=math.inf)
-    assert "seed is -1" in refusal(folder, home_noise=0.1, seed=-1)
+    assert refusal(read_mrclam, tmp_path / "absent", 1, HOME) == "no such folder"
+    assert refusal(read_mrclam, folder, 2, HOME) == "no robot 2 in it; there are: 1"
+    with pytest.raises(InputError, match="home must be"):
+        read_mrclam(folder, 1, Pose(math.nan, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"home noise is -0\.1"):
+        read_mrclam(folder, 1, HOME, home_noise=-0.1)
+    with pytest.raises(InputError, match="home noise is inf"):
+        read_mrclam(folder, 1, HOME, home_noise=math.inf)
+    with pytest.raises(InputError, match="seed is -1"):
+        read_mrclam(folder, 1, HOME, home_noise=0.1, seed=-1)
 
 
 @settings(deadline=None, max_examples=200)

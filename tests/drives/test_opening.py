@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive
-from homeward.errors import InputError
 from homeward.frames import Pose
 
 HOME = Pose(2.0, 0.0, 0.3)
@@ -34,15 +34,6 @@ def mrclam_folder(tmp_path):
     return folder
 
 
-def refusal(path, **choices):
-    with pytest.raises(InputError) as caught:
-        open_drive(path, **choices)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.startswith(f"{path}: ")
-    return message.removeprefix(f"{path}: ")
-
-
 def test_opens_a_drive_folder(drive_folder):
     drive = open_drive(str(drive_folder))
     assert drive.name == "plain"
@@ -60,32 +51,32 @@ def test_opens_an_mrclam_folder(mrclam_folder):
 
 def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):
     for choices in ({}, {"robot": 1}, {"home": HOME}):
-        told = refusal(mrclam_folder, **choices)
+        told = refusal(open_drive, mrclam_folder, **choices)
         assert told == "an MRCLAM folder needs a robot and a home pose: --robot and --home"
 
 
 def test_a_drive_folder_brings_its_own_home(drive_folder):
     for choices in ({"robot": 1}, {"home": HOME}, {"home_noise": math.radians(0.5)}):
-        assert "cannot be chosen for a drive folder" in refusal(drive_folder, **choices)
+        assert "cannot be chosen for a drive folder" in refusal(open_drive, drive_folder, **choices)
 
 
 def test_refuses_what_no_reader_knows(tmp_path):
-    assert refusal(tmp_path / "absent") == "no such file or folder"
+    assert refusal(open_drive, tmp_path / "absent") == "no such file or folder"
     (tmp_path / "empty").mkdir()
-    assert refusal(tmp_path / "empty") == (
+    assert refusal(open_drive, tmp_path / "empty") == (
         "neither a folder of images (images.csv) nor an MRCLAM folder (Barcodes.dat) "
         "nor a drive folder (odometry.csv, bearings.csv, home.csv) "
         "nor a log (a ROS bag or an MCAP file)"
     )
     (tmp_path / "file.txt").write_text("hello")
-    assert refusal(tmp_path / "file.txt").startswith(
+    assert refusal(open_drive, tmp_path / "file.txt").startswith(
         "neither a folder of images (images.csv) nor an MRCLAM folder"
     )
 
 
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
-    assert refusal(drive_folder) == "not a drive folder: no home.csv in it"
+    assert refusal(open_drive, drive_folder) == "not a drive folder: no home.csv in it"
 
 
 def stamped(folder, odometry, bearings):
@@ -105,14 +96,16 @@ def stamped(folder, odometry, bearings):
     ],
 )
 def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings, first, last):
-    words = refusal(stamped(drive_folder, odometry, bearings))
+    words = refusal(open_drive, stamped(drive_folder, odometry, bearings))
     assert words.startswith(f"the first of the {first} after the last of the {last}: ")
     assert "in different units" in words
 
 
 def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
     (mrclam_folder / "Robot1_Measurement.dat").write_text("100 63 1.0 0.5\n")
-    assert "is 100.0 s after the last of the odometry" in refusal(mrclam_folder, robot=1, home=HOME)
+    assert "is 100.0 s after the last of the odometry" in refusal(
+        open_drive, mrclam_folder, robot=1, home=HOME
+    )
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,10 @@ import sqlite3
 import struct
 
 import pytest
+from drives.refusals import refusal
 from drives.ros import crafted
 from drives.ros.crafted import bag, cdr_odometry, chunk, mcap, mcap_messages, record
-from drives.ros.test_hostile import FIVE_CDR, IN_BAG, refusal
+from drives.ros.test_hostile import FIVE_CDR, IN_BAG
 
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.containers import container
@@ -44,7 +45,7 @@ def test_types_that_hold_each_other_many_times(tmp_path, kind, words):
     path = tmp_path / "nested.mcap"
     path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=nested(kind))))
     assert path.stat().st_size < 54_000
-    assert words in refusal(path)
+    assert words in refusal(open_drive, path)
 
 
 def test_types_that_hold_each_other_within_reason_are_read():
@@ -66,7 +67,7 @@ def test_types_that_hold_each_other_within_reason_are_read():
 def test_definitions_that_no_code_can_be_made_of(tmp_path, text, words):
     path = tmp_path / "odd.mcap"
     path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=text)))
-    assert words in refusal(path)
+    assert words in refusal(open_drive, path)
 
 
 IDL = {
@@ -127,7 +128,7 @@ def test_very_many_records_in_a_small_chunk(tmp_path, kind, monkeypatch):
         nobodys = crafted.fields(op=b"\x63") + crafted.u32(0)
         path.write_bytes(bag(nobodys * count, 0, "lz4"))
     assert path.stat().st_size < 100_000
-    assert "more records than a log may hold" in refusal(path)
+    assert "more records than a log may hold" in refusal(open_drive, path)
 
 
 def test_a_packed_file_is_worth_no_more_than_a_packed_chunk(tmp_path):
@@ -165,7 +166,7 @@ DATABASES = {
 def test_databases_that_compute(tmp_path, name):
     path = tmp_path / "log.db3"
     crafted.database(path, *DATABASES[name])
-    told = refusal(path)
+    told = refusal(open_drive, path)
     assert "without a table" in told or "computed columns" in told
 
 
@@ -186,7 +187,7 @@ def test_a_database_whose_pages_point_at_each_other(tmp_path):
             data[k * page + at : k * page + at + 4] = struct.pack(">I", child)
     assert parents
     path.write_bytes(data)
-    refusal(path)
+    refusal(open_drive, path)
 
 
 def _pointers(page):
@@ -216,7 +217,7 @@ def test_cells_of_another_type(tmp_path, row):
     topic = ("INSERT INTO topics VALUES (?, ?, ?, ?)", row)
     message = ("INSERT INTO messages VALUES (1, 1, 1, ?)", (FIVE_CDR[0],))
     crafted.database(path, topics, topic, crafted.MESSAGES, message)
-    assert "not text" in refusal(path)
+    assert "not text" in refusal(open_drive, path)
 
 
 @pytest.mark.parametrize(
@@ -231,21 +232,21 @@ def test_messages_that_are_none_are_told_for_what_they_are(tmp_path, row, words)
     path = tmp_path / "log.db3"
     message = ("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
     crafted.database(path, crafted.TOPICS, crafted.ODOM, crafted.MESSAGES, message)
-    assert words in refusal(path)
+    assert words in refusal(open_drive, path)
 
 
 def test_a_message_of_no_channel_is_told_of(tmp_path):
     path = tmp_path / "log.mcap"
     stray = record(5, struct.pack("<HIQQ", 9, 0, 1, 1) + FIVE_CDR[0])
     path.write_bytes(mcap(mcap_messages(FIVE_CDR) + stray))
-    assert "it refers to 9, which is not in it" in refusal(path)
+    assert "it refers to 9, which is not in it" in refusal(open_drive, path)
 
 
 def test_text_in_a_database_that_is_no_utf8(tmp_path):
     path = tmp_path / "log.db3"
     topic = "INSERT INTO topics VALUES (1, CAST(x'ff' AS TEXT), 'x', 'cdr')"
     crafted.database(path, crafted.TOPICS, topic, crafted.MESSAGES)
-    assert "sqlite" in refusal(path)
+    assert "sqlite" in refusal(open_drive, path)
 
 
 def test_reading_changes_nothing_and_runs_no_trigger(tmp_path):
