@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.fuzz import small_drive
 from homeward.drives.drive import DriveSettings, HomeBearing, Mount, Sensor, Start
-from homeward.engine.paper import a_ekf, ekf, pi_ekf
+from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer

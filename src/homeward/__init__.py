@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     )
     from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
-    from homeward.engine.paper import a_ekf, ekf, pi_ekf
+    from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
     from homeward.errors import HomewardError, InputError
     from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
     from homeward.filters.settings import (
@@ -47,7 +47,7 @@ _NAMES = {
     ),
     "drives.opening": ("open_drive",),
     "drives.saving": ("save_drive",),
-    "engine.paper": ("a_ekf", "ekf", "pi_ekf"),
+    "engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
     "errors": ("HomewardError", "InputError"),
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
     "filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),

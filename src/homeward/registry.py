@@ -9,10 +9,10 @@ from typing import Any
 from homeward.drives.drive import Drive, DriveSettings, Strict
 from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
-from homeward.engine.online import OnlineFilter
-from homeward.engine.paper import a_ekf, ekf, pi_ekf
-from homeward.engine.peers import adaptive, invariant, particle, schmidt, ukf
-from homeward.engine.told import Seen
+from homeward.engine.estimators.online import OnlineFilter
+from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
+from homeward.engine.estimators.peers import adaptive, invariant, particle, schmidt, ukf
+from homeward.engine.estimators.told import Seen
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,

@@ -5,8 +5,8 @@ import pytest
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.engine.adaptive import AdaptiveRunner, log_likelihood
-from homeward.engine.runner import FilterRunner, Tuning
+from homeward.engine.estimators.adaptive import AdaptiveRunner, log_likelihood
+from homeward.engine.estimators.runner import FilterRunner, Tuning
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.frames import Pose, bearing, from_polar
 from homeward.model import PolarModel

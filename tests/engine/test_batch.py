@@ -5,11 +5,11 @@ import pytest
 from test_model import scene
 
 from homeward.control import homing
-from homeward.engine import stages
 from homeward.engine.batch import noise
 from homeward.engine.batch.homing import homing_program, run_homing
 from homeward.engine.batch.recorded import run_recorded
 from homeward.engine.native.compiler import NativeError, find_compiler
+from homeward.engine.program import stages
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter

@@ -17,7 +17,7 @@ from homeward.drives.drive import (
     Sightings,
     Start,
 )
-from homeward.engine.runner import LARGEST
+from homeward.engine.estimators.runner import LARGEST
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.frames import Pose, bearing, compose, from_polar

@@ -4,8 +4,8 @@ import numpy as np
 from test_model import scene
 from test_steps import DT, drive
 
-from homeward.engine.generic import BELIEF
-from homeward.engine.interpreter import Interpreter
+from homeward.engine.program.generic import BELIEF
+from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.schmidt import SchmidtFilter
 from homeward.filters.steps import predict_function, update_function

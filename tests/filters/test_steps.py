@@ -6,8 +6,8 @@ from numpy_oracle import Oracle
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.engine.generic import BELIEF, GenericPredict, GenericUpdate, UnscentedPredict
-from homeward.engine.interpreter import Interpreter
+from homeward.engine.program.generic import BELIEF, GenericPredict, GenericUpdate, UnscentedPredict
+from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from test_model import scene
 
-from homeward.engine.generic import BELIEF
-from homeward.engine.interpreter import Interpreter
+from homeward.engine.program.generic import BELIEF
+from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import predict_function, update_function
 from homeward.filters.unscented import UnscentedFilter, cholesky

@@ -16,7 +16,7 @@ from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_
 from homeward.drives.ros.containers.bag_folder import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
 from homeward.drives.text.settings import read_tree, validated
-from homeward.engine.online import OnlineFilter
+from homeward.engine.estimators.online import OnlineFilter
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar

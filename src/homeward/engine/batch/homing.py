@@ -13,7 +13,7 @@ from homeward.angles import wrap
 from homeward.control import Twist, homing
 from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Draw, Given, Job, Result, given_values
-from homeward.engine.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
+from homeward.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.frames import Polar
 from homeward.model import POLAR, discretise, true_bearings, unicycle_rates

@@ -8,7 +8,7 @@ import numpy as np
 
 from homeward.engine.batch.job import LARGEST, Job, Result
 from homeward.engine.batch.noise import normals, uniforms
-from homeward.engine.stages import Stage
+from homeward.engine.program.stages import Stage
 
 
 class _Machine:

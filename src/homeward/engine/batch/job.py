@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from homeward.engine.stages import Program
+from homeward.engine.program.stages import Program
 
 LARGEST = 1e9
 """A run has diverged when the numbers in its belief (m, rad, or their squares) add up to more."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Job, Result, given_values
-from homeward.engine.stages import filter_program
+from homeward.engine.program.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 
 

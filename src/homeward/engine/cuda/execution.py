@@ -22,7 +22,7 @@ def execute(job: Job, single: bool) -> Result:
     Parameters
     ----------
     job : Job
-        Of a program that knows its filter (`homeward.engine.stages.Separable`).
+        Of a program that knows its filter (`homeward.engine.program.stages.Separable`).
     single : bool
         In floats, and again in doubles those runs that rounding may have spoilt: where a variance
         became negative, or the belief too large.

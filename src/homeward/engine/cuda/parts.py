@@ -9,8 +9,8 @@ import numpy as np
 
 from homeward.engine.batch.job import Job
 from homeward.engine.cuda.device import CudaError
-from homeward.engine.split import Split, emit_split, split_step
-from homeward.engine.stages import Separable
+from homeward.engine.native.split import Split, emit_split, split_step
+from homeward.engine.program.stages import Separable
 from homeward.model import POLAR
 
 

@@ -12,8 +12,8 @@ from string import Template
 
 import casadi as ca
 
-from homeward.engine.runner import LARGEST
-from homeward.engine.split import Split, emit_split, split_step
+from homeward.engine.estimators.runner import LARGEST
+from homeward.engine.native.split import Split, emit_split, split_step
 from homeward.estimator import CHECKED
 from homeward.filters.carrier import LOST_SIGMA
 from homeward.filters.ekf import ExtendedKalmanFilter

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.engine.native.library import Library, load
 from homeward.engine.native.source import source_of
-from homeward.engine.stages import Program
+from homeward.engine.program.stages import Program
 
 
 class NativeProgram:

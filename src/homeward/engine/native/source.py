@@ -8,7 +8,7 @@ from importlib.resources import files
 import casadi as ca
 
 from homeward.engine.native.emit import Code, emit
-from homeward.engine.stages import OBSERVE, Generic, Program, Stage, Symbolic
+from homeward.engine.program.stages import OBSERVE, Generic, Program, Stage, Symbolic
 from homeward.filters.ekf import ExtendedKalmanFilter
 
 

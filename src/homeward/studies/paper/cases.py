@@ -12,8 +12,8 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control import Twist, homing
 from homeward.engine.batch.homing import Law
-from homeward.engine.generic import BELIEF
-from homeward.engine.interpreter import Interpreter
+from homeward.engine.program.generic import BELIEF
+from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.engine.batch.homing import run_homing
 from homeward.engine.choice import Engine
-from homeward.engine.interpreter import Interpreter
+from homeward.engine.program.interpreter import Interpreter
 from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
 from homeward.studies.paper.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from homeward.engine.kernel import allocate
+from homeward.engine.program.kernel import allocate
 
 
 class Interpreter:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
-from homeward.engine.adaptive import AdaptiveRunner
-from homeward.engine.online import OnlineFilter
-from homeward.engine.told import (
+from homeward.engine.estimators.adaptive import AdaptiveRunner
+from homeward.engine.estimators.online import OnlineFilter
+from homeward.engine.estimators.told import (
     Seen,
     bearing_sigma,
     first,

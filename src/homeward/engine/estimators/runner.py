@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.generic import BELIEF
 from homeward.engine.kernels import filter_kernels
+from homeward.engine.program.generic import BELIEF
 from homeward.filters.carrier import LOST_SIGMA, Known
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine

@@ -10,8 +10,8 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing, Start
-from homeward.engine.online import OnlineFilter
-from homeward.engine.runner import FilterRunner, Tuning
+from homeward.engine.estimators.online import OnlineFilter
+from homeward.engine.estimators.runner import FilterRunner, Tuning
 from homeward.errors import InputError
 from homeward.filters.carrier import Carrier
 from homeward.filters.ekf import ExtendedKalmanFilter

@@ -8,8 +8,8 @@ import numpy as np
 
 from homeward.drives.drive import Robot
 from homeward.drives.known import Home, known_home, known_robot, known_settings
-from homeward.engine.online import OnlineFilter
-from homeward.engine.told import places, polar_filter
+from homeward.engine.estimators.online import OnlineFilter
+from homeward.engine.estimators.told import places, polar_filter
 from homeward.errors import InputError
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.runner import FilterRunner, Numbers, Tuning
+from homeward.engine.estimators.runner import FilterRunner, Numbers, Tuning
 from homeward.filters.carrier import Known, Outputs
 from homeward.filters.settings import Engine
 from homeward.frames import Pose

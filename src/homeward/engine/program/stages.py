@@ -10,9 +10,9 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
-from homeward.engine.generic import GenericPredict, GenericUpdate, UnscentedPredict
-from homeward.engine.interpreter import Interpreter
-from homeward.engine.kernel import Kernel
+from homeward.engine.program.generic import GenericPredict, GenericUpdate, UnscentedPredict
+from homeward.engine.program.interpreter import Interpreter
+from homeward.engine.program.kernel import Kernel
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import predict_function, propagate_function, update_function
 from homeward.filters.unscented import UnscentedFilter

@@ -1,0 +1,1 @@
+"""Filters that run one drive: the online estimators of the library."""
