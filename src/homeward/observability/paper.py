@@ -89,8 +89,8 @@ class RankRow:
     """... and with the landmarks' distances from home instead."""
 
 
-def rank_table(largest: int = LARGEST) -> tuple[RankRow, ...]:
-    """Return the rank of the codistribution for q = 1 .. `largest` landmarks."""
+def rank_table() -> tuple[RankRow, ...]:
+    """Return the rank of the codistribution for q = 1 .. `LARGEST` landmarks."""
     return tuple(
         RankRow(
             q,
@@ -99,5 +99,5 @@ def rank_table(largest: int = LARGEST) -> tuple[RankRow, ...]:
             observe_model(q, compass=True).rank,
             observe_model(q, distances=True).rank,
         )
-        for q in range(1, largest + 1)
+        for q in range(1, LARGEST + 1)
     )

@@ -8,17 +8,16 @@ from typing import TypeVar
 import numpy as np
 
 Label = TypeVar("Label")
+MOST = 1600
+"""So many rows of a line are kept, roughly."""
 
 
-def thin(values: np.ndarray, most: int = 1600) -> np.ndarray:
-    """Return the rows that draw a line like `values`, (n,): its extremes and its breaks (NaN) stay.
-
-    There are `most` of them, roughly.
-    """
-    if values.size <= most:
+def thin(values: np.ndarray) -> np.ndarray:
+    """Return the rows that draw a line like `values`, (n,): extremes and breaks (NaN) stay."""
+    if values.size <= MOST:
         return np.arange(values.size)
     keep: set[int] = {0, values.size - 1}
-    for part in np.array_split(np.arange(values.size), most // 2):
+    for part in np.array_split(np.arange(values.size), MOST // 2):
         known = part[np.isfinite(values[part])]
         if known.size < part.size:
             keep.add(int(part[~np.isfinite(values[part])][0]))

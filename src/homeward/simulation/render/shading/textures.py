@@ -79,9 +79,9 @@ def noise(rng: np.random.Generator, slope: float, coarsest: float = 1.0) -> np.n
     return np.asarray(field / field.std())
 
 
-def _grey(rng: np.random.Generator, level: float, tint: float = 0.03) -> np.ndarray:
+def _grey(rng: np.random.Generator, level: float) -> np.ndarray:
     """Return a colour near a grey of this level."""
-    return level + rng.uniform(-tint, tint, 3)
+    return level + rng.uniform(-0.03, 0.03, 3)
 
 
 def _plaster(rng: np.random.Generator) -> np.ndarray:
