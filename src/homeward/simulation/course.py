@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Mapping
+from itertools import zip_longest
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from homeward.drives.drive import (
     Start,
 )
 from homeward.frames import Polar, Pose, from_polar, to_polar
-from homeward.simulation.log import Clock, Log
+from homeward.simulation.log import Log, stamps, within
 from homeward.simulation.scenario import Course
 from homeward.simulation.sensing import Wheels
 from homeward.simulation.trajectories import make_control
@@ -70,19 +71,20 @@ def drive_course(
         True pose in the home frame where it ended.
     """
     pose = course.start.in_home_frame(course.home.pose)
-    control, wheels, clock = make_control(course, pose, home), Wheels(course), Clock(course)
-    for step, (t, until) in enumerate(clock.steps()):
+    control, wheels = make_control(course, pose, home), Wheels(course)
+    odometry, bearings, truth = stamps(course)
+    for step, (t, until) in enumerate(zip_longest(odometry, odometry[1:])):
         if progress is not None and step % STEPS_PER_TELLING == 0:
             progress(t / course.trajectory.duration)
         twist = control.twist(t, *log.believed(t, pose), log.seen)
         if twist is None or until is None:
             break
         log.odometry(t, wheels.measure(twist))
-        for stamp in clock.bearings.before(until):
+        for stamp in within(bearings, t, until):
             there = advance(pose, twist, stamp - t)
             look(stamp, there)
             log.face(stamp, there)
-        for stamp in clock.truth.before(until):
+        for stamp in within(truth, t, until):
             log.truth(stamp, advance(pose, twist, stamp - t))
         pose = advance(pose, twist, until - t)
     # Every drive ends standing still, with a last word of odometry and truth.

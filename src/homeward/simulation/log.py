@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,32 +17,18 @@ from homeward.simulation.scenario import Course
 from homeward.simulation.world import Stream, generator, quantise
 
 
-class Stamps:
-    """Increasing stamps [s], handed out once each as a drive goes on."""
-
-    def __init__(self, stamps: list[float]) -> None:
-        self._stamps, self._next = stamps, 0
-
-    def before(self, until: float) -> Iterator[float]:
-        """Yield those before `until` [s] that were not yet handed out."""
-        while self._next < len(self._stamps) and self._stamps[self._next] < until:
-            self._next += 1
-            yield self._stamps[self._next - 1]
+def stamps(course: Course) -> tuple[list[float], list[float], list[float]]:
+    """Return the increasing stamps of a drive's odometry, bearings and truth [s]."""
+    rates, duration = course.rates, course.trajectory.duration
+    rng = generator(course, Stream.TIMES)
+    odometry = _stamps(rates.odometry, duration, rates.jitter, rng)
+    bearings = _stamps(rates.bearings, duration, rates.jitter, rng)
+    return odometry, bearings, _stamps(rates.truth, duration, 0.0, rng)
 
 
-class Clock:
-    """The stamps of everything that is sampled in a drive."""
-
-    def __init__(self, scenario: Course) -> None:
-        rates, duration = scenario.rates, scenario.trajectory.duration
-        rng = generator(scenario, Stream.TIMES)
-        self._odometry = _stamps(rates.odometry, duration, rates.jitter, rng)
-        self.bearings = Stamps(_stamps(rates.bearings, duration, rates.jitter, rng))
-        self.truth = Stamps(_stamps(rates.truth, duration, 0.0, rng))
-
-    def steps(self) -> Iterator[tuple[float, float | None]]:
-        """Yield each odometry stamp [s] with the one after it, None for the last."""
-        yield from zip(self._odometry, [*self._odometry[1:], None], strict=True)
+def within(stamps: list[float], begin: float, end: float) -> list[float]:
+    """Return those in [begin, end) of increasing stamps."""
+    return stamps[bisect_left(stamps, begin) : bisect_left(stamps, end)]
 
 
 def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generator) -> list[float]:
