@@ -9,18 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 from commands import call, done, first_seconds, refused
+from report.made_up_run import FILES
 
 from homeward.studies.single_run import sample_drive
-
-WRITTEN = {
-    "estimate.csv",
-    "trajectory.tum",
-    "landmarks.csv",
-    "metrics.json",
-    "report.html",
-    "run.mcap",
-    "run.yaml",
-}
 
 
 @pytest.fixture
@@ -87,7 +78,7 @@ def test_run_writes_everything_and_all_of_it_is_finite(short, tmp_path, name):
     result = done(call("run", short, "--estimator", name, "--out", out))
     assert "Position error" in result.stdout
     assert str(out / "report.html") in result.stdout
-    assert {p.name for p in out.iterdir()} == WRITTEN
+    assert {p.name for p in out.iterdir()} == FILES
     with (out / "estimate.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) >= 100
