@@ -12,7 +12,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks
-from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.hypotheses import search
@@ -27,6 +26,7 @@ from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
@@ -64,7 +64,8 @@ class Chart:
     ) -> None:
         self.counts, self._twists = counts, twists
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
-        self.odometry = Odometry(twists, noise_rates(drive.odometry, settings.odometry))
+        self.process_noise = ProcessNoise(drive.odometry, settings.odometry)
+        self.odometry = Odometry(twists, self.process_noise)
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known
@@ -286,8 +287,8 @@ class Chart:
 
     def _begin_map(self, t: float) -> None:
         """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
-        arguments = self._drive, self._settings, self.noise, self.extrinsics, self.counts
-        self.map = Map(*arguments, t, self._known)
+        learnt = self.noise, self.process_noise, self.extrinsics
+        self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
         self.monitor = Monitor(self._drive.start is not None)
         self.odometry.restart(t)
         if self._keeps:

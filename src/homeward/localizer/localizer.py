@@ -101,7 +101,7 @@ class Localizer:
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
-        noisy += noise.lasting.words(noise.sigma)
+        noisy += noise.lasting.words(noise.sigma) + self.chart.process_noise.words
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
         survey = self.chart.map.survey
         scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes

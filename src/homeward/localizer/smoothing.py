@@ -8,7 +8,6 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
-from homeward.drives.odometry_noise import noise_rates
 from homeward.estimator import Estimate
 from homeward.frames import Pose, between
 from homeward.localizer.chart import Chart
@@ -17,6 +16,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
 from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
@@ -63,7 +63,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     if there is None:
         return track
     stayed = localizer.chart.home.stayed(localizer.chart.map)
-    rows = _rows(track.t, there, stayed, whole, drive, settings)
+    rows = _rows(track.t, there, stayed, whole, drive, localizer)
     for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
         rows[i] = _row(track, i)
     return dataclasses.replace(
@@ -102,13 +102,13 @@ def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
     return there
 
 
-def _stretch(drive: Drive, settings: LocalizerSettings, begin: float, end: float) -> Odometry:
+def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odometry:
     """Return an odometry that starts at `begin` [s] and knows the twists until `end` [s]."""
     twists = Twists()
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * LONGEST_LAG, end]).tolist()):
         twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
-    odometry = Odometry(twists, noise_rates(drive.settings.odometry, settings.odometry))
+    odometry = Odometry(twists, noise)
     odometry.restart(begin)
     return odometry
 
@@ -119,7 +119,7 @@ def _rows(
     stayed: np.ndarray,
     whole: Smoother,
     drive: Drive,
-    settings: LocalizerSettings,
+    localizer: Localizer,
 ) -> list[Estimate]:
     """Return what is to be said at all rows' times, by the tests of the causal run."""
     stamps = np.array(whole.stamps)
@@ -127,12 +127,12 @@ def _rows(
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        integrity = IntegrityMonitor(settings, drive.settings.odometry, drive.known.tells)
+        integrity = IntegrityMonitor(localizer.settings, drive.settings.odometry, drive.known.tells)
         integrity.update(there[k], firm=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])
-        odometry = _stretch(drive, settings, float(stamps[k]), until)
+        odometry = _stretch(drive, localizer.chart.process_noise, float(stamps[k]), until)
         motions = [odometry.advance(t, whole.calibration) for t in now]
         moved = [(m.delta, m.covariance) for m in motions]
         if not last:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csc_array
 
@@ -27,17 +29,33 @@ def step_row(motion: Motion) -> np.ndarray:
     return row
 
 
-def add_odometry(
-    e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
-) -> None:
-    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,).
+def scale_steps(steps: np.ndarray, factors: np.ndarray) -> None:
+    """Let the variances of shift and turn (2,) be so many times as large, in rows of the table."""
+    root = np.sqrt(factors)[[0, 0, 1]]
+    steps[:, INFORMATION] /= np.outer(root, root).ravel()
 
-    Those far off have less weight, as sightings do: wheels slip, and robots are shoved. Errors are
-    measured in the odometry's own metres: else all of them would shrink with the scale of its
-    speed, which nothing else may hold, and the map with it (errors in variables).
+
+class OdometryErrors(NamedTuple):
+    """Odometry factors, linearised: what k steps leave between poses."""
+
+    error: np.ndarray
+    """(k, 3): measured minus expected motion [m, m, rad]."""
+    jacobian: np.ndarray
+    """(k, 3, 14): of the expected one, by both poses and the calibration."""
+    information: np.ndarray
+    """(k, 3, 3): inverse of the covariance of the error."""
+    weight: np.ndarray
+    """(k,): less than one for what is far off, as of sightings: wheels slip, robots are shoved."""
+
+
+def odometry_errors(
+    poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
+) -> OdometryErrors:
+    """Linearise the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,).
+
+    Errors are measured in the odometry's own metres: else all of them would shrink with the scale
+    of its speed, which nothing else may hold, and the map with it (errors in variables).
     """
-    if len(poses) < 2:
-        return
     a, b = poses[:-1], poses[1:]
     by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
     size = np.array([1.0 + calibration[SPEED_SCALE], 1.0 + calibration[SPEED_SCALE], 1.0])
@@ -50,7 +68,16 @@ def add_odometry(
     jacobian /= size[:, None]
     information = steps[:, INFORMATION].reshape(-1, 3, 3)
     square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
-    weight = 1.0 / np.maximum(square / GATE**2, 1.0)
+    return OdometryErrors(error, jacobian, information, 1.0 / np.maximum(square / GATE**2, 1.0))
+
+
+def add_odometry(
+    e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
+) -> None:
+    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,)."""
+    if len(poses) < 2:
+        return
+    error, jacobian, information, weight = odometry_errors(poses, calibration, steps)
     weighted = jacobian.transpose(0, 2, 1) @ (weight[:, None, None] * information)
     blocks = weighted @ jacobian
     slopes = (weighted @ error[:, :, None])[:, :, 0]

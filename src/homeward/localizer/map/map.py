@@ -29,6 +29,7 @@ from homeward.localizer.map.survey_factors import in_survey_frame
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
+from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import DRIFT, POSE, STANDS, TINY
 from homeward.reasons import Rejection
@@ -37,6 +38,9 @@ MOST_PER_KEYFRAME = 12
 """Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
 SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
+
+LEARNS_EVERY = 10
+"""Keyframes from which the odometry's noise is learnt at once."""
 
 
 class Map:
@@ -50,6 +54,8 @@ class Map:
         Everything else.
     noise : BearingNoise
         Which learns from what the map leaves of bearings.
+    process_noise : ProcessNoise
+        Which learns from what it leaves of motions.
     extrinsics : Extrinsics
         What is believed of the camera's place on the robot.
     counts : Counts
@@ -65,6 +71,7 @@ class Map:
         drive: DriveSettings,
         settings: LocalizerSettings,
         noise: BearingNoise,
+        process_noise: ProcessNoise,
         extrinsics: Extrinsics,
         counts: Counts,
         t: float,
@@ -73,6 +80,7 @@ class Map:
         self.survey = Survey(known, settings)
         self._settings, self._counts = settings, counts
         self._noise, self._extrinsics = noise, extrinsics
+        self._process_noise, self._learnt_at = process_noise, 0
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
@@ -347,10 +355,21 @@ class Map:
         if wider != 1.0:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)
+        self._learn_process_noise()
         sound, now = smoother.settled and noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas
             self._solve()
+
+    def _learn_process_noise(self) -> None:
+        """Learn the noise of odometry from what the solution leaves of motions."""
+        smoother, motions = self.smoother, len(self.smoother.stamps) - 1
+        since = smoother.newest - self._learnt_at
+        if since < LEARNS_EVERY or not smoother.settled or not self.landmarks.mapped:
+            return
+        self._learnt_at = smoother.newest
+        left = smoother.odometry_misfit()
+        smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
 
     def _judge_survey(self) -> None:
         """Let what is known of landmarks count as far as the map without it agrees."""

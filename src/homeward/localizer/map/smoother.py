@@ -19,7 +19,14 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import sight
 from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.map import elimination
-from homeward.localizer.map.factors import STEP, add_odometry, add_sightings, step_row
+from homeward.localizer.map.factors import (
+    STEP,
+    add_odometry,
+    add_sightings,
+    odometry_errors,
+    scale_steps,
+    step_row,
+)
 from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.sightings import (
     BEARING,
@@ -36,6 +43,7 @@ from homeward.localizer.map.sightings import (
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.map.survey_factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
+from homeward.localizer.map.variance_components import Misfit, misfit
 from homeward.localizer.motion.preintegration import CAMERA_X, MOUNT, NC, OF_ODOMETRY, Motion
 from homeward.localizer.tunables import LINEAR
 
@@ -194,6 +202,18 @@ class Smoother:
         """Let the bearings' own deviations be so many times as large, of all that are open."""
         for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
             scale_noise(rows, factor)
+
+    def scale_odometry(self, factors: np.ndarray) -> None:
+        """Let the variances of shift and turn (2,) be so many times as large, of all motions."""
+        for steps in (self._steps, *(part.steps for part in self._closed or [])):
+            scale_steps(steps, factors)
+        self.shift_variances = [float(factors[0] * v) for v in self.shift_variances]
+        self.turn_variances = [float(factors[1] * v) for v in self.turn_variances]
+
+    def odometry_misfit(self) -> Misfit:
+        """Compare what the solution leaves of motions with what it is expected to leave."""
+        steps = odometry_errors(self.poses, self.calibration, self._steps)
+        return misfit(self._all(), steps, np.random.default_rng(self.newest))
 
     def drop_landmark(self, number: int) -> None:
         """Take the landmark of an id out: what is known of the others stays."""

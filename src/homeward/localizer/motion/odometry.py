@@ -15,7 +15,8 @@ from homeward.drives.drive import DriveSettings
 from homeward.estimator import HOLD_S
 from homeward.localizer.motion.dropout import MotionPrior
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
-from homeward.localizer.motion.twists import Twists
+from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.twists import STEADY_S, Twists
 from homeward.localizer.settings import LocalizerSettings
 
 ADVANCE_S = 0.5
@@ -76,12 +77,12 @@ class Odometry:
     ----------
     twists : Twists
         The history of them, which others may share.
-    rates : ndarray, shape (3, 3)
-        Of their noise; see `noise_rates`.
+    noise : ProcessNoise
+        Of them.
     """
 
-    def __init__(self, twists: Twists, rates: np.ndarray) -> None:
-        self._twists, self._rates = twists, rates
+    def __init__(self, twists: Twists, noise: ProcessNoise) -> None:
+        self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
         self._done = -math.inf
         self._path_by_bend = np.zeros(BENDS)
@@ -117,7 +118,7 @@ class Odometry:
             return self._motion
         pieces = self._pieces(self._done, t, calibration)
         return self._motion.compose(
-            integrate(pieces, calibration, self._rates, self._straightest)[0]
+            integrate(pieces, calibration, self._noise.rates, self._straightest)[0]
         )
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
@@ -142,7 +143,7 @@ class Odometry:
     @property
     def needed(self) -> float:
         """Since when twists are still needed [s]."""
-        return (self._before[0].t if self._before else self._done) - 2.0 * LONGEST_LAG
+        return (self._before[0].t if self._before else self._done) - 2.0 * LONGEST_LAG - STEADY_S
 
     @property
     def done(self) -> float:
@@ -154,7 +155,7 @@ class Odometry:
         if t <= self._done:
             return
         pieces = self._pieces(self._done, t, calibration)
-        motion, path = integrate(pieces, calibration, self._rates, self._straightest)
+        motion, path = integrate(pieces, calibration, self._noise.rates, self._straightest)
         self._motion, self._done = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
@@ -165,13 +166,14 @@ class Odometry:
         begin, end = begin - lag, end - lag
         held = self._twists.between(begin, end)
         if not held:  # before the first twist, or none at all
-            return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0)]
+            return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
         pieces: list[Piece] = []
         until = [twist.t for twist in held[1:]] + [end]
-        for (t, v, omega, _), then in zip(held, until, strict=True):
+        for (t, v, omega, _, _), then in zip(held, until, strict=True):
             start, silent = max(t, begin), t + HOLD_S
             known = min(max(silent - start, 0.0), then - start)
-            pieces.append(Piece(*self._unknown(silent, start + known, then), known, v, omega))
+            unknown = self._unknown(silent, start + known, then)
+            pieces.append(Piece(*unknown, known, v, omega, self._twists.steady_speed(then)))
         if held[0].t > begin:
             shift, swing = self._unknown(-math.inf, begin, held[0].t)
             begun = pieces[0]

@@ -105,6 +105,8 @@ class Piece(NamedTuple):
     """[m/s]"""
     omega: float
     """[rad/s]"""
+    steady: float
+    """The speed of late: slip by noisy samples would explain their own noise [m/s]."""
 
 
 def integrate(
@@ -135,9 +137,9 @@ def integrate(
     x = y = psi = path = turned = 0.0
     by_bend, chords, ends = [0.0] * BENDS, [], []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
-        _, _, dt, v, omega = piece
+        _, _, dt, v, omega, steady = piece
         rate = (1.0 + scale) * omega + bias if v or omega else 0.0
-        slips = (math.copysign(abs(omega), v) if v else 0.0) - v * straightest
+        slips = math.copysign(abs(omega), steady) - steady * straightest if v else 0.0
         speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
         chord = speed * dt * (math.sin(half) / half if half else 1.0)
@@ -145,7 +147,7 @@ def integrate(
         ends.append((speed, rate))
         x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
         path, turned = path + abs(v) * dt, turned + 2.0 * abs(half)
-        by_bend[min(int(abs(omega) / max(abs(v), 1e-6) / BEND), BENDS - 1)] += abs(v) * dt
+        by_bend[min(int(abs(omega) / max(abs(steady), 1e-6) / BEND), BENDS - 1)] += abs(v) * dt
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     jacobian[:2, SPEED_SCALE] = delta[:2] / size
@@ -167,7 +169,7 @@ def _add_errors(
     xx = xy = xt = yy = yt = tt = 0.0
     by_scale, by_bias, by_slip = [0.0] * 3, [0.0] * 3, [0.0] * 2
     end_x, end_y, _ = end.tolist()
-    for (shift, swing, dt, v, omega), x, y, c, s, slips in chords:
+    for (shift, swing, dt, v, omega, _), x, y, c, s, slips in chords:
         steady = dt if v or omega else 0.0
         along, across, heading = (
             steady * (still + by_speed * abs(v) + by_turn * abs(omega))

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 from homeward.estimator import HOLD_S
 
+STEADY_S = 0.5
+"""A robot's speed lasts so long, the noise of its samples does not [s]."""
+
 
 class Twist(NamedTuple):
     """A twist, which holds from its stamp on, and the heading there."""
@@ -20,6 +23,8 @@ class Twist(NamedTuple):
     """[rad/s]"""
     heading: float
     """As odometry alone has it [rad]."""
+    path: float
+    """The same, driven forward less backward [m]."""
 
 
 class Twists:
@@ -44,9 +49,9 @@ class Twists:
             later.append(self._twists.pop())
         if self._twists and t == self._twists[-1].t:
             self._twists.pop()
-        self._twists.append(Twist(t, v, omega, self.heading(t)))
+        self._twists.append(Twist(t, v, omega, *self._done(t)))
         for twist in reversed(later):
-            self._twists.append(twist._replace(heading=self.heading(twist.t)))
+            self._twists.append(Twist(twist.t, twist.v, twist.omega, *self._done(twist.t)))
 
     def before(self, t: float) -> Twist | None:
         """Return the twist that holds at `t` [s], or did last; None before the first."""
@@ -54,10 +59,19 @@ class Twists:
 
     def heading(self, t: float) -> float:
         """Return the heading at `t` [s], by the twists alone [rad]."""
+        return self._done(t)[0]
+
+    def steady_speed(self, t: float) -> float:
+        """Return the speed before `t` [s], without the noise of samples [m/s]."""
+        return (self._done(t)[1] - self._done(t - STEADY_S)[1]) / STEADY_S
+
+    def _done(self, t: float) -> tuple[float, float]:
+        """Return heading [rad] and path [m] at `t` [s], by the twists alone."""
         twist = self.before(t)
         if twist is None:
-            return self._twists[0].heading if self._twists else 0.0
-        return twist.heading + twist.omega * min(t - twist.t, HOLD_S)
+            return self._twists[0][3:] if self._twists else (0.0, 0.0)
+        dt = min(t - twist.t, HOLD_S)
+        return twist.heading + twist.omega * dt, twist.path + twist.v * dt
 
     def between(self, begin: float, end: float) -> list[Twist]:
         """Return the twists that hold from `begin` until `end` [s], at least in part."""

@@ -1,0 +1,85 @@
+"""Process noise of odometry: as the drive gives it, or learnt from what the map leaves of motions.
+
+Bearings cannot tell the scale of a map, odometry does; who believes odometry too little lets errors
+of bearings bend the map, and who believes it too much is too sure. What is usual of wheels is off
+by ten times either way for good ones on a table, and for bad ones on a carpet.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.drives.drive import OdometryNoise
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+
+PRIOR = 2.0
+"""What is believed at first counts as so many motions: it is little more than a guess at the order
+of magnitude [1]."""
+MEMORY = 200.0
+"""So many keyframes count: floors differ [1]."""
+NOTABLE = 2.0
+"""Deviations that differ by so many times are told to the user [1]."""
+
+
+class ProcessNoise:
+    """How fast the variances of the robot's motion grow.
+
+    Parameters
+    ----------
+    given : OdometryNoise
+        What the drive says of it.
+    default : OdometryDefaults
+        What is believed at first where it says nothing.
+    """
+
+    def __init__(self, given: OdometryNoise, default: OdometryDefaults) -> None:
+        self._at_first = noise_rates(given, default)
+        self._learns = np.array([given.speed_sigma is None, given.turn_sigma is None])
+        self.scales = np.ones(2)
+        """(2,): variances of shift and turn over what was believed at first [1]."""
+        self._squares, self._redundancies = np.zeros(2), np.zeros(2)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """(3, 3), as of `noise_rates`."""
+        return np.asarray(self._at_first * self.scales[[0, 0, 1], None])
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What the user should know of it."""
+        off = np.sqrt(self.scales)
+        if (np.abs(np.log(off)) < math.log(NOTABLE)).all():
+            return ()
+        way, turn = off.tolist()
+        return (
+            f"By the bearings, odometry errs {way:.2g} times as much as was supposed in its way, "
+            f"and {turn:.2g} times in its turns.",
+        )
+
+    def update(
+        self, squares: np.ndarray, redundancies: np.ndarray, motions: int, keyframes: int
+    ) -> np.ndarray:
+        """Learn from what the map leaves of motions.
+
+        Parameters
+        ----------
+        squares, redundancies : ndarray, shape (2,)
+            Of so many motions; see `Misfit`.
+        motions : int
+            See above.
+        keyframes : int
+            How many of them are new.
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            By how much variances of shift and turn that are kept are to be widened [1].
+        """
+        share, kept = keyframes / motions, np.exp(-keyframes / MEMORY)
+        self._squares = kept * self._squares + share * squares * self.scales
+        self._redundancies = kept * self._redundancies + share * np.maximum(redundancies, 0.0)
+        now = (PRIOR + self._squares) / (PRIOR + self._redundancies)
+        before, self.scales = self.scales, np.where(self._learns, now, 1.0)
+        return np.asarray(self.scales / before)

@@ -1,0 +1,131 @@
+"""Odometry's noise, learnt by variance components from what a map leaves of motions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.odometry_noise import drive_of, row
+from homeward.drives.drive import OdometryNoise
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.localizer.map import elimination
+from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
+from homeward.localizer.map.variance_components import misfit
+from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.twists import STEADY_S, Twists
+
+W = 30
+SIGMAS = np.array([0.05, 0.02, 0.03])
+
+
+def chain(rng, fixes, noisier=1.0, believed=(1.0, 1.0)):
+    """Return noisy motions between poses that fixes tell so well, as normal equations and errors.
+
+    `fixes` is the deviation of each pose's fix, `noisier` that of the motions over `SIGMAS`, of
+    whose squares so many times as much is `believed`.
+    """
+    way = np.array([0.1, 0.0, 0.0])
+    moved = way + noisier * SIGMAS * rng.normal(size=(W - 1, 3))
+    rows = np.concatenate(
+        [step_row(Motion(m, np.diag(SIGMAS**2), np.zeros((3, NC)))) for m in moved]
+    )
+    scale_steps(rows, np.array(believed))
+    poses = np.cumsum([way] * W, axis=0)
+    seen = poses + fixes * rng.normal(size=poses.shape)
+    estimate = poses.copy()
+    for _ in range(5):
+        equations = elimination.NormalEquations.zeros(W, NC)
+        add_odometry(equations, estimate, np.zeros(NC), rows)
+        equations.own[:] += np.eye(3) / fixes**2
+        equations.slope[:] += (seen - estimate) / fixes**2
+        equations.common[:] += 1e6 * np.eye(NC)
+        step, _, _ = elimination.solve(equations)
+        estimate = estimate + step
+    return equations, odometry_errors(estimate, np.zeros(NC), rows)
+
+
+def dense_redundancies(equations, errors):
+    """Return the redundancies of shift and turn by full matrices."""
+    size = 3 * W + NC
+    hessian, jacobian = np.zeros((size, size)), np.zeros((W - 1, 3, size))
+    for k in range(W):
+        at = slice(3 * k, 3 * k + 3)
+        hessian[at, at] = equations.own[k]
+        hessian[at, 3 * W :] = equations.shared[k]
+        hessian[3 * W :, at] = equations.shared[k].T
+    for k in range(W - 1):
+        a, b = slice(3 * k, 3 * k + 3), slice(3 * k + 3, 3 * k + 6)
+        hessian[a, b], hessian[b, a] = equations.next[k], equations.next[k].T
+        jacobian[k, :, a], jacobian[k, :, b] = errors.jacobian[k, :, :3], errors.jacobian[k, :, 3:6]
+    hessian[3 * W :, 3 * W :] = equations.common
+    left = np.linalg.inv(errors.information) - jacobian @ np.linalg.inv(hessian) @ (
+        jacobian.transpose(0, 2, 1)
+    )
+    shares = np.diagonal(left, axis1=1, axis2=2) / SIGMAS**2
+    return shares[:, :2].sum(), shares[:, 2].sum()
+
+
+@pytest.mark.parametrize("fixes", [0.005, 0.05, 0.5])
+def test_redundancies_are_those_of_the_full_matrices(fixes):
+    equations, errors = chain(np.random.default_rng(0), fixes)
+    drawn = [misfit(equations, errors, np.random.default_rng(s)).redundancies for s in range(300)]
+    spread = np.std(drawn, axis=0) / np.sqrt(len(drawn))
+    assert np.abs(np.mean(drawn, axis=0) - dense_redundancies(equations, errors)) == pytest.approx(
+        0.0, abs=4.0 * spread.max() + 1e-9
+    )
+
+
+@pytest.mark.parametrize("noisier", [0.3, 1.0, 4.0])
+def test_where_poses_are_told_well_the_noise_comes_out_as_it_is(noisier):
+    noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        equations, errors = chain(rng, 0.003, noisier, noise.scales)
+        noise.update(*misfit(equations, errors, rng), W - 1, W - 1)
+    assert np.sqrt(noise.scales) == pytest.approx(noisier, rel=0.15)
+
+
+def test_what_is_told_is_not_learnt():
+    told = OdometryNoise(speed_sigma=0.01)
+    noise = ProcessNoise(told, OdometryDefaults())
+    noise.update(np.array([900.0, 900.0]), np.array([100.0, 100.0]), 100, 100)
+    assert noise.scales[0] == 1.0
+    assert noise.scales[1] > 4.0
+    first = noise_rates(told, OdometryDefaults())
+    assert np.array_equal(noise.rates[:2], first[:2])
+    assert noise.rates[2] == pytest.approx(noise.scales[1] * first[2])
+    assert "odometry errs" in noise.words[0]
+
+
+def test_little_evidence_changes_little_and_words_come_late():
+    noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
+    noise.update(np.array([0.2, 0.2]), np.array([0.1, 0.1]), 10, 10)
+    assert noise.scales == pytest.approx(1.0, abs=0.1)
+    assert noise.words == ()
+
+
+def test_steps_are_as_noisy_as_they_are_told_to_be():
+    row = step_row(Motion(np.zeros(3), np.diag([0.04, 0.01, 0.09]), np.zeros((3, NC))))
+    scale_steps(row, np.array([4.0, 0.25]))
+    poses = np.zeros((2, 3))
+    information = odometry_errors(poses, np.zeros(NC), row).information[0]
+    assert np.linalg.inv(information) == pytest.approx(np.diag([0.16, 0.04, 0.0225]), rel=1e-6)
+
+
+def test_a_steady_speed_has_no_noise_of_samples():
+    twists, rng = Twists(), np.random.default_rng(2)
+    for k in range(400):
+        twists.add(0.02 * k, 0.3 + 0.4 * float(rng.normal()), 0.0)
+    steady = [twists.steady_speed(t) for t in np.arange(1.0, 8.0, STEADY_S)]
+    assert np.std(steady) < 0.15
+    assert np.mean(steady) == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "times"), [(0.1, 0.3), (1.0, 0.1), (1.0, 3.0)])
+def test_nothing_told_costs_little(size, times):
+    rmse, nees, pose, at_best, _, _ = row(*drive_of(size, times, 0), False)
+    assert rmse < 1.8 * at_best
+    assert nees < 5.0
+    assert pose > 95.0
