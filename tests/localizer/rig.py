@@ -12,11 +12,12 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control import Twist, advance
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
 
 BEARING_SIGMA = 0.01
@@ -73,7 +74,7 @@ class Wheels(Odometry):
 
     def __init__(self):
         self.twists = Twists()
-        super().__init__(self.twists, noise_rates(OdometryNoise(), OdometryDefaults()))
+        super().__init__(self.twists, ProcessNoise(OdometryNoise(), OdometryDefaults()))
 
     def add(self, t, v, omega):
         """Take a twist, which may be late."""

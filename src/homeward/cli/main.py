@@ -14,6 +14,7 @@ from homeward.cli.drives.info import info
 from homeward.cli.drives.live import live
 from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
+from homeward.cli.drives.tune import tune
 from homeward.cli.drives.view import view
 from homeward.cli.export import export
 from homeward.cli.images.camera import camera
@@ -76,6 +77,7 @@ def main(
 
 COMMANDS = (
     run,
+    tune,
     live,
     view,
     simulate,

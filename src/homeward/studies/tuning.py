@@ -1,0 +1,268 @@
+"""Sensor noise of a robot, identified from its logs.
+
+Where nothing is told, the localiser learns the odometry's noise by variance components. From there
+the noises go up and down as long as the likelihood of the innovations grows (Mehra 1972; Abbeel and
+others 2005): what a sighting is before it is believed. Bearings are judged on the first part of
+each log, and what came out of it on the second, which nothing was learnt from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    Odometry,
+    OdometryNoise,
+    Sensor,
+    Sightings,
+    Truth,
+)
+from homeward.errors import HomewardError
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE
+from homeward.localizer.tunables import GATE
+from homeward.scoring import accuracy, errors
+from homeward.track import Track, run
+
+Table = TypeVar("Table", Odometry, Sightings, Truth)
+LEARNT_FROM = 0.5
+"""So much of each log is learnt from [1]."""
+FACTORS = (2.0, math.sqrt(2.0))
+"""By so much a noise goes up or down, coarse and fine [1]."""
+ENOUGH = 100
+"""Sightings with an innovation that a log needs."""
+
+
+class Noise(NamedTuple):
+    """White noise of a robot's sensors."""
+
+    bearing_sigma: float
+    """[rad]"""
+    speed_sigma: float
+    """[m/s/sqrt(Hz)]"""
+    turn_sigma: float
+    """[rad/s/sqrt(Hz)]"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """How a drive goes that nothing was learnt from."""
+
+    nis: float
+    """Mean normalised innovation squared; 1 is honest."""
+    log_likelihood: float
+    """Of an innovation, mean."""
+    pose_share: float
+    """Share of rows with a pose."""
+    rmse_m: float
+    """Of the position; NaN without truth."""
+    nees: float
+    """Mean; 3 is honest; NaN without truth."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What was learnt, and how it does."""
+
+    noise: Noise
+    turn_scale_sigma: float
+    """How far turn rates were off, and how sure that is, over all logs [1]."""
+    turn_bias_sigma: float
+    """The same of a constant part [rad/s]."""
+    names: list[str]
+    """Of the drives."""
+    before: list[Check]
+    """By what the drives say of themselves, of the part that was held out."""
+    after: list[Check]
+    """By what was learnt."""
+
+    @property
+    def settings(self) -> DriveSettings:
+        """As in drive.yaml, to two or three digits; only these keys are set."""
+        bearing, speed, turn = (float(f"{sigma:.3g}") for sigma in self.noise)
+        scale, bias = (float(f"{s:.2g}") for s in (self.turn_scale_sigma, self.turn_bias_sigma))
+        odometry = {"speed_sigma": speed, "turn_sigma": turn}
+        odometry |= {"turn_scale_sigma": scale, "turn_bias_sigma": bias}
+        sensor = Sensor(bearing_sigma=bearing)
+        return DriveSettings(sensor=sensor, odometry=OdometryNoise(**odometry))
+
+
+def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
+    """Identify the noise of one robot's sensors.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        Of that robot, at least one.
+    progress : callable
+        Told the fraction done, in [0, 1].
+
+    Raises
+    ------
+    HomewardError
+        When one of them is too short to learn from.
+    """
+    halves = [_halves(drive) for drive in drives]
+    first = [a for a, _ in halves]
+    runs = 2 * len(Noise._fields) * len(FACTORS) + 3
+    done = 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        progress(min(done / runs, 1.0))
+
+    begun = [_identified(drive) for drive in first]
+    tell()
+    noise = Noise(*np.exp(np.mean(np.log([n for n, _, _ in begun]), axis=0)).tolist())
+    noise = _search(first, noise, tell)
+    turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
+    scale, bias = turn.tolist()
+    held_out = [b for _, b in halves]
+    before = [_check(drive) for drive in held_out]
+    tell()
+    after = [_check(_told(drive, noise, scale, bias)) for drive in held_out]
+    progress(1.0)
+    return Tuning(noise, scale, bias, [d.name for d in drives], before, after)
+
+
+def _halves(drive: Drive) -> tuple[Drive, Drive]:
+    """Return the part of a drive to learn from, and the one to judge by."""
+    begin, end = drive.span
+    middle = begin + LEARNT_FROM * (end - begin)
+    return _part(drive, begin, middle, drive.settings), _part(
+        drive, middle, end, drive.settings.model_copy(update={"start": None})
+    )
+
+
+def _part(drive: Drive, begin: float, end: float, settings: DriveSettings) -> Drive:
+    """Return the drive from `begin` to `end` [s]."""
+
+    def cut(table: Table) -> Table:
+        use = (table.t >= begin) & (table.t <= end)
+        fields = {f.name: getattr(table, f.name)[use] for f in dataclasses.fields(table)}
+        return dataclasses.replace(table, **fields)
+
+    truth = None if drive.truth is None else cut(drive.truth)
+    return dataclasses.replace(
+        drive,
+        odometry=cut(drive.odometry),
+        sightings=cut(drive.sightings),
+        truth=None if truth is None or truth.t.size < 2 else truth,
+        settings=settings,
+    )
+
+
+def _told(drive: Drive, noise: Noise, scale: float | None, bias: float | None) -> Drive:
+    """Return the drive with the noise of its sensors told."""
+    said = drive.settings
+    odometry = OdometryNoise(
+        speed_sigma=noise.speed_sigma,
+        turn_sigma=noise.turn_sigma,
+        speed_scale_sigma=said.odometry.speed_scale_sigma,
+        turn_scale_sigma=scale,
+        turn_bias_sigma=bias,
+    )
+    sensor = said.sensor.model_copy(update={"bearing_sigma": noise.bearing_sigma})
+    told = said.model_copy(update={"odometry": odometry, "sensor": sensor})
+    unsaid = np.full(drive.sightings.sigma.shape, np.nan)
+    seen = dataclasses.replace(drive.sightings, sigma=unsaid)
+    return dataclasses.replace(drive, settings=told, sightings=seen)
+
+
+def _identified(drive: Drive) -> tuple[Noise, float, float]:
+    """Return the noise by variance components, and how far turn rates are off: scale, bias."""
+    said = drive.settings
+    sensor = said.sensor.model_copy(update={"bearing_sigma": None})
+    update = {"odometry": OdometryNoise(), "sensor": sensor}
+    untold = dataclasses.replace(drive, settings=said.model_copy(update=update))
+    localizer = _localizer(untold)
+    track = run(untold, localizer)
+    if track.innovations.t.size < ENOUGH:
+        raise HomewardError(
+            f"{drive.name}: its first half has {track.innovations.t.size} sightings of mapped "
+            f"landmarks; {ENOUGH} are needed to learn from"
+        )
+    chart, odometry = localizer.chart, drive.odometry
+    moves = (odometry.v != 0) | (odometry.omega != 0)
+    speed, turning = np.abs(odometry.v[moves]).mean(), np.abs(odometry.omega[moves]).mean()
+    along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]
+    calibration = chart.map.calibration
+    variances = chart.map.state.calibration_variances
+    off = np.sqrt(calibration**2 + variances)
+    noise = Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading))
+    return noise, float(off[TURN_SCALE]), float(off[TURN_BIAS])
+
+
+def _search(drives: Sequence[Drive], noise: Noise, tell: Callable[[], None]) -> Noise:
+    """Let each noise go up or down while innovations become likelier."""
+    tracks = _tracks(drives, noise)
+    tell()
+    for factor in FACTORS:
+        for field in Noise._fields:
+            for way in (factor, 1.0 / factor):
+                moved = False
+                while True:
+                    other = noise._replace(**{field: way * getattr(noise, field)})
+                    theirs = _tracks(drives, other)
+                    if not _gain(tracks, theirs) > 0.0:
+                        break
+                    noise, tracks, moved = other, theirs, True
+                tell()
+                if moved:
+                    tell()
+                    break
+    return noise
+
+
+def _tracks(drives: Sequence[Drive], noise: Noise) -> list[Track]:
+    """Run all drives with a noise."""
+    told = [_told(drive, noise, None, None) for drive in drives]
+    return [run(drive, _localizer(drive)) for drive in told]
+
+
+def _localizer(drive: Drive) -> Localizer:
+    return Localizer(drive.home, known=drive.known, **drive.settings.robot)
+
+
+def _gain(before: Sequence[Track], after: Sequence[Track]) -> float:
+    """Return by how much likelier the innovations became that both have."""
+    gain = 0.0
+    for one, other in zip(before, after, strict=True):
+        was, now = _log_likelihoods(one), _log_likelihoods(other)
+        both = was.keys() & now.keys()
+        gain += sum(now[key] - was[key] for key in both)
+    return gain
+
+
+def _log_likelihoods(track: Track) -> dict[tuple[float, str], float]:
+    """Return the log-likelihood of each innovation, of an outlier's that at the gate."""
+    i = track.innovations
+    square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
+    values = -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)
+    keys = zip(i.t.tolist(), i.landmark.tolist(), strict=True)
+    return dict(zip(keys, values.tolist(), strict=True))
+
+
+def _check(drive: Drive) -> Check:
+    """Return how a drive goes."""
+    track = run(drive, _localizer(drive))
+    i, truth = track.innovations, drive.truth
+    judged = None if truth is None else accuracy(errors(track, truth))
+    likelihoods = list(_log_likelihoods(track).values())
+    square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
+    return Check(
+        nis=float(square.mean()) if square.size else math.nan,
+        log_likelihood=float(np.mean(likelihoods)) if likelihoods else math.nan,
+        pose_share=float(track.has_pose.mean()),
+        rmse_m=math.nan if judged is None else judged.position.rmse,
+        nees=math.nan if judged is None else judged.nees_mean,
+    )

@@ -1,0 +1,82 @@
+"""`homeward tune`: the noise of a robot's sensors, from its logs."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.odometry_noise import drive_of
+from homeward.drives.drive import DriveSettings
+from homeward.drives.text.settings import parse_settings
+from homeward.errors import HomewardError
+from homeward.studies.tuning import Check, Noise, Tuning, tune
+from tests.cli.commands import call, first_seconds
+
+
+def untold(seconds):
+    """A drive of which nothing is told, three times better than is usual, and its truth."""
+    drive = drive_of(1.0, 0.3, 1)[0].drive
+
+    def cut(table):
+        use = table.t <= table.t[0] + seconds
+        parts = {f.name: getattr(table, f.name)[use] for f in dataclasses.fields(table)}
+        return dataclasses.replace(table, **parts)
+
+    return dataclasses.replace(
+        drive,
+        odometry=cut(drive.odometry),
+        sightings=dataclasses.replace(
+            cut(drive.sightings), sigma=np.full(cut(drive.sightings).t.size, np.nan)
+        ),
+        truth=cut(drive.truth),
+        settings=DriveSettings(),
+    ), drive.settings
+
+
+@pytest.mark.slow
+def test_what_a_drive_was_made_of_is_learnt_and_honest():
+    drive, true = untold(90.0)
+    fractions = []
+    found = tune([drive], fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert found.noise.bearing_sigma == pytest.approx(true.sensor.bearing_sigma, rel=0.6)
+    assert found.noise.speed_sigma == pytest.approx(true.odometry.speed_sigma, rel=0.7)
+    assert found.noise.turn_sigma == pytest.approx(true.odometry.turn_sigma, rel=0.7)
+    (before,), (after,) = found.before, found.after
+    assert after.log_likelihood > before.log_likelihood
+    assert abs(after.nis - 1.0) < abs(before.nis - 1.0)
+    assert abs(np.log(after.nees / 3.0)) < abs(np.log(before.nees / 3.0))
+
+
+def test_too_short_a_drive_is_refused():
+    drive, _ = untold(2.0)
+    with pytest.raises(HomewardError, match="100 are needed"):
+        tune([drive], lambda _: None)
+
+
+def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
+    check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=np.nan, nees=np.nan)
+    found = Tuning(Noise(0.01, 0.02, 0.03), 0.01, 0.001, ["sample"], [check], [check])
+    monkeypatch.setattr("homeward.studies.tuning.tune", lambda drives, tell: found)
+    said = call("tune", "sample").stdout
+    lines = said.partition("for drive.yaml:\n")[2]
+    assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
+    assert "sample" in said
+    facts = json.loads(call("tune", "sample", "--json").stdout)
+    assert facts["settings"]["sensor"] == {"bearing_sigma": 0.01}
+    assert facts["held_out"][0]["after"]["rmse_m"] is None
+
+
+def test_the_command_says_so_in_one_line(tmp_path):
+    answer = call("tune", first_seconds(tmp_path / "short", 5.0))
+    assert answer.exit_code == 1
+    assert "100 are needed" in answer.stderr
+    assert "Traceback" not in answer.output
+
+
+def test_a_missing_log_is_refused(tmp_path):
+    answer = call("tune", tmp_path / "nothing")
+    assert answer.exit_code == 2
