@@ -105,3 +105,8 @@ SLOWEST, SLOWEST_TURN = 0.3, 0.3
 """It may be so fast [m/s], and turn so fast [rad/s], however little it moved before."""
 LATELY_S = 60.0
 """What is usual is the mean over so much time of moving, which one wild twist spoils little [s]."""
+NOISE_PRIOR = 2.0
+"""What is believed of odometry's noise at first counts as so many motions: it is little more than a
+guess at the order of magnitude [1]."""
+NOISE_MEMORY = 200.0
+"""So many keyframes count for it, two minutes of driving: floors differ [1]."""

@@ -13,12 +13,8 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.localizer.tunables import NOISE_MEMORY, NOISE_PRIOR
 
-PRIOR = 2.0
-"""What is believed at first counts as so many motions: it is little more than a guess at the order
-of magnitude [1]."""
-MEMORY = 200.0
-"""So many keyframes count: floors differ [1]."""
 NOTABLE = 2.0
 """Deviations that differ by so many times are told to the user [1]."""
 
@@ -77,9 +73,9 @@ class ProcessNoise:
         ndarray, shape (2,)
             By how much variances of shift and turn that are kept are to be widened [1].
         """
-        share, kept = keyframes / motions, np.exp(-keyframes / MEMORY)
+        share, kept = keyframes / motions, np.exp(-keyframes / NOISE_MEMORY)
         self._squares = kept * self._squares + share * squares * self.scales
         self._redundancies = kept * self._redundancies + share * np.maximum(redundancies, 0.0)
-        now = (PRIOR + self._squares) / (PRIOR + self._redundancies)
+        now = (NOISE_PRIOR + self._squares) / (NOISE_PRIOR + self._redundancies)
         before, self.scales = self.scales, np.where(self._learns, now, 1.0)
         return np.asarray(self.scales / before)
