@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, TypedDict
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from homeward.angles import interpolate, wrap
 from homeward.by_value import ByValue
@@ -141,6 +141,8 @@ class SurveyedLandmark(Strict):
     """[m]"""
     sigma: Sigma | None = None
     """Standard deviation of each of the two [m]; None: as of all."""
+    stays: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Probability that it still stands there; None: as the estimator's settings say."""
 
 
 class KnownDistance(Strict):
@@ -165,6 +167,32 @@ class KnownLandmarks(Strict):
     """The surveyed ones, by id."""
     distances: tuple[KnownDistance, ...] = ()
     """Of pairs."""
+    _joint: np.ndarray | None = PrivateAttr(None)
+
+    @classmethod
+    def remembered(
+        cls, landmarks: dict[str, SurveyedLandmark], covariance: np.ndarray
+    ) -> KnownLandmarks:
+        """Return landmarks in home's frame whose coordinates are correlated.
+
+        Parameters
+        ----------
+        landmarks : dict of str to SurveyedLandmark
+            k of them; their deviations are not asked for.
+        covariance : ndarray, shape (2 k, 2 k)
+            Of their coordinates x, y, x, y, ... [m^2].
+        """
+        known = cls(frame="home", landmarks=landmarks)
+        known._joint = covariance
+        return known
+
+    @property
+    def joint_covariance(self) -> np.ndarray:
+        """(2 k, 2 k): of the coordinates of the landmarks, in order [m^2]."""
+        if self._joint is not None:
+            return self._joint
+        sigmas = [s.sigma or self.sigma for s in self.landmarks.values()]
+        return np.diag(np.repeat(np.square(sigmas), 2))
 
     @model_validator(mode="after")
     def _tells(self) -> Self:

@@ -13,9 +13,6 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.localizer.geometry import between, compose
-from homeward.localizer.home.hypotheses import search
-from homeward.localizer.home.problem import POSE_AND_YAW, SURVEYED, HomeProblem
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
@@ -31,10 +28,10 @@ from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
+from homeward.localizer.recovery.first_fix import FirstFix
 from homeward.localizer.recovery.monitor import Health, Monitor
 from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES, PROOF
 from homeward.reasons import Rejection
 
 
@@ -185,29 +182,13 @@ class Chart:
 
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
         """Take a first fix in a survey: where one look, after a motion, was made from."""
-        survey, known = self.map.survey, [n in self.map.survey.places for n in seen.names]
-        if self.map.landmarks.mapped or self.map.landmarks.expected or sum(known) < PROOF:
+        if not self.map.survey.places or self.map.has_home_survey or self.map.landmarks.expected:
             return
-        names = [n for n, k in zip(seen.names, known, strict=True) if k]
-        look = survey.factors(names, [], {n: i for i, n in enumerate(names)})
-        sigmas = np.concatenate([np.full(POSE_AND_YAW, SURVEYED), np.repeat(look.sigmas, 2)])
-        found = search(
-            HomeProblem(
-                mean=np.concatenate([np.zeros(POSE_AND_YAW), look.places.ravel()]),
-                covariance=np.diag(sigmas**2),
-                bearings=seen.bearings[known],
-                sigmas=seen.sigmas[known],
-                mount=np.array(self._drive.sensor.pose),
-                same_camera=False,
-                moved_prior=self._settings.moved_prior,
-            )
-        )
-        if found is None or found.best.inliers.sum() < PROOF:
-            return
-        if found.rivals(AGREES) <= 1.0 - self._settings.sure:
-            datum = between(found.best.home, np.zeros(3))
-            fits = [n for n, right in zip(names, found.best.inliers, strict=True) if right]
-            self.map.expect(compose(self.map.state.after(motion)[0], datum), fits)
+        state = self.map.state
+        eye, _ = state.after(self.map.camera(motion))
+        found = self._first_fix.look(seen, eye, state.propagate(motion).covariance.diagonal()[:3])
+        if found is not None:
+            self.map.expect(*found)
             self._last_accepted = seen.t
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -290,6 +271,7 @@ class Chart:
         learnt = self.noise, self.process_noise, self.extrinsics
         self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
         self.monitor = Monitor(self._drive.start is not None)
+        self._first_fix = FirstFix(self.map.survey)
         self.odometry.restart(t)
         if self._keeps:
             self.map.smoother.keep_closed()

@@ -133,6 +133,12 @@ class Landmarks:
         """Return where landmarks stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
         return self.smoother.state.places(self.index(landmarks))
 
+    def expect(self, places: dict[str, np.ndarray]) -> None:
+        """Expect landmarks that are not mapped yet at places, (2,) [m]; try what waits there."""
+        for name in places.keys() - self.expected.keys() & self._candidates.keys():
+            self._candidates[name].due = 0
+        self.expected = places
+
     def keep(self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray) -> None:
         """Take sightings of `t` [s], rows of the table, along directions [rad]."""
         for name, row, line in zip(names, rows, directions.tolist(), strict=True):

@@ -141,7 +141,7 @@ class Map:
         """Expect surveyed landmarks where they are by the pose of the survey's frame, (3,)."""
         places = {n: p for n, p in self.survey.places.items() if n in names}
         there = compose(datum, np.array([(*p, 0.0) for p in places.values()]))[:, :2]
-        self.landmarks.expected = dict(zip(places, there, strict=True))
+        self.landmarks.expect(dict(zip(places, there, strict=True)))
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -317,6 +317,8 @@ class Map:
     def _correct(self, seen: Prediction | None) -> None:
         """Correct pose and map: by the newest sightings alone, or the whole window when due."""
         started = self.landmarks.initialise()
+        if started and self.landmarks.expected and not self.smoother.known.ids.size:
+            self._believe_expected()
         quick = not (started or self._due) and seen is not None
         if quick and seen is not None and self._take(self.state.update(seen)):
             self.solved = False
@@ -370,6 +372,18 @@ class Map:
         self._learnt_at = smoother.newest
         left = smoother.odometry_misfit()
         smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
+
+    def _believe_expected(self) -> None:
+        """Let surveyed landmarks that entered where they were expected hold the map for now.
+
+        One look along each sight line alone would leave them anywhere on it.
+        """
+        mapped = self.landmarks.mapped
+        names = [n for n in self.landmarks.expected if n in mapped]
+        if len(names) >= POSE:
+            numbers = {n: mapped[n].number for n in names}
+            order = sorted(names, key=lambda n: numbers[n])
+            self.smoother.known = self.survey.factors(order, [], numbers)
 
     def _judge_survey(self) -> None:
         """Let what is known of landmarks count as far as the map without it agrees."""

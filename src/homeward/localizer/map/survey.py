@@ -16,7 +16,13 @@ from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.geometry import lever, rotation
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey_factors import SurveyFactors, align, apart_along, columns
+from homeward.localizer.map.survey_factors import (
+    SurveyFactors,
+    align,
+    apart_along,
+    columns,
+    turned,
+)
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import NEGLIGIBLE
@@ -43,6 +49,8 @@ class Survey:
 
     def __init__(self, known: KnownLandmarks, settings: LocalizerSettings) -> None:
         self.known, self._prior, self._sure = known, settings.moved_prior, settings.sure
+        self._index = {name: i for i, name in enumerate(known.landmarks)}
+        self._covariance = known.joint_covariance
         places = np.array([(s.x, s.y) for s in known.landmarks.values()]).reshape(-1, 2)
         if known.frame == "own" and places.size:
             places = places - places.mean(axis=0)  # the map asks nothing of a grid's coordinates
@@ -82,7 +90,9 @@ class Survey:
             self.wrong, self.wrong_distances, self.used = {}, {}, []
             return SurveyFactors.none()
         factors, k = self.factors(names, pairs, numbers), len(names)
-        wrong = _wrong_probabilities(factors, free, ids, self._prior, self.size)
+        told = [self.known.landmarks[n].stays for n in names]
+        prior = [self._prior if p is None else 1.0 - p for p in told] + [self._prior] * len(pairs)
+        wrong = wrong_probabilities(factors, free, ids, np.array(prior), self.size)
         self.wrong = dict(zip(names, wrong[:k].tolist(), strict=True))
         self.wrong_distances = dict(zip(pairs, wrong[k:].tolist(), strict=True))
         used = [n for n in names if self.wrong[n] <= 1.0 - self._sure]
@@ -98,11 +108,16 @@ class Survey:
         return SurveyFactors(
             np.array([numbers[n] for n in names], int),
             np.array([self.places[n] for n in names]).reshape(-1, 2),
-            np.array([known.landmarks[n].sigma or known.sigma for n in names]),
+            self.covariance_of(names),
             np.array([[numbers[n] for n in d.between] for d in apart], int).reshape(-1, 2),
             np.array([d.distance for d in apart]),
             np.array([d.sigma or known.sigma for d in apart]),
         )
+
+    def covariance_of(self, names: list[str]) -> np.ndarray:
+        """Return the covariance of the surveyed coordinates of some, (2 k, 2 k) [m^2]."""
+        at = np.array([[2 * self._index[n], 2 * self._index[n] + 1] for n in names], int).ravel()
+        return np.asarray(self._covariance[np.ix_(at, at)])
 
     def words(self, state: Marginal) -> tuple[str, ...]:
         """Return what the user must know of it, the map being in a state; sentences."""
@@ -119,14 +134,32 @@ class Survey:
         return tuple(words)
 
 
-def _wrong_probabilities(
-    factors: SurveyFactors, free: Marginal, ids: np.ndarray, prior: float, size: float
+def wrong_probabilities(
+    factors: SurveyFactors, free: Marginal, ids: np.ndarray, prior: np.ndarray, size: float
 ) -> np.ndarray:
     """Return the probability of each of k places and m distances to be wrong, shape (k + m,).
 
     Each is right, or wrong and then anywhere on the site. Sets of right ones are weighed by their
     evidence, with which they follow from each other, datum and map being unknown as far as they
     are; a local search from all of them flips the one that gains most, as long as any does.
+
+    Parameters
+    ----------
+    factors : SurveyFactors
+        The places and distances.
+    free : Marginal
+        The map without any of it.
+    ids : ndarray, shape (n,)
+        Of the map's landmarks, ascending.
+    prior : ndarray, shape (k + m,)
+        Of each to be wrong.
+    size : float
+        Of the site [m].
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the map is too vague to judge by.
     """
     index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
     k, m, mapped = index.size, len(pairs), free.positions[index]
@@ -135,23 +168,27 @@ def _wrong_probabilities(
     for i, pair in enumerate(pairs):
         apart, jacobian[2 * k + i, columns(pair) - NC] = apart_along(free.positions[pair])
         off[i] = apart - factors.distances[i]
-    noise = np.concatenate([np.repeat(factors.sigmas, 2), factors.distance_sigmas])
-    known = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T + np.diag(noise**2)
+    of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
+    of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
     item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
     log_wrong = -np.bincount(item) * math.log(size)
-    labels = math.log1p(-prior) - math.log(prior) - log_wrong
+    labels = np.log1p(-prior) - np.log(prior) - log_wrong
 
     def linear(right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what all are off, and its covariance, the datum being free around a set's."""
         if not k:
-            return off, known
+            return off, of_map
         some = right[:k] if right[:k].sum() >= 2 else np.ones(k, bool)
-        pose = align(mapped[some], factors.places[some], factors.sigmas[some]).pose
-        turned = factors.places @ rotation(pose[2])[:2, :2].T
+        of_some = factors.covariance[np.ix_(np.repeat(some, 2), np.repeat(some, 2))]
+        pose = align(mapped[some], factors.places[some], of_some).pose
+        rotate = rotation(pose[2])[:2, :2]
+        out = factors.places @ rotate.T
         vague = np.zeros((len(item), 3))
-        vague[: 2 * k] = lever(turned)[:, :2].reshape(-1, 3) * (size, size, 1.0)
-        residual = (mapped - turned - pose[:2]).ravel()
-        return np.concatenate([residual, off]), known + ANYWHERE**2 * vague @ vague.T
+        vague[: 2 * k] = lever(out)[:, :2].reshape(-1, 3) * (size, size, 1.0)
+        known = of_map + ANYWHERE**2 * vague @ vague.T
+        known[: 2 * k, : 2 * k] += turned(factors.covariance, rotate)
+        residual = (mapped - out - pose[:2]).ravel()
+        return np.concatenate([residual, off]), known
 
     found: dict[bytes, float] = {}
     right = np.ones(k + m, bool)

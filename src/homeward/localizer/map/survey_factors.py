@@ -20,6 +20,8 @@ from homeward.localizer.motion.preintegration import NC
 
 ONE_PLACE = 1e-6
 """Information on the heading of a survey whose landmarks all stand in one place [1 / rad^2]."""
+STEPS = 3
+"""Gauss-Newton steps of an alignment from where uncorrelated coordinates would lead."""
 
 
 class Datum(NamedTuple):
@@ -39,30 +41,45 @@ class Datum(NamedTuple):
     """(2 k, 2 k): on the mapped places, the datum being free."""
 
 
-def align(mapped: np.ndarray, surveyed: np.ndarray, sigmas: np.ndarray) -> Datum:
-    """Align a survey with the map: the rigid motion that fits best, in closed form.
+def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> Datum:
+    """Align a survey with the map: the rigid motion that fits best.
+
+    It is in closed form, were the coordinates independent; then Gauss-Newton with all they are.
 
     Parameters
     ----------
     mapped, surveyed : ndarray, shape (k, 2)
         Of the same landmarks, two at least, in the map and in the frame of the survey [m].
-    sigmas : ndarray, shape (k,)
-        Standard deviations of the surveyed coordinates [m].
+    covariance : ndarray, shape (2 k, 2 k)
+        Of the surveyed coordinates, in the frame of the survey [m^2].
     """
-    weight = sigmas**-2.0
+    weight = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
     p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
     p0, q0 = (np.average(a, weights=weight) for a in (p, q))
     turn = np.exp(1j * np.angle((weight * (p - p0) * (q - q0).conj()).sum()))
-    origin, out = p0 - turn * q0, turn * q
-    by_pose = lever(out[:, None].view(float))[:, :2].reshape(-1, 3)
-    weights = np.repeat(weight, 2)
-    weighted = by_pose * weights[:, None]
-    covariance = np.linalg.inv(by_pose.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
-    by_places = covariance @ weighted.T
-    information = np.diag(weights) - weighted @ by_places
-    residual = (p - origin - out)[:, None].view(float)
-    pose = np.array([origin.real, origin.imag, np.angle(turn)])
-    return Datum(pose, residual, by_pose, by_places, covariance, information)
+    origin = p0 - turn * q0
+    pose, step = np.array([origin.real, origin.imag, np.angle(turn)]), np.zeros(3)
+    weights = np.linalg.inv(covariance)
+    for _ in range(STEPS):
+        pose = pose + step
+        rotate = rotation(pose[2])[:2, :2]
+        out = surveyed @ rotate.T
+        by_pose, residual = lever(out)[:, :2].reshape(-1, 3), mapped - pose[:2] - out
+        information = turned(weights, rotate)
+        weighted = information @ by_pose
+        of_pose = np.linalg.inv(by_pose.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
+        by_places = of_pose @ weighted.T
+        step = by_places @ residual.ravel()
+    return Datum(pose, residual, by_pose, by_places, of_pose, information - weighted @ by_places)
+
+
+def turned(matrix: np.ndarray, rotate: np.ndarray) -> np.ndarray:
+    """Return a matrix (2 k, 2 k) on places in a frame that is turned."""
+    k = len(matrix) // 2
+    blocks = np.einsum(
+        "ab,ibjc,dc->iajd", rotate, matrix.reshape(k, 2, k, 2), rotate, optimize=True
+    )
+    return np.asarray(blocks.reshape(2 * k, 2 * k))
 
 
 @dataclass(frozen=True)
@@ -73,8 +90,8 @@ class SurveyFactors:
     """(k,): of the landmarks in the smoother; none, or two at least."""
     places: np.ndarray
     """(k, 2): in the frame of the survey [m]."""
-    sigmas: np.ndarray
-    """(k,) [m]"""
+    covariance: np.ndarray
+    """(2 k, 2 k): of all their coordinates [m^2]"""
     pairs: np.ndarray
     """(m, 2): ids of those whose distance is known."""
     distances: np.ndarray
@@ -84,7 +101,7 @@ class SurveyFactors:
 
     def datum(self, positions: np.ndarray, index: np.ndarray) -> Datum:
         """Return the datum by places (n, 2) of a state, those of the ids at `index` (k,)."""
-        return align(positions[index], self.places, self.sigmas)
+        return align(positions[index], self.places, self.covariance)
 
     def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> None:
         """Add them to the normal equations.
@@ -112,14 +129,16 @@ class SurveyFactors:
         """Return those of landmarks that are still in the smoother."""
         k, m = np.isin(self.ids, ids), np.isin(self.pairs, ids).all(axis=1)
         k &= k.sum() >= 2
-        survey = self.ids[k], self.places[k], self.sigmas[k]
+        coordinates = np.repeat(k, 2)
+        survey = self.ids[k], self.places[k], self.covariance[np.ix_(coordinates, coordinates)]
         return SurveyFactors(*survey, self.pairs[m], self.distances[m], self.distance_sigmas[m])
 
     @staticmethod
     def none() -> SurveyFactors:
         """Return nothing known."""
         nothing, two = np.zeros(0), np.zeros((0, 2))
-        return SurveyFactors(nothing.astype(int), two, nothing, two.astype(int), nothing, nothing)
+        none = nothing.astype(int), two, np.zeros((0, 0))
+        return SurveyFactors(*none, two.astype(int), nothing, nothing)
 
 
 def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) -> Marginal:
