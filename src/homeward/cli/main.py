@@ -21,6 +21,7 @@ from homeward.cli.images.camera import camera
 from homeward.cli.images.compare import compare
 from homeward.cli.images.render import render
 from homeward.cli.images.see import see
+from homeward.cli.place import place
 from homeward.cli.settings import settings
 from homeward.cli.studies.observe import observe
 from homeward.cli.studies.plan import plan
@@ -100,3 +101,4 @@ for command in COMMANDS:
     name = command.__name__.rstrip("_")
     app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
 app.add_typer(camera, name="camera", epilog=EXIT_STATUSES)
+app.add_typer(place, name="place", epilog=EXIT_STATUSES)

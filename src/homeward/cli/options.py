@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -77,6 +78,21 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (a, b, c))):
         raise InputError(f"{what} must be finite, not {text!r}")
     return a, b, c
+
+
+def day(text: str) -> float:
+    """Return a date, YYYY-MM-DD or with a time of day, in days since 1970.
+
+    Raises
+    ------
+    InputError
+        When `text` is none.
+    """
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no date like 2026-11-23") from None
+    return when.replace(tzinfo=when.tzinfo or UTC).timestamp() / 86400.0
 
 
 @contextmanager

@@ -11,7 +11,9 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
+
+import numpy as np
 
 from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
@@ -37,6 +39,7 @@ from homeward.localizer.inputs.bearing_noise import deviation
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.odometry import lag_words
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
@@ -46,6 +49,17 @@ SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of i
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
 CLEARLY = 20
 """A map is better to which so many more sightings fit: where both are right, as many fit both."""
+
+
+class OwnMap(NamedTuple):
+    """Landmarks in the frame of the place where a robot began."""
+
+    names: tuple[str, ...]
+    """Of n landmarks."""
+    positions: np.ndarray
+    """(n, 2) [m]"""
+    covariance: np.ndarray
+    """(2 n, 2 n): of their coordinates in order [m^2]."""
 
 
 class Localizer:
@@ -198,6 +212,33 @@ class Localizer:
     def spells_lost(self) -> list[tuple[float, float]]:
         """From when until when the map that home is found in knows nothing of the robot [s]."""
         return [(-math.inf, self.chart.map.begun), *self.chart.monitor.spells_lost]
+
+    @property
+    def found_home(self) -> np.ndarray | None:
+        """(3,): home's pose in the frame of `own_map`; None where it is not found by itself."""
+        found = self.chart.home.hypotheses
+        if found is None or not self.chart.has_pose or self.chart.map.has_home_survey:
+            return None
+        return found.best.home
+
+    def own_map(self) -> OwnMap:
+        """Return the landmarks where they stand now, by what this robot saw and drove alone.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When that is too little.
+        """
+        chart = self.chart
+        state, mapped = chart.map.measured(), chart.map.landmarks.mapped
+        index = chart.map.landmarks.index(mapped.values())
+        at = HEAD + 2 * index[:, None] + np.arange(2)
+        mean, covariance = state.mean[at], state.covariance[np.ix_(at.ravel(), at.ravel())]
+        if not self._known.tells:  # then the map takes the speed at its word
+            given = self._robot.odometry.speed_scale_sigma
+            sigma = self.settings.odometry.speed_scale if given is None else given
+            covariance = covariance + sigma**2 * np.outer(mean, mean)
+        return OwnMap(tuple(mapped), mean, covariance)
 
     def home_bearing_sigmas(self) -> dict[str, float]:
         """Return how well each home bearing is predicted by everything else [rad], by landmark."""

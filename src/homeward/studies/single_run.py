@@ -20,9 +20,11 @@ from homeward.engine.estimators.online import OnlineFilter
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
+from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
+from homeward.studies.visits import in_place, place_used
 from homeward.track import Track
 from homeward.track import run as follow
 
@@ -30,6 +32,7 @@ TRUTH_SIGMA = 0.05
 """Of a start prior taken from the truth [m and rad]."""
 TRUTH_NOTE = "The start prior was taken from the truth: this run was told where it began."
 SMOOTH_NOTE = "The track was smoothed over the whole drive: it knows at each time what came later."
+PLACE_NOTE = "Poses are those of the place's home; what the drive saw at a home was not asked for."
 TRUTH_NEAR_S = 1.0
 """The truth must know the start at least this nearly [s]."""
 
@@ -53,6 +56,14 @@ class RunSettings(Strict):
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
     drive's settings, or where these say nothing and the estimator needs one, from its truth."""
+    place: str | None = None
+    """The folder of a place that is known; a new one for the first drive of it."""
+    place_version: Annotated[int, Field(ge=1)] | None = None
+    """Of the place; None: the newest, if there is any."""
+    place_home: str | None = None
+    """The home of the place in whose frame answers are; None: the first."""
+    when: Finite | None = None
+    """The day of the visit [days since 1970]; None: as the drive's clock says, else today."""
     smooth: bool = False
     """Whether a final pass corrects the whole track; only the robust localiser can."""
     settings: dict[str, Any] = {}
@@ -110,6 +121,8 @@ def finish(
 ) -> Track:
     """Return the track of a run, its three parts as from `prepare`."""
     notes = (TRUTH_NOTE,) if run.start == "truth" else ()
+    if run.place_version is not None:
+        notes = (*notes, PLACE_NOTE)
     settings = estimator_settings(run.estimator, run.settings)
     if run.smooth and isinstance(settings, LocalizerSettings):
         track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
@@ -157,6 +170,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         topics=run.topics,
         tell=progress,
     )
+    drive = in_place(run, drive)
     if not drive.sightings.t.size:
         raise _saw_nothing(drive_path(run), drive.remark_lines)
     if not drive.home and not (drive.known.surveyed_from_home and run.estimator == DEFAULT):
@@ -170,11 +184,13 @@ def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings
     settings = estimator_settings(run.estimator, run.settings)
     start, drive = with_start(drive, run.estimator, run.start)
     estimator = make_estimator(run.estimator, drive, settings)
+    if run.place is not None and not isinstance(estimator, Localizer):
+        raise InputError(f"a place is for the estimator {DEFAULT}, on a drive without images")
     spelt = settings.model_dump(mode="json")
     if isinstance(estimator, OnlineFilter) and "engine" in spelt:
         # The engine that was found, not "auto": the run repeats to the last bit.
         spelt["engine"] = estimator.engine
-    update = {"start": start, "settings": spelt}
+    update = {"start": start, "settings": spelt, **place_used(run, drive)}
     complete = run.model_copy(update=update)
     return drive, estimator, complete
 

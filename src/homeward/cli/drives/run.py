@@ -14,6 +14,7 @@ from homeward.cli.options import (
     HomePose,
     Robot,
     Topics,
+    day,
     key_values,
     progress,
     three_numbers,
@@ -58,6 +59,19 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
     topics: Topics = None,
+    place: Annotated[
+        Path | None,
+        typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
+    ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Merge the drive into the place at its end.")
+    ] = False,
+    place_home: Annotated[
+        str | None, typer.Option(help="Answer in the frame of this home of the place [the first].")
+    ] = None,
+    when: Annotated[
+        str | None, typer.Option(help="The day of the visit, YYYY-MM-DD [the drive's, else today].")
+    ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
@@ -88,17 +102,24 @@ def run(
         "home_noise_deg": home_noise_deg,
         "seed": seed,
         "topics": None if topics is None else os.path.realpath(topics),
+        "place": None if place is None else os.path.realpath(place),
+        "place_home": place_home,
+        "when": None if when is None else day(when),
         "smooth": smooth or None,
         "settings": own or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    if update and (place is None or smooth):
+        raise InputError("--update needs a --place, and no --smooth")
+    if place is None and (place_home is not None or when is not None):
+        raise InputError("--place-home and --when are for a --place")
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out)
         return
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in COMPILED:
         raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out)
+    _run(settings, out, update)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -152,16 +173,24 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     return folder
 
 
-def _run(settings: RunSettings, out: Path | None) -> None:
+def _run(settings: RunSettings, out: Path | None, update: bool) -> None:
+    from homeward.places.files import save_place
+    from homeward.report.place.words import visit_words
     from homeward.report.run.folder import write_run
     from homeward.studies.single_run import finish, prepare
+    from homeward.studies.visits import after_visit
 
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
         folder = _output_folder(out, drive.name, settings.drive)
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
+        if update and settings.place is not None:
+            after = after_visit(complete, drive, estimator, track)
+            save_place(after, settings.place, complete.place_version or 0)
     say(summary)
+    if update:
+        say(visit_words(after))
     for line in (*drive.remark_lines, *track.notes):
         warn(line)
     say(f"Report: {folder / 'report.html'}")
@@ -174,7 +203,7 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
     from homeward.report.run.several import PAGE, table, write_several
     from homeward.studies.several_runs import run_several
 
-    for option in ("settings", "smooth"):
+    for option in ("settings", "smooth", "place"):
         if option in given:
             name = "set" if option == "settings" else option
             raise InputError(f"--{name} is for one estimator; homeward study takes it for each")

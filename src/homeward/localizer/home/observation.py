@@ -36,7 +36,7 @@ class HomeObservation:
             for n, b in home.items()
             if math.isfinite(b.bearing)
         }
-        self._mount = np.array(drive.home_mount.pose)
+        self.mount = np.array(drive.home_mount.pose)
         self._same_camera = drive.home_sensor is None
         self._settings = settings
         self._prior = home_from_start(drive)
@@ -56,7 +56,7 @@ class HomeObservation:
     def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
         """Return the yaw of the camera on the robot, at home: as told, or as found out [rad]."""
         found = self._same_camera and found_out
-        return float(self._mount[2] + found * calibration[CAMERA_YAW])
+        return float(self.mount[2] + found * calibration[CAMERA_YAW])
 
     def mount_covariance(self, marginal: Marginal) -> np.ndarray:
         """Return the covariance (2, 2) of where the camera sat on the robot [m^2]."""
@@ -85,7 +85,7 @@ class HomeObservation:
             covariance=state.covariance[columns[:, None], columns],
             bearings=bearings,
             sigmas=sigmas,
-            mount=self._mount + shift,
+            mount=self.mount + shift,
             same_camera=self._same_camera,
             moved_prior=self._settings.moved_prior,
             prior=None if self._prior is None else self._prior[0],

@@ -125,6 +125,18 @@ class Map:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
         return self.survey.known.surveyed_from_home and bool(self.smoother.known.ids.size)
 
+    def measured(self) -> Marginal:
+        """Return the state by what was seen alone, not by what is known of landmarks.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When there is too little of it.
+        """
+        if not self.survey.known.tells:
+            return self.state
+        return self.smoother.without_known(self.survey.size)
+
     def from_home(self, state: Marginal) -> Marginal:
         """Return a state in home's frame, if that is known; else as it is."""
         if not self.has_home_survey:

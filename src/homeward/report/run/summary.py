@@ -119,10 +119,12 @@ def _moved(track: Track) -> str:
     during = [m for m in judged if m.moved_at == m.moved_at]
     before = [m for m in judged if m.moved and m not in during]
     text = ""
+    stored = any(math.isfinite(m.home_bearing_stored) for m in track.landmarks)
+    since = "home was stored" if stored else "they were surveyed or seen last"
     if before:
         were = "was" if len(before) == 1 else "were"
         text = (
-            f"{count(len(before), 'landmark').capitalize()} {were} moved since home was stored: "
+            f"{count(len(before), 'landmark').capitalize()} {were} moved since {since}: "
             f"{listing([name(m.landmark) for m in before])}. "
         )
     if during:

@@ -1,0 +1,237 @@
+"""Places that last: thirty days in a warehouse, and robots that use each other's places.
+
+`python -m benchmarks.places [--days 30] [--seeds 3] [--quick] [--save FILE]` drives each day
+through a warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % go and
+as many come; beside the place: no memory (home's bearings stored anew each morning), home's bearings of
+the first day alone, and a memory that believes all it saw last. `--real` takes MRCLAM set 6: the
+place that one robot made serves the others. Nothing is tuned to it; data as in `benchmarks.mrclam`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.mrclam import HOME as MRCLAM_HOME
+from benchmarks.mrclam import data
+from benchmarks.places.warehouse import HOME, Warehouse
+from homeward.drives.drive import Drive, KnownLandmarks
+from homeward.drives.mrclam import read_mrclam
+from homeward.frames import Pose, between
+from homeward.localizer.localizer import Localizer
+from homeward.places.place import Place
+from homeward.places.visiting import first_place, merged, told_by
+from homeward.scoring import errors, statistics
+from homeward.track import Track, run
+
+HOW = ("place", "no memory", "first day's home", "believes all")
+SURE = 1e-3
+"""Probability by which a memory that believes all thinks that a landmark moved."""
+
+
+@dataclass
+class Day:
+    """One drive."""
+
+    first_s: float
+    rmse: float
+    pose_share: float
+
+
+def judged(track: Track, drive: Drive, after_s: float = 0.0) -> Day:
+    """Return when the first pose came, the RMSE after some time, and how long there was a pose."""
+    first = track.t[track.has_pose][0] - track.t[0] if track.has_pose.any() else math.inf
+    e = errors(track, drive.truth)
+    late = e.t > track.t[0] + after_s
+    rmse = statistics(e.position[late], e.weight[late]).rmse if late.any() else math.nan
+    return Day(float(first), rmse, float(np.mean(track.has_pose)))
+
+
+def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]:
+    """Run a drive in a place, or without one; return what came out, and the place after it."""
+    there = drive if place is None else place.visited_by(drive, when)
+    localizer = Localizer(there.home, known=there.known, **there.settings.robot)
+    track = run(there, localizer)
+    told = told_by(localizer, there, track, when)
+    after = first_place("place", localizer, told) if place is None else merged(place, told)
+    return track, after
+
+
+def believer(drive: Drive, known: KnownLandmarks) -> Track:
+    """Run a drive with all remembered landmarks believed to stand where they were seen last."""
+    sure = {n: m.model_copy(update={"stays": 1.0 - SURE}) for n, m in known.landmarks.items()}
+    told = KnownLandmarks.remembered(sure, known.joint_covariance)
+    return run(drive, Localizer({}, known=told, **drive.settings.robot))
+
+
+def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
+    """Return the figures of each day."""
+    hall, rows, place = Warehouse(seed), [], None
+    first_home, last_known = {}, dict[str, tuple[float, float]]()
+    for day in range(number):
+        if day:
+            hall.night()
+        drive = hall.drive()
+        row: dict[str, object] = {"day": day}
+        before = place
+        track, place = visit(drive, place, float(day))
+        row["place"] = dataclasses.asdict(judged(track, drive))
+        if others:
+            fresh = run(drive, Localizer(drive.home, **drive.settings.robot)) if day else track
+            row["no memory"] = dataclasses.asdict(judged(fresh, drive))
+            first_home = first_home or drive.home
+            old = run(drive, Localizer(first_home, **drive.settings.robot)) if day else track
+            row["first day's home"] = dataclasses.asdict(judged(old, drive))
+            if before is not None:
+                naive = believer(drive, before.known(float(day)))
+                row["believes all"] = dataclasses.asdict(judged(naive, drive))
+        if before is not None:
+            number_of = place.visits[-1].number
+            named = {e.landmark for e in place.events if e.visit == number_of and e.what == "moved"}
+            seen = set(drive.sightings.landmark.tolist())
+            known = {n for n in seen if n in before.standings and n in last_known}
+            moved = {n for n in known if math.dist(hall.places[n], last_known[n]) > 1e-9}
+            row["moved"] = [len(named & moved), len(named - moved), len(moved - named)]
+        for name in drive.sightings.landmark.tolist():
+            last_known[name] = hall.places[name]
+        row["home_sigma"] = place.home_sigma("home", float(day))
+        row["home_error"] = home_error(place, hall)
+        row["landmarks"], row["verdict"] = len(place.map.names), place.visits[-1].verdict
+        rows.append(row)
+        tell(seed, row)
+    return rows
+
+
+def home_error(place: Place, hall: Warehouse) -> float:
+    """Return how far home is off for one who sees what stands, the map laid onto the truth [m]."""
+    now = place.visits[-1].when
+    fresh = [n for n in place.map.names if place.standings[n].last == now and n in hall.places]
+    fresh = [n for n in fresh if place.standings[n].stands > 0.5]
+    truth = [between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in fresh]
+    q = np.array(truth) @ [1.0, 1.0j]
+    some = place.map.only(fresh)
+    order = [some.names.index(n) for n in fresh]
+    p = some.positions[order] @ np.array([1.0, 1.0j])
+    weight = some.sigmas[order] ** -2.0
+    p0, q0 = np.average(p, weights=weight), np.average(q, weights=weight)
+    turn = np.vdot(p - p0, weight * (q - q0))
+    return float(abs(q0 - turn / abs(turn) * p0))
+
+
+def tell(seed: int, row: dict[str, object]) -> None:
+    """Print a day in a line."""
+    parts = [f"seed {seed} day {row['day']:2d}"]
+    parts += [f"{h} {row[h]['first_s']:.1f} s {row[h]['rmse']:.3f} m" for h in HOW if h in row]
+    parts.append(f"home {row['home_error']:.3f} +- {row['home_sigma']:.3f}")
+    parts.append(f"{row['landmarks']} landmarks {row['verdict']} {row.get('moved', '')}")
+    print(" | ".join(parts), flush=True)
+
+
+def table(rows: list[dict[str, object]]) -> None:
+    """Print what came of all days but the first."""
+    print("| | first pose, median, worst [s] | RMSE, median, worst day [m] | days with a pose |")
+    print("|---" * 4 + "|")
+    later = [row for row in rows if row["day"]]
+    for how in HOW:
+        some = [row[how] for row in later if how in row]
+        if not some:
+            continue
+        first = np.array([s["first_s"] for s in some])
+        rmse = np.array([s["rmse"] for s in some])
+        got = np.isfinite(first)
+        worst = first.max() if got.all() else math.inf
+        print(
+            f"| {how} | {np.median(first):.1f}, {worst:.1f} | {np.nanmedian(rmse):.3f}, "
+            f"{np.nanmax(rmse):.3f} | {got.sum()} of {len(some)} |"
+        )
+    right, false, missed = np.sum([row["moved"] for row in later], axis=0)
+    print(
+        f"moved since they were seen last: precision {right / (right + false):.3f}, "
+        f"recall {right / (right + missed):.3f} ({right} named, {false} falsely, {missed} not)"
+    )
+    last = max(row["day"] for row in rows)
+    ends = [row for row in rows if row["day"] == last]
+    print(
+        f"home on day {last}: off by "
+        + ", ".join(f"{row['home_error']:.3f} m (sigma {row['home_sigma']:.3f})" for row in ends)
+    )
+    if "no memory" in rows[-1]:
+        worse = [f"day {r['day']}" for r in later if r["place"]["rmse"] > r["no memory"]["rmse"]]
+        print(f"days on which the place is worse than a fresh map: {', '.join(worse) or 'none'}")
+
+
+def real(makers: Iterable[int], robots: Iterable[int]) -> None:
+    """Print what the place of one robot is to others, in MRCLAM set 6."""
+    drives = {
+        r: read_mrclam(data() / "MRCLAM_Dataset6", r, MRCLAM_HOME, math.radians(0.5), 0)
+        for r in {*robots, *makers}
+    }
+    alone = {}
+    for r, drive in drives.items():
+        alone[r] = visit(drive, None, 0.0)
+    print(
+        "| place of | robot | five seen after [s] | first pose: in the place, alone [s] "
+        "| RMSE: in the place, alone [m] | the same from 300 s on [m] | verdict |"
+    )
+    print("|---" * 7 + "|")
+    for maker in makers:
+        for r in robots:
+            if r == maker:
+                continue
+            drive, place = drives[r], alone[maker][1]
+            track, after = visit(drive, place, 1.0)
+            now, was = judged(track, drive), judged(alone[r][0], drive)
+            both = np.intersect1d(  # where both have a pose
+                track.t[track.has_pose], alone[r][0].t[alone[r][0].has_pose]
+            )[0]
+            after_s = float(both - track.t[0])
+            there, by_itself = (judged(t, drive, after_s).rmse for t in (track, alone[r][0]))
+            late = [judged(t, drive, 300.0).rmse for t in (track, alone[r][0])]
+            print(
+                f"| {maker} | {r} | {five_seen(drive, place):.0f} "
+                f"| {now.first_s:.0f}, {was.first_s:.0f} | {there:.3f}, {by_itself:.3f} "
+                f"| {late[0]:.3f}, {late[1]:.3f} | {after.visits[-1].verdict} |",
+                flush=True,
+            )
+
+
+def five_seen(drive: Drive, place: Place) -> float:
+    """Return when five landmarks of a place were seen [s]."""
+    seen: set[str] = set()
+    for t, look, _ in drive.sightings.stamps():
+        seen |= {n for n in look if n in place.standings}
+        if len(seen) >= 5:
+            return t - drive.span[0]
+    return math.inf
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--days", type=int, default=30)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--quick", action="store_true", help="six days, one seed, the place alone")
+    parser.add_argument("--save", type=Path, help="write the figures of all days as JSON")
+    parser.add_argument("--real", action="store_true")
+    parser.add_argument("--makers", type=int, nargs="*", default=[1, 3])
+    parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
+    options = parser.parse_args()
+    if options.real:
+        real(options.makers, options.robots)
+        return
+    number, seeds = (6, 1) if options.quick else (options.days, options.seeds)
+    rows = [row for seed in range(seeds) for row in days(seed, number, not options.quick)]
+    table(rows)
+    if options.save:
+        options.save.write_text(json.dumps(rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""`homeward place`: what is kept of a place, and what can be done with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli.terminal import say
+
+place = typer.Typer(
+    help="Describe a place that lasts from drive to drive, draw it, or change it.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the place.")]
+
+
+@place.command()
+def info(folder: Folder) -> None:
+    """Say what is known of a place: its visits, what changes in it, and its homes."""
+    from homeward.places.files import load_place
+    from homeward.report.place.words import info_lines
+
+    for line in info_lines(load_place(folder)):
+        say(line)
+
+
+@place.command()
+def view(
+    folder: Folder,
+    out: Annotated[
+        Path | None, typer.Option(help="The page to write [out/NAME OF THE PLACE.html].")
+    ] = None,
+) -> None:
+    """Draw a place over its visits: what stood where, and what moves often."""
+    from homeward.places.files import load_place
+    from homeward.report.place.page import write_page
+
+    file = out or Path("out") / f"{folder.resolve().name}.html"
+    write_page(file, load_place(folder))
+    say(f"Page: {file}")
+
+
+@place.command()
+def merge(
+    folder: Folder,
+    other: Annotated[Path, typer.Argument(help="A place of the same room by another robot.")],
+) -> None:
+    """Merge another robot's place of the same room into a place."""
+    from homeward.places.files import load_place, newest, save_place
+    from homeward.places.visiting import merged_places
+    from homeward.report.place.words import visit_words
+
+    version = newest(folder)
+    now = merged_places(load_place(folder, version), load_place(other))
+    save_place(now, folder, version)
+    say(visit_words(now))
+
+
+@place.command()
+def forget(
+    folder: Folder,
+    landmarks: Annotated[list[str] | None, typer.Argument(help="Ids to forget.")] = None,
+    home: Annotated[
+        list[str] | None, typer.Option(help="A home to forget; may be repeated.")
+    ] = None,
+) -> None:
+    """Forget landmarks, or homes, of a place."""
+    from homeward.places.files import load_place, newest, save_place
+
+    version = newest(folder)
+    now = load_place(folder, version).without(landmarks or [], home or [])
+    save_place(now, folder, version)
+    say(f"{now.name}: {len(now.standings):,} landmarks and {len(now.homes):,} homes are left.")
+
+
+@place.command()
+def undo(folder: Folder) -> None:
+    """Go back to what a place was before its last change."""
+    from homeward.places.files import undo as go_back
+
+    say(f"The place is version {go_back(folder)} again.")

@@ -1,0 +1,334 @@
+"""A place as a folder: each version a folder of its own in it, written whole or not at all.
+
+`0007/` holds the place after its seventh change. The newest one counts; older ones are what `undo`
+goes back to. A version enters by one rename, after everything in it has reached the disk.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from dataclasses import astuple, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from homeward.drives.drive import HomeBearing, Strict
+from homeward.drives.text.files import is_there, naming, opened, require_folder
+from homeward.drives.text.settings import read_settings
+from homeward.drives.text.table import (
+    Table,
+    identifiers,
+    numbers,
+    numbers_or_nothing,
+    read_csv,
+    write_csv,
+)
+from homeward.errors import InputError
+from homeward.places.joint_map import JointMap
+from homeward.places.persistence import Standing
+from homeward.places.place import Event, Place, StoredHome, Visit
+
+FORMAT = 1
+KEPT = 10
+"""So many versions are kept."""
+SETTINGS, LANDMARKS, HOMES, BEARINGS = (
+    "place.yaml",
+    "landmarks.csv",
+    "homes.csv",
+    "home_bearings.csv",
+)
+VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
+SCRATCH = ".being-written-"
+MOST_LANDMARKS = 5000
+"""A covariance of more takes more than a gigabyte."""
+
+
+class PlaceSettings(Strict):
+    """What place.yaml says."""
+
+    format: int
+    name: str
+    landmarks: int
+    homes: int
+    visits: int
+
+
+def is_place(folder: Path) -> bool:
+    """Return whether a folder holds a place."""
+    return bool(_versions(folder)) if folder.is_dir() else False
+
+
+def load_place(folder: str | os.PathLike[str], version: int | None = None) -> Place:
+    """Read a place.
+
+    Parameters
+    ----------
+    folder : path-like
+        Of the place.
+    version : int, optional
+        Which version; the newest by default.
+
+    Raises
+    ------
+    InputError
+        When there is none, or it is damaged.
+    """
+    path = Path(folder)
+    found = _required(path)
+    if version is not None and version not in found:
+        raise InputError(f"version {version} is not kept; {min(found)} to {max(found)} are", path)
+    return _read(path / _name(version if version is not None else max(found)))
+
+
+def newest(folder: str | os.PathLike[str]) -> int:
+    """Return the number of the newest version of a place; `InputError` where there is none."""
+    return max(_required(Path(folder)))
+
+
+def save_place(place: Place, folder: str | os.PathLike[str], after: int | None = None) -> int:
+    """Write a place as the next version of a folder; return its number.
+
+    Parameters
+    ----------
+    place : Place
+        What to write.
+    folder : path-like
+        New, empty, or of a place.
+    after : int, optional
+        The version that it was made from: where there is a newer one, somebody else was quicker.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something else, or cannot be written, or has a newer version.
+    """
+    path = Path(folder)
+    if is_there(path):
+        require_folder(path)
+        strangers = [p.name for p in path.iterdir() if not p.name.startswith(SCRATCH)]
+        if strangers and not _versions(path):
+            raise InputError("holds files but no place; choose another folder", path)
+    with naming(path, "cannot be written"):
+        path.mkdir(parents=True, exist_ok=True)
+        for left in path.glob(SCRATCH + "*"):  # of one that was cut short
+            shutil.rmtree(left, ignore_errors=True)
+        found = _versions(path)
+        number = max(found, default=0) + 1
+        if after is not None and number != after + 1:
+            raise InputError(f"was changed meanwhile: version {number - 1} is newer", path)
+        scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=path))
+        try:
+            _write(place, scratch)
+            for file in (*scratch.iterdir(), scratch):
+                _sync(file)
+            scratch.rename(path / _name(number))
+        except BaseException:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
+        _sync(path)
+        for old in sorted(found)[: max(0, len(found) + 1 - KEPT)]:
+            shutil.rmtree(path / _name(old), ignore_errors=True)
+    return number
+
+
+def undo(folder: str | os.PathLike[str]) -> int:
+    """Go back to the version before the newest one; return its number.
+
+    Raises
+    ------
+    InputError
+        When no older one is kept.
+    """
+    path = Path(folder)
+    found = sorted(_required(path))
+    if len(found) < 2:
+        raise InputError("there is no older version to go back to", path)
+    with naming(path, "cannot be written"):
+        # Out of the way by one rename, so that it is there whole or not at all.
+        scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=path))
+        (path / _name(found[-1])).rename(scratch / "undone")
+        _sync(path)
+        shutil.rmtree(scratch, ignore_errors=True)
+    return found[-2]
+
+
+def _name(version: int) -> str:
+    return f"{version:04d}"
+
+
+def _versions(path: Path) -> list[int]:
+    """Return the versions of a place that are there whole."""
+    with naming(path, "cannot be read"):
+        names = [p.name for p in path.iterdir() if p.name.isdecimal() and p.name.isascii()]
+    return [int(n) for n in names if n == _name(int(n)) and (path / n / SETTINGS).is_file()]
+
+
+def _required(path: Path) -> list[int]:
+    require_folder(path)
+    found = _versions(path)
+    if not found:
+        raise InputError("holds no place", path)
+    return found
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file or folder has reached the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _write(place: Place, folder: Path) -> None:
+    """Write the files of a version."""
+    held = place.map
+    told = PlaceSettings(
+        format=FORMAT,
+        name=place.name,
+        landmarks=len(held.names),
+        homes=len(held.homes),
+        visits=len(place.visits),
+    )
+    text = yaml.safe_dump(told.model_dump(), sort_keys=False, allow_unicode=True)
+    (folder / SETTINGS).write_text(text, encoding="utf-8")
+    columns = [f.name for f in fields(Standing)]
+    write_csv(
+        folder / LANDMARKS,
+        ["landmark", "x", "y", "sigma", *columns],
+        (
+            [name, *map(repr, (x, y)), f"{sigma:.4f}", *astuple(place.standings[name])]
+            for name, (x, y), sigma in zip(
+                held.names, held.positions.tolist(), held.sigmas.tolist(), strict=True
+            )
+        ),
+    )
+    poses = dict(zip(held.homes, held.poses.tolist(), strict=True))
+    write_csv(
+        folder / HOMES,
+        ["home", "x", "y", "heading", "stored"],
+        ([n, *map(repr, poses[n]), repr(h.stored)] for n, h in place.homes.items()),
+    )
+    write_csv(
+        folder / BEARINGS,
+        ["home", "landmark", "bearing", "sigma"],
+        (
+            [home, name, repr(b.bearing), "" if np.isnan(b.sigma) else repr(b.sigma)]
+            for home, stored in place.homes.items()
+            for name, b in stored.seen.items()
+        ),
+    )
+    for file, kind, rows in ((VISITS, Visit, place.visits), (EVENTS, Event, place.events)):
+        write_csv(folder / file, [f.name for f in fields(kind)], map(astuple, rows))
+    with (folder / COVARIANCE).open("wb") as out:
+        np.savez_compressed(out, covariance=held.covariance)
+
+
+def _read(folder: Path) -> Place:
+    """Read the files of a version."""
+    told = read_settings(folder / SETTINGS, PlaceSettings)
+    if told.format != FORMAT:
+        raise InputError(
+            f"of format {told.format}; this homeward reads {FORMAT}", folder / SETTINGS
+        )
+    standing = {f.name: numbers for f in fields(Standing)}
+    table = read_csv(
+        folder / LANDMARKS, {"landmark": identifiers, "x": numbers, "y": numbers, **standing}
+    )
+    table.require_unique("landmark")
+    table.require("stands", (table["stands"] >= 0) & (table["stands"] <= 1), "not a probability")
+    for name in ("watched", "seen", "missed", "moved", "returned"):
+        table.require(name, table[name] >= 0, "less than nothing")
+    homes = read_csv(
+        folder / HOMES,
+        {"home": identifiers, **dict.fromkeys(("x", "y", "heading", "stored"), numbers)},
+    )
+    homes.require_rows()
+    homes.require_unique("home")
+    for found, number, file in ((table, told.landmarks, LANDMARKS), (homes, told.homes, HOMES)):
+        if len(found) != number:
+            raise InputError(f"{len(found)} rows where {number} are due", folder / file)
+    names, stored = tuple(table["landmark"].tolist()), tuple(homes["home"].tolist())
+    mean = np.concatenate(
+        [
+            np.column_stack([table["x"], table["y"]]).ravel(),
+            np.column_stack([homes["x"], homes["y"], homes["heading"]]).ravel(),
+        ]
+    )
+    held = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
+    visits = tuple(_rows(folder / VISITS, Visit))
+    if not visits:
+        raise InputError("no rows", folder / VISITS)
+    return Place(
+        told.name,
+        held,
+        {n: Standing(*row) for n, row in zip(names, _standings(table), strict=True)},
+        _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
+        visits,
+        tuple(_rows(folder / EVENTS, Event)),
+    )
+
+
+def _standings(table: Table) -> Iterable[tuple[Any, ...]]:
+    kinds = [int if f.type == "int" else float for f in fields(Standing)]
+    columns = [table[f.name].tolist() for f in fields(Standing)]
+    for row in zip(*columns, strict=True):
+        yield tuple(kind(value) for kind, value in zip(kinds, row, strict=True))
+
+
+def _rows(path: Path, kind: Any) -> Iterable[Any]:
+    """Yield the rows of a table whose columns are the fields of a record."""
+    parsers = {f.name: identifiers if f.type == "str" else numbers for f in fields(kind)}
+    table = read_csv(path, parsers)
+    kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
+    columns = [table[f.name].tolist() for f in fields(kind)]
+    for row in zip(*columns, strict=True):
+        yield kind(*(cast(value) for cast, value in zip(kinds, row, strict=True)))
+
+
+def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
+    """Return the homes with what was seen there."""
+    table = read_csv(
+        path,
+        {"home": identifiers, "landmark": identifiers, "bearing": numbers},
+        {"sigma": numbers_or_nothing},
+    )
+    table.require_angle("bearing")
+    known = np.array([name in stored for name in table["home"]], bool)
+    table.require("home", known, f"which is no home of {HOMES}")
+    homes = {name: StoredHome(when, {}) for name, when in stored.items()}
+    columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))
+    for home, landmark, bearing, sigma in zip(*columns, strict=True):
+        homes[home].seen[landmark] = HomeBearing(bearing, sigma)
+    return homes
+
+
+def _covariance(path: Path, size: int) -> np.ndarray:
+    """Return the covariance of a map with so many coordinates."""
+    damaged = "is damaged: not the covariance of this place"
+    if size > 2 * MOST_LANDMARKS:
+        raise InputError(f"more than {MOST_LANDMARKS:,} landmarks", path)
+    with naming(path, "cannot be read"), opened(path) as stream:
+        try:
+            # What a file says of its own size is believed only as far as it is due.
+            with zipfile.ZipFile(stream) as archive:
+                (entry,) = archive.infolist()
+                if entry.file_size > 8 * size * size + 4096:
+                    raise InputError(damaged, path)
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as arrays:
+                covariance = np.asarray(arrays["covariance"], float)
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError):
+            raise InputError(damaged, path) from None
+    sound = covariance.shape == (size, size) and np.isfinite(covariance).all()
+    if not sound or not np.allclose(covariance, covariance.T):
+        raise InputError(damaged, path)
+    if size and np.linalg.eigvalsh(covariance)[0] < -1e-6 * max(np.abs(covariance).max(), 1e-12):
+        raise InputError(damaged, path)
+    return covariance

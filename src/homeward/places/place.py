@@ -1,0 +1,161 @@
+"""A place: what lasts of it from drive to drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.drives.drive import Drive, HomeBearing, KnownLandmarks, SurveyedLandmark
+from homeward.drives.text.table import quoted
+from homeward.errors import InputError
+from homeward.frames import Pose
+from homeward.places.joint_map import JointMap
+from homeward.places.persistence import FORGOTTEN, Standing, usual_rate
+
+NUDGED = 0.002
+"""Goods are nudged: a place is no better known after a year without a visit (4 cm) than one drive
+maps it [m / sqrt(day)]."""
+
+
+@dataclass(frozen=True)
+class StoredHome:
+    """A home, as it was stored."""
+
+    stored: float
+    """When [days since 1970]."""
+    seen: dict[str, HomeBearing]
+    """What the camera saw there."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What one drive told of a place."""
+
+    number: int
+    when: float
+    """[days since 1970]"""
+    drive: str
+    verdict: str
+    """first, merged, or apart: then the rest is zero, and nothing of it was merged."""
+    stayed: int = 0
+    moved: int = 0
+    gone: int = 0
+    new: int = 0
+    returned: int = 0
+    of: int = 0
+    """Landmarks known afterwards."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """What a landmark did by a visit."""
+
+    visit: int
+    landmark: str
+    what: str
+    """new, moved, gone, returned or forgotten."""
+    x: float
+    y: float
+    """Where it stands since, or stood [m]."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place; everything is where it is seen from its first home."""
+
+    name: str
+    map: JointMap
+    """Landmarks and homes; see `JointMap.at_home`."""
+    standings: dict[str, Standing]
+    """Of each landmark of the map."""
+    homes: dict[str, StoredHome]
+    """By name; the first one is the origin."""
+    visits: tuple[Visit, ...] = ()
+    events: tuple[Event, ...] = ()
+
+    @property
+    def origin(self) -> str:
+        """The name of the home whose frame it is."""
+        return next(iter(self.homes))
+
+    @property
+    def usual_rate(self) -> float:
+        """How often a landmark changes its place [1 / day]."""
+        return usual_rate(self.standings.values())
+
+    def stays(self, when: float) -> dict[str, float]:
+        """Return the probability of each landmark to stand where it is mapped, at `when` [days]."""
+        usual = self.usual_rate
+        return {name: s.stays(when, usual) for name, s in self.standings.items()}
+
+    def aged(self, when: float) -> JointMap:
+        """Return the map as it is to be believed at `when` [days]."""
+        return self.map.aged(NUDGED**2 * max(when - self.visits[-1].when, 0.0))
+
+    def known(self, when: float, home: str | None = None) -> KnownLandmarks:
+        """Return the place as a localiser is told of it, `known=`, at `when` [days].
+
+        Parameters
+        ----------
+        when : float
+            [days since 1970]
+        home : str, optional
+            In whose frame answers are to be; the first one by default.
+
+        Raises
+        ------
+        InputError
+            When it has no home of that name.
+        """
+        there, stays = self.aged(when).seen_from_home(self.required(home)), self.stays(when)
+        landmarks = {
+            name: SurveyedLandmark(x=x, y=y, stays=max(stays[name], FORGOTTEN))
+            for name, (x, y) in zip(there.names, there.positions.tolist(), strict=True)
+        }
+        n = 2 * len(there.names)
+        return KnownLandmarks.remembered(landmarks, there.covariance[:n, :n])
+
+    def visited_by(self, drive: Drive, when: float, home: str | None = None) -> Drive:
+        """Return a drive that knows the place, and asks for one of its homes; see `known`."""
+        settings = drive.settings.model_copy(update={"home_sensor": None})
+        return replace(drive, home={}, known=self.known(when, home), settings=settings)
+
+    def without(self, landmarks: Collection[str], homes: Collection[str] = ()) -> Place:
+        """Return it without some landmarks and homes, never its first home.
+
+        Raises
+        ------
+        InputError
+            When it has none of such a name, or the first home is among them.
+        """
+        for name in landmarks:
+            if name not in self.standings:
+                raise InputError(f"no landmark {quoted(name)} in the place")
+        for home in homes:
+            if self.required(home) == self.origin:
+                raise InputError(f"{quoted(home)} is the home in whose frame the place is")
+        kept = [n for n in self.map.names if n not in landmarks]
+        stay = {h: s for h, s in self.homes.items() if h not in homes}
+        standings = {n: self.standings[n] for n in kept}
+        return replace(self, map=self.map.only(kept, stay), standings=standings, homes=stay)
+
+    def required(self, home: str | None) -> str:
+        """Return the name of a home, the first one's for None; else raise `InputError`."""
+        if home is None:
+            return self.origin
+        if home not in self.homes:
+            raise InputError(f"no home {quoted(home)}; there are {', '.join(self.homes)}")
+        return home
+
+    def home_pose(self, home: str) -> Pose:
+        """Return the pose of a home in the frame of the first."""
+        return Pose(*self.map.mean[self.map.home_columns(home)].tolist())
+
+    def home_sigma(self, home: str, when: float) -> float:
+        """Return how uncertain a home's place is for one who sees what stands now [m]."""
+        there = self.aged(when).at_home(self.required(home))
+        at = there.home_columns(home)[:2]
+        return math.sqrt(float(np.linalg.eigvalsh(there.covariance[np.ix_(at, at)])[-1]))

@@ -1,0 +1,330 @@
+"""Visiting: what a drive tells of a place, and the place after it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive
+from homeward.errors import HomewardError
+from homeward.frames import Pose
+from homeward.localizer.geometry import compose, sight
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.survey import wrong_probabilities
+from homeward.localizer.map.survey_factors import SurveyFactors
+from homeward.localizer.tunables import CLOSE, ENOUGH, PROOF
+from homeward.places.joint_map import JointMap, datum, fused
+from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, usual_rate
+from homeward.places.place import Event, Place, StoredHome, Visit
+from homeward.track import Track
+
+MOST_JUDGED = 48
+"""So many landmarks are judged together: it takes the cube of their number."""
+LEAST_AGREEING = 0.5
+"""A visit of which less than this share of what should have stayed did is of another place, or most
+was rearranged; nothing of it is merged."""
+IN_REACH = 0.9
+"""Landmarks are seen as far as this share of all sightings goes."""
+MOST_EVENTS = 4000
+"""So many events are kept, and a tenth as many visits: of a place with ten a day, a year's."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Which landmarks a robot saw from where, at m stamps."""
+
+    cameras: np.ndarray
+    """(m, 3), in the frame of the home that was asked for."""
+    seen: Sequence[Collection[str]]
+    field_of_view: float | None
+    """[rad]"""
+
+    def shares(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Return in how many looks each landmark (n,) was in view, and was seen."""
+        index = {name: i for i, name in enumerate(places.names)}
+        saw = np.zeros((len(self.seen), len(places.names)), bool)
+        for row, names in enumerate(self.seen):
+            saw[row, [index[n] for n in names if n in index]] = True
+        eyes = compose(np.array(origin), self.cameras)
+        there = sight(eyes[:, None], places.positions[None])
+        distances = np.hypot(there.offset[..., 0], there.offset[..., 1])
+        reach = float(np.quantile(distances[saw], IN_REACH)) if saw.any() else 0.0
+        half = np.inf if self.field_of_view is None else 0.5 * self.field_of_view
+        in_view = (distances < reach) & (np.abs(wrap(there.bearing)) < half)
+        return in_view.sum(axis=0), (in_view & saw).sum(axis=0)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a drive tells of a place."""
+
+    drive: str
+    when: float
+    """[days since 1970]"""
+    map: JointMap
+    """The robot's own, in a frame of its own, by nothing but this drive."""
+    looks: Looks | None = None
+    """Where it looked from; None: of what was not seen nothing is said."""
+    home: str | None = None
+    """The home in whose frame it was answered; None: the first."""
+    homes: dict[str, tuple[StoredHome, Pose, np.ndarray]] = field(default_factory=dict)
+    """Stored on the way: the pose in that frame, and its covariance."""
+
+
+def told_by(
+    localizer: Localizer, drive: Drive, track: Track, when: float, home: str | None = None
+) -> Told:
+    """Return what a drive tells after its run.
+
+    Parameters
+    ----------
+    localizer : Localizer
+        That was fed the drive.
+    drive : Drive
+        As it knew the place; see `Place.visited_by`.
+    track : Track
+        What came out.
+    when : float
+        [days since 1970]
+    home : str, optional
+        In whose frame the answers are; the place's first by default.
+    """
+    stamps, seen = [], []
+    for t, now, _ in drive.sightings.stamps():
+        stamps.append(t)
+        seen.append(list(now))
+    row = np.searchsorted(track.t, stamps)
+    good = track.has_pose[row]
+    poses = np.column_stack([track.x, track.y, track.heading])[row[good]]
+    cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
+    known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
+    looks = Looks(cameras, known, drive.settings.sensor.field_of_view)
+    return Told(drive.name, when, own_map(localizer), looks, home)
+
+
+def own_map(localizer: Localizer) -> JointMap:
+    """Return what a robot mapped by itself; `HomewardError` where that is nothing."""
+    try:
+        own = localizer.own_map()
+    except np.linalg.LinAlgError:
+        raise HomewardError("the map of this drive is too vague to be kept") from None
+    return JointMap(own.names, (), own.positions.ravel(), own.covariance)
+
+
+def first_place(name: str, localizer: Localizer, told: Told, home: str = "home") -> Place:
+    """Return the place that a first drive makes; its frame is that of the drive's home.
+
+    Raises
+    ------
+    HomewardError
+        When home was not found in the map.
+    """
+    found = localizer.found_home
+    if found is None:
+        raise HomewardError("home was not found on this drive, so there is no place to keep")
+    observed = localizer.chart.home.observation.given_noise(localizer.chart.noise)
+    stood = {m.landmark for m in localizer.landmarks() if m.moved is False}
+    right = {n: b for n, b in observed.items() if n in stood and n in told.map.names}
+    vague = np.diag([told.map.size**2, told.map.size**2, np.pi**2])
+    mount = Pose(*localizer.chart.home.observation.mount.tolist())
+    there = told.map.with_home(home, right, mount, found, vague).at_home(home)
+    there = there.only(_well_placed(there))
+    when = told.when
+    standings = {n: Standing(since=when, last=when) for n in there.names}
+    place = Place(name, there, standings, {home: StoredHome(when, dict(observed))})
+    return _first_visit(place, told)
+
+
+def merged(place: Place, told: Told) -> Place:
+    """Return a place after a visit: what stayed is fused, what moved follows, what is gone fades.
+
+    A visit that contradicts the place leaves it as it is but for a line that says so.
+    """
+    judged = _judged(place, told)
+    stays = place.stays(told.when)
+    stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
+    expected = sum(stays[n] for n in judged)
+    if len(stayed) < max(PROOF, LEAST_AGREEING * expected):
+        apart = Visit(place.visits[-1].number + 1, told.when, told.drive, "apart", of=len(stays))
+        return replace(place, visits=(*place.visits, apart)[-MOST_EVENTS // 10 :])
+    before = place.aged(told.when)
+    theirs = told.map
+    pose = datum(before, theirs, stayed)
+    for home, (_, at, spread) in told.homes.items():
+        start = compose(pose, np.array(_in_place(place, told.home, at)))
+        theirs = theirs.with_home(home, {}, Pose(0.0, 0.0, 0.0), start, spread)
+    placed = _well_placed(theirs)
+    moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
+    new = [n for n in theirs.names if n in placed and n not in place.standings]
+    now = fused(before, theirs.only({*stayed, *moved, *new}), stayed).at_home(place.origin)
+    stored = {home: kept for home, (kept, *_) in told.homes.items()}
+    there = replace(place, map=now, homes={**place.homes, **stored})
+    return _followed(place, there, told, judged, moved, new)
+
+
+def merged_places(place: Place, other: Place) -> Place:
+    """Return a place with what another robot's place of the same room adds to it.
+
+    Where a landmark stands elsewhere in the two, the one that saw it last is right. Homes of the
+    other that have a name of the place get the other's name, too.
+
+    Raises
+    ------
+    HomewardError
+        When they are not of one room, or most was rearranged between them.
+    """
+    names = {h: h if h not in place.homes else f"{h} of {other.name}" for h in other.homes}
+    when = max(place.visits[-1].when, other.visits[-1].when)
+    theirs = replace(other.map, homes=tuple(names[h] for h in other.map.homes))
+    told = Told(other.name, when, theirs)
+    judged, before = _judged(place, told), place.aged(when)
+    stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
+    if len(stayed) < max(PROOF, LEAST_AGREEING * len(judged)):
+        raise HomewardError(
+            f"{len(stayed)} of the {len(judged)} landmarks that both have stand alike: "
+            "these are two places, or most was rearranged"
+        )
+    older = {n for n in judged if other.standings[n].last < place.standings[n].last}
+    theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
+    now = fused(before, theirs, stayed).at_home(place.origin)
+    standings = {
+        n: other.standings[n]
+        if n not in place.standings or (n not in older and n not in stayed)
+        else place.standings[n]
+        for n in now.names
+    }
+    standings |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
+    homes = {**place.homes, **{names[h]: s for h, s in other.homes.items()}}
+    there = replace(place, map=now, standings=standings, homes=homes)
+    new = [n for n in now.names if n not in place.standings]
+    moved = [n for n in judged if n not in stayed and n not in older]
+    what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
+    visit = Visit(
+        place.visits[-1].number + 1,
+        when,
+        other.name,
+        "merged",
+        stayed=len(stayed),
+        moved=len(moved),
+        new=len(new),
+        of=len(now.names),
+    )
+    events = (*place.events, *_events(place, there, what))[-MOST_EVENTS:]
+    return replace(there, visits=(*place.visits, visit), events=events)
+
+
+def _followed(
+    before: Place,
+    place: Place,
+    told: Told,
+    judged: dict[str, float],
+    moved: list[str],
+    new: list[str],
+) -> Place:
+    """Return a place with what is believed of each landmark's staying after a visit."""
+    when, usual = told.when, usual_rate(before.standings.values())
+    standings, what = (
+        dict[str, Standing](),
+        dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new"),
+    )
+    missed = _missed(before, told)
+    for name in place.map.names:
+        was = before.standings.get(name)
+        if was is None:
+            standings[name] = Standing(since=when, last=when)
+        elif name in moved:
+            standings[name] = was.went(when)
+        elif name in judged and judged[name] <= 0.5:
+            standings[name] = was.stood(when)
+            if was.stands < GONE:
+                what[name] = "returned"
+        elif name in judged:  # elsewhere, but nobody knows where
+            standings[name] = was.doubted(when, 1.0 - judged[name])
+        elif name in missed:
+            standings[name] = was.was_missed(when, usual, missed[name])
+        else:
+            standings[name] = was
+        if was is not None and standings[name].stands < GONE <= was.stands:
+            what[name] = "gone"
+    forgotten = [n for n, s in standings.items() if s.stays(when, usual) < FORGOTTEN]
+    what |= dict.fromkeys(forgotten, "forgotten")
+    kept = [n for n in standings if n not in forgotten]
+    events = _events(before, place, what)
+    place = replace(
+        place,
+        map=place.map.only(kept),
+        standings={n: standings[n] for n in kept},
+        events=(*before.events, *events)[-MOST_EVENTS:],
+    )
+    counts = {k: sum(w == k for w in what.values()) for k in ("moved", "gone", "new", "returned")}
+    stayed = sum(wrong <= 0.5 for wrong in judged.values())
+    number = before.visits[-1].number + 1
+    visit = Visit(number, when, told.drive, "merged", stayed=stayed, of=len(kept), **counts)
+    return replace(place, visits=(*before.visits, visit)[-MOST_EVENTS // 10 :])
+
+
+def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
+    """Return the events of a visit, in order of landmarks."""
+    number = before.visits[-1].number + 1
+    at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
+    return [Event(number, name, word, *at[name]) for name, word in what.items()]
+
+
+def _first_visit(place: Place, told: Told) -> Place:
+    """Return a place with its first visit written down."""
+    at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
+    events = tuple(Event(1, name, "new", *where) for name, where in at.items())
+    visit = Visit(1, told.when, told.drive, "first", new=len(at), of=len(at))
+    return replace(place, visits=(visit,), events=events)
+
+
+def _judged(place: Place, told: Told) -> dict[str, float]:
+    """Return the probability that landmarks of both stand elsewhere than the place has them."""
+    before, stays, found = place.aged(told.when), place.stays(told.when), dict[str, float]()
+    common = [n for n in before.names if n in told.map.names]
+    groups = max(1, -(-len(common) // MOST_JUDGED))
+    for some in (common[i::groups] for i in range(groups)):
+        if len(some) < 2:
+            continue
+        mine, theirs = before.only(some, ()).loose(), told.map.only(some)
+        n, order = 2 * len(some), theirs.columns(mine.names)
+        none = np.zeros((0, 2), int), np.zeros(0), np.zeros(0)
+        factors = SurveyFactors(np.arange(n // 2), mine.positions, mine.covariance[:n, :n], *none)
+        covariance = np.zeros((HEAD + n, HEAD + n))
+        covariance[HEAD:, HEAD:] = theirs.covariance[np.ix_(order, order)]
+        free = Marginal(np.concatenate([np.zeros(HEAD), theirs.mean[order]]), covariance)
+        prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
+        wrong = wrong_probabilities(factors, free, np.arange(n // 2), prior, before.size)
+        found |= dict(zip(mine.names, wrong.tolist(), strict=True))
+    return found
+
+
+def _missed(place: Place, told: Told) -> dict[str, float]:
+    """Return landmarks in view that were not seen, with how probably that happens if they stand."""
+    if told.looks is None:
+        return {}
+    origin = place.home_pose(place.required(told.home))
+    looks, seen = told.looks.shares(place.map, origin)
+    found = seen > 0
+    share = float(seen[found].sum() / looks[found].sum()) if found.any() else 0.0
+    return {
+        name: missed_probability(share, n)
+        for name, n, k in zip(place.map.names, looks.tolist(), seen.tolist(), strict=True)
+        if n >= ENOUGH and not k and name not in told.map.names
+    }
+
+
+def _well_placed(some: JointMap) -> set[str]:
+    """Return the landmarks that are placed well enough for bearings to be linear in their error."""
+    most = CLOSE * 0.5 * some.size
+    return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
+
+
+def _in_place(place: Place, home: str | None, at: Pose) -> Pose:
+    """Return a pose that was answered in the frame of a home in that of the place."""
+    origin = np.array(place.home_pose(place.required(home)))
+    return Pose(*compose(origin, np.array(at)).tolist())

@@ -1,0 +1,73 @@
+"""A place and its visits in words."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from homeward.places.persistence import GONE
+from homeward.places.place import Event, Place, Visit
+from homeward.report.words import count, listing, name, percent
+
+DAY_S = 86400.0
+
+
+def date(when: float) -> str:
+    """Return a day since 1970 as a date."""
+    return datetime.fromtimestamp(when * DAY_S, UTC).strftime("%Y-%m-%d")
+
+
+def visit_words(place: Place) -> str:
+    """Say what the last visit told of a place."""
+    visit = place.visits[-1]
+    if visit.verdict == "first":
+        return f"{place.name}: a new place, with {count(visit.of, 'landmark')}."
+    if visit.verdict == "apart":
+        return (
+            f"{place.name}: this is not the place, or most of it was rearranged: nothing of this "
+            "drive was merged into it."
+        )
+    parts = [f"{visit.stayed:,} stayed"]
+    for what in ("moved", "gone", "returned", "new"):
+        names = [name(e.landmark) for e in events(place, visit, what)]
+        if names:
+            parts.append(f"{len(names):,} {what} ({listing(names, 8)})")
+    return f"{place.name}: of its landmarks {listing(parts)}; it has {visit.of:,} now."
+
+
+def events(place: Place, visit: Visit, what: str) -> list[Event]:
+    """Return the events of one kind in one visit."""
+    return [e for e in place.events if e.visit == visit.number and e.what == what]
+
+
+def info_lines(place: Place) -> list[str]:
+    """Describe a place as it was at the last visit: what changes in it, and its homes."""
+    first, last = place.visits[0], place.visits[-1]
+    when = last.when
+    stays = place.stays(when)
+    standing = sum(p >= GONE for p in stays.values())
+    lines = [
+        f"{place.name}: {count(len(stays), 'landmark')}, {standing:,} of which probably stand where"
+        f" they are mapped; {count(len(place.visits), 'visit')} from {date(first.when)} to"
+        f" {date(last.when)}.",
+        f"In a day a landmark changes its place with probability {percent(place.usual_rate)}.",
+    ]
+    for home, stored in place.homes.items():
+        pose = place.home_pose(home)
+        stand = sum(stays.get(n, 0.0) for n in stored.seen)
+        lines.append(
+            f"Home {name(home)}, stored {date(stored.stored)}, at ({pose.x:.2f}, {pose.y:.2f}) m,"
+            f" is known to {place.home_sigma(home, when):.3f} m; of the"
+            f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} stand where they are"
+            " mapped."
+        )
+    restless = sorted(
+        (n for n, s in place.standings.items() if s.moved + s.returned),
+        key=lambda n: -place.standings[n].rate(place.usual_rate),
+    )
+    if restless:
+        often = [f"{name(n)} ({place.standings[n].moved})" for n in restless[:8]]
+        lines.append(f"Moved most often: {listing(often)}.")
+    apart = [v for v in place.visits if v.verdict == "apart"]
+    if apart:
+        lines.append(f"{count(len(apart), 'visit')} contradicted it, and were kept apart.")
+    return lines

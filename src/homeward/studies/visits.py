@@ -1,0 +1,62 @@
+"""A run in a place: what is known of it beforehand, and what it is afterwards."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from homeward.drives.drive import Drive
+from homeward.estimator import Estimator
+from homeward.localizer.localizer import Localizer
+from homeward.places.files import is_place, load_place, newest
+from homeward.places.place import Place
+from homeward.places.visiting import first_place, merged, told_by
+from homeward.track import Track
+
+if TYPE_CHECKING:
+    from homeward.studies.single_run import RunSettings
+
+DAY_S = 86400.0
+
+
+def in_place(run: RunSettings, drive: Drive) -> Drive:
+    """Return the drive of a run as it knows its place; `InputError` where that is damaged."""
+    version = place_used(run, drive).get("place_version")
+    if version is None or run.place is None:
+        return drive
+    return load_place(run.place, version).visited_by(drive, day_of(run, drive), run.place_home)
+
+
+def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
+    """Return which version of its place a run knows, and on which day; nothing without a place."""
+    if run.place is None:
+        return {}
+    version = run.place_version
+    if version is None and is_place(Path(run.place)):
+        version = newest(run.place)
+    return {"place_version": version, "when": day_of(run, drive)}
+
+
+def day_of(run: RunSettings, drive: Drive) -> float:
+    """Return the day of a run's visit [days since 1970]."""
+    if run.when is not None:
+        return run.when
+    epoch = drive.settings.epoch
+    return (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
+
+
+def after_visit(run: RunSettings, drive: Drive, estimator: Estimator, track: Track) -> Place:
+    """Return the place of a run as it is afterwards, all of it from `prepare` and `finish`.
+
+    Raises
+    ------
+    HomewardError
+        When there is too little to be kept.
+    """
+    assert isinstance(estimator, Localizer)  # `prepare` has checked it
+    assert run.place is not None
+    told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
+    if run.place_version is None:
+        return first_place(Path(run.place).name, estimator, told)
+    return merged(load_place(run.place, run.place_version), told)
