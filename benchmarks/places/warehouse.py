@@ -102,7 +102,9 @@ class Warehouse:
             start=StartPose(
                 x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False
             ),
-            trajectory=Waypoints(speed=0.5, points=tuple(points[1:]), duration=150.0),
+            trajectory=Waypoints(
+                speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0
+            ),
         )
         return simulate(scenario).drive
 

@@ -23,11 +23,14 @@ class Resection:
 
     def look(self, seen: dict[str, float]) -> np.ndarray | None:
         """Return the pose (3,), or None."""
+        seen = {n: b for n, b in seen.items() if n in self._survey}
         if len(seen) < 3:
             return None
         places = np.array([self._survey[n] for n in seen])
         bearings = np.array(list(seen.values()))
         poses = poses_from_triples(places, bearings)
+        if not len(poses):
+            return None
         costs = np.abs(_residuals(poses[:, None], places, bearings)).sum(axis=1)
         pose = poses[int(np.argmin(costs))]
         for _ in range(STEPS):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from homeward.drives.drive import HomeBearing, Strict
+from homeward.drives.drive import HomeBearing, NonNegative, Strict
 from homeward.drives.text.files import is_there, naming, opened, require_folder
 from homeward.drives.text.settings import read_settings
 from homeward.drives.text.table import (
@@ -57,6 +57,10 @@ class PlaceSettings(Strict):
     landmarks: int
     homes: int
     visits: int
+    forgotten_changes: NonNegative
+    """How often landmarks that are forgotten had changed their places ..."""
+    forgotten_days: NonNegative
+    """... and how long they had been watched [days]."""
 
 
 def is_place(folder: Path) -> bool:
@@ -195,6 +199,8 @@ def _write(place: Place, folder: Path) -> None:
         landmarks=len(held.names),
         homes=len(held.homes),
         visits=len(place.visits),
+        forgotten_changes=place.past[0],
+        forgotten_days=place.past[1],
     )
     text = yaml.safe_dump(told.model_dump(), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
@@ -272,6 +278,7 @@ def _read(folder: Path) -> Place:
         _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
         visits,
         tuple(_rows(folder / EVENTS, Event)),
+        (told.forgotten_changes, told.forgotten_days),
     )
 
 

@@ -18,6 +18,8 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
 from homeward.localizer.map.survey_factors import align
 
+DATUM = 3
+"""Unknowns of a rigid motion."""
 RESECTIONS = 8
 """Gauss-Newton steps of a resection, which begins near its end."""
 VAGUE_SHARE, VAGUE_TURN = 0.1, 0.3
@@ -197,8 +199,8 @@ def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarra
     return align(there, mine.positions, mine.covariance).pose
 
 
-def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> JointMap:
-    """Return what two maps say together, in the frame of the first.
+def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:
+    """Return what two maps say together, in the frame of the first, and how they disagree.
 
     The second lies anywhere; where it does follows from the landmarks that are the same. What one
     of them alone knows is kept, corrected by what both know.
@@ -210,6 +212,13 @@ def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> JointMap:
         visit.
     same : collection of str
         Landmarks of both, two at least, that stand in one place.
+
+    Returns
+    -------
+    JointMap
+        What both say.
+    float
+        Mean square of how far those are off, in standard deviations: one if all is right.
     """
     pose = datum(place, visit, same)
     size = VAGUE_SHARE * max(place.size, visit.size)
@@ -225,6 +234,7 @@ def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> JointMap:
     correlated = covariance[:, mine] - covariance[:, theirs]
     innovation = correlated[mine] - correlated[theirs]
     gain = np.linalg.solve(innovation, correlated.T).T
+    disagreement = float(off @ np.linalg.solve(innovation, off)) / max(off.size - DATUM, 1)
     mean, covariance = mean + gain @ off, covariance - gain @ correlated.T
     new = [name for name in there.names if name not in same]
     at = [2 * len(kept.names), n, n + 2 * len(there.names)]
@@ -232,9 +242,10 @@ def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> JointMap:
         [np.arange(at[0]), n + there.columns(new), np.arange(at[0], n), np.arange(at[2], n + m)]
     ).astype(int)
     covariance = covariance[np.ix_(order, order)]
-    return JointMap(
+    both_say = JointMap(
         (*kept.names, *new),
         (*kept.homes, *there.homes),
         mean[order],
         0.5 * (covariance + covariance.T),
     )
+    return both_say, disagreement

@@ -95,11 +95,16 @@ class Standing:
         return replace(self, last=max(when, self.last), stands=stands, watched=watched)
 
 
-def usual_rate(all_of_place: Iterable[Standing]) -> float:
-    """Return how often a landmark of a place changes its place, by all that are known [1 / day]."""
-    landmarks = list(all_of_place)
+def tally(some: Iterable[Standing]) -> tuple[float, float]:
+    """Return how often landmarks changed their places, and how long they were watched [days]."""
+    landmarks = list(some)
     changes = sum(s.moved + s.returned + (s.stands < GONE) for s in landmarks)
-    return (1.0 + changes) / (USUAL_DAYS + sum(s.watched for s in landmarks))
+    return float(changes), float(sum(s.watched for s in landmarks))
+
+
+def usual_rate(changes: float, watched: float) -> float:
+    """Return how often a landmark of a place changes its place, by a `tally` of all [1 / day]."""
+    return (1.0 + changes) / (USUAL_DAYS + watched)
 
 
 def missed_probability(seen_share: float, looks: int) -> float:

@@ -13,7 +13,7 @@ from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import FORGOTTEN, Standing, usual_rate
+from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
 
 NUDGED = 0.002
 """Goods are nudged: a place is no better known after a year without a visit (4 cm) than one drive
@@ -75,6 +75,8 @@ class Place:
     """By name; the first one is the origin."""
     visits: tuple[Visit, ...] = ()
     events: tuple[Event, ...] = ()
+    past: tuple[float, float] = (0.0, 0.0)
+    """The `tally` of landmarks that are forgotten."""
 
     @property
     def origin(self) -> str:
@@ -84,7 +86,7 @@ class Place:
     @property
     def usual_rate(self) -> float:
         """How often a landmark changes its place [1 / day]."""
-        return usual_rate(self.standings.values())
+        return usual_rate(*np.add(self.past, tally(self.standings.values())).tolist())
 
     def stays(self, when: float) -> dict[str, float]:
         """Return the probability of each landmark to stand where it is mapped, at `when` [days]."""
@@ -120,8 +122,13 @@ class Place:
 
     def visited_by(self, drive: Drive, when: float, home: str | None = None) -> Drive:
         """Return a drive that knows the place, and asks for one of its homes; see `known`."""
+        first = self.required(home) == self.origin
         settings = drive.settings.model_copy(update={"home_sensor": None})
-        return replace(drive, home={}, known=self.known(when, home), settings=settings)
+        if not first:
+            settings = settings.model_copy(update={"start": None})
+        truth = drive.truth if first else None  # it is in the frame of another home
+        known = self.known(when, home)
+        return replace(drive, home={}, known=known, settings=settings, truth=truth)
 
     def without(self, landmarks: Collection[str], homes: Collection[str] = ()) -> Place:
         """Return it without some landmarks and homes, never its first home.

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.drive import Drive
-from homeward.errors import HomewardError
+from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.text.table import is_identifier, quoted
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Estimate, Status
 from homeward.frames import Pose
-from homeward.localizer.geometry import compose, sight
+from homeward.localizer.geometry import compose, rotation, sight
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey import wrong_probabilities
 from homeward.localizer.map.survey_factors import SurveyFactors
-from homeward.localizer.tunables import CLOSE, ENOUGH, PROOF
-from homeward.places.joint_map import JointMap, datum, fused
-from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, usual_rate
+from homeward.localizer.tunables import AGREES, CLOSE, ENOUGH, PROOF
+from homeward.places.joint_map import JointMap, fused
+from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
 from homeward.places.place import Event, Place, StoredHome, Visit
 from homeward.track import Track
 
@@ -71,8 +74,34 @@ class Told:
     """Where it looked from; None: of what was not seen nothing is said."""
     home: str | None = None
     """The home in whose frame it was answered; None: the first."""
-    homes: dict[str, tuple[StoredHome, Pose, np.ndarray]] = field(default_factory=dict)
-    """Stored on the way: the pose in that frame, and its covariance."""
+    homes: dict[str, tuple[StoredHome, Estimate]] = field(default_factory=dict)
+    """Stored on the way, with what was answered there."""
+
+    def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> Told:
+        """Return it with a home where an answer has a pose, and what the camera saw there.
+
+        Raises
+        ------
+        InputError
+            When the answer has no pose, or the name cannot stand in a file.
+        """
+        if not is_identifier(name):
+            raise InputError(f"{quoted(name)} is no name for a home: printable text, trimmed")
+        if answer.pose is None:
+            raise InputError(f"home {quoted(name)} cannot be stored without a pose")
+        stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
+        return replace(self, homes={**self.homes, name: (stored, answer)})
+
+
+def last_look(drive: Drive, track: Track) -> tuple[Estimate, dict[str, float]]:
+    """Return the last pose of a track, with a look, and what was seen there."""
+    looks = {t: seen for t, seen, _ in drive.sightings.stamps()}
+    for i in np.flatnonzero(track.has_pose)[::-1].tolist():
+        if (t := float(track.t[i])) in looks:
+            pose = Pose(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
+            now = Estimate(t, track.status[i], track.reason[i], pose, track.covariance[i])
+            return now, looks[t]
+    return Estimate(math.nan, Status.MAPPING, "no pose was found"), {}
 
 
 def told_by(
@@ -136,7 +165,7 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = "home")
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
     place = Place(name, there, standings, {home: StoredHome(when, dict(observed))})
-    return _first_visit(place, told)
+    return _with_homes(_first_visit(place, told), told)
 
 
 def merged(place: Place, told: Told) -> Place:
@@ -148,22 +177,20 @@ def merged(place: Place, told: Told) -> Place:
     stays = place.stays(told.when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
     expected = sum(stays[n] for n in judged)
+    apart = Visit(place.visits[-1].number + 1, told.when, told.drive, "apart", of=len(stays))
+    kept_apart = replace(place, visits=(*place.visits, apart)[-MOST_EVENTS // 10 :])
     if len(stayed) < max(PROOF, LEAST_AGREEING * expected):
-        apart = Visit(place.visits[-1].number + 1, told.when, told.drive, "apart", of=len(stays))
-        return replace(place, visits=(*place.visits, apart)[-MOST_EVENTS // 10 :])
+        return kept_apart
     before = place.aged(told.when)
     theirs = told.map
-    pose = datum(before, theirs, stayed)
-    for home, (_, at, spread) in told.homes.items():
-        start = compose(pose, np.array(_in_place(place, told.home, at)))
-        theirs = theirs.with_home(home, {}, Pose(0.0, 0.0, 0.0), start, spread)
     placed = _well_placed(theirs)
     moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.standings]
-    now = fused(before, theirs.only({*stayed, *moved, *new}), stayed).at_home(place.origin)
-    stored = {home: kept for home, (kept, *_) in told.homes.items()}
-    there = replace(place, map=now, homes={**place.homes, **stored})
-    return _followed(place, there, told, judged, moved, new)
+    now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
+    if disagreement > AGREES**2:
+        return kept_apart
+    there = replace(place, map=now.at_home(place.origin))
+    return _with_homes(_followed(place, there, told, judged, moved, new), told)
 
 
 def merged_places(place: Place, other: Place) -> Place:
@@ -183,21 +210,18 @@ def merged_places(place: Place, other: Place) -> Place:
     told = Told(other.name, when, theirs)
     judged, before = _judged(place, told), place.aged(when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
-    if len(stayed) < max(PROOF, LEAST_AGREEING * len(judged)):
+    few = len(stayed) < max(PROOF, LEAST_AGREEING * len(judged))
+    if few or fused(before, theirs, stayed)[1] > AGREES**2:
         raise HomewardError(
-            f"{len(stayed)} of the {len(judged)} landmarks that both have stand alike: "
+            f"of the {len(judged)} landmarks that both have too few stand alike: "
             "these are two places, or most was rearranged"
         )
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
-    now = fused(before, theirs, stayed).at_home(place.origin)
-    standings = {
-        n: other.standings[n]
-        if n not in place.standings or (n not in older and n not in stayed)
-        else place.standings[n]
-        for n in now.names
-    }
-    standings |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
+    now = fused(before, theirs, stayed)[0].at_home(place.origin)
+    both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}
+    both |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
+    standings = {n: both[n] for n in now.names}
     homes = {**place.homes, **{names[h]: s for h, s in other.homes.items()}}
     there = replace(place, map=now, standings=standings, homes=homes)
     new = [n for n in now.names if n not in place.standings]
@@ -226,7 +250,7 @@ def _followed(
     new: list[str],
 ) -> Place:
     """Return a place with what is believed of each landmark's staying after a visit."""
-    when, usual = told.when, usual_rate(before.standings.values())
+    when, usual = told.when, before.usual_rate
     standings, what = (
         dict[str, Standing](),
         dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new"),
@@ -254,10 +278,12 @@ def _followed(
     what |= dict.fromkeys(forgotten, "forgotten")
     kept = [n for n in standings if n not in forgotten]
     events = _events(before, place, what)
+    lost = [standings[n] for n in forgotten]
     place = replace(
         place,
         map=place.map.only(kept),
         standings={n: standings[n] for n in kept},
+        past=tuple(np.add(before.past, tally(lost)).tolist()),
         events=(*before.events, *events)[-MOST_EVENTS:],
     )
     counts = {k: sum(w == k for w in what.values()) for k in ("moved", "gone", "new", "returned")}
@@ -322,6 +348,21 @@ def _well_placed(some: JointMap) -> set[str]:
     """Return the landmarks that are placed well enough for bearings to be linear in their error."""
     most = CLOSE * 0.5 * some.size
     return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
+
+
+def _with_homes(place: Place, told: Told) -> Place:
+    """Return a place with the homes that were stored on a visit."""
+    for name, (stored, answer) in told.homes.items():
+        if name in place.homes:
+            raise InputError(f"there is a home {quoted(name)} already; forget that one first")
+        if answer.pose is None or answer.covariance is None:
+            continue
+        pose = np.array(_in_place(place, told.home, answer.pose))
+        turn = rotation(place.home_pose(place.required(told.home)).heading)
+        spread = turn @ answer.covariance @ turn.T
+        there = place.map.with_home(name, {}, Pose(0.0, 0.0, 0.0), pose, spread)
+        place = replace(place, map=there, homes={**place.homes, name: stored})
+    return place
 
 
 def _in_place(place: Place, home: str | None, at: Pose) -> Pose:

@@ -23,6 +23,7 @@ from homeward.frames import Pose, to_polar
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
+from homeward.places.files import is_place
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.studies.visits import in_place, place_used
 from homeward.track import Track
@@ -159,6 +160,8 @@ def prepare(
 def opened(run: RunSettings, progress: Callable[[float], None] | None = None) -> Drive:
     """Open the drive of a run, telling `progress`; errors as `prepare`."""
     settings = estimator_settings(run.estimator, run.settings)
+    if run.place is not None and run.estimator != DEFAULT:
+        raise InputError(f"a place is for the estimator {DEFAULT}, not {run.estimator}")
     if run.smooth and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
     drive = open_drive(
@@ -170,10 +173,12 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         topics=run.topics,
         tell=progress,
     )
-    drive = in_place(run, drive)
     if not drive.sightings.t.size:
         raise _saw_nothing(drive_path(run), drive.remark_lines)
-    if not drive.home and not (drive.known.surveyed_from_home and run.estimator == DEFAULT):
+    visits = run.place is not None and is_place(Path(run.place))
+    if not (drive.home or visits) and not (
+        drive.known.surveyed_from_home and run.estimator == DEFAULT
+    ):
         way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
         raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
     return drive
@@ -182,6 +187,8 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
 def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings]:
     """Return what `prepare` does, of a drive that is open."""
     settings = estimator_settings(run.estimator, run.settings)
+    run = run.model_copy(update=place_used(run, drive))
+    drive = in_place(run, drive)
     start, drive = with_start(drive, run.estimator, run.start)
     estimator = make_estimator(run.estimator, drive, settings)
     if run.place is not None and not isinstance(estimator, Localizer):
@@ -190,7 +197,7 @@ def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings
     if isinstance(estimator, OnlineFilter) and "engine" in spelt:
         # The engine that was found, not "auto": the run repeats to the last bit.
         spelt["engine"] = estimator.engine
-    update = {"start": start, "settings": spelt, **place_used(run, drive)}
+    update = {"start": start, "settings": spelt}
     complete = run.model_copy(update=update)
     return drive, estimator, complete
 

@@ -11,7 +11,7 @@ from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.places.files import is_place, load_place, newest
 from homeward.places.place import Place
-from homeward.places.visiting import first_place, merged, told_by
+from homeward.places.visiting import first_place, last_look, merged, told_by
 from homeward.track import Track
 
 if TYPE_CHECKING:
@@ -21,11 +21,16 @@ DAY_S = 86400.0
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:
-    """Return the drive of a run as it knows its place; `InputError` where that is damaged."""
-    version = place_used(run, drive).get("place_version")
-    if version is None or run.place is None:
+    """Return the drive of a run, dated by `place_used`, as it knows its place.
+
+    Raises
+    ------
+    InputError
+        When the place is damaged.
+    """
+    if run.place is None or run.place_version is None or run.when is None:
         return drive
-    return load_place(run.place, version).visited_by(drive, day_of(run, drive), run.place_home)
+    return load_place(run.place, run.place_version).visited_by(drive, run.when, run.place_home)
 
 
 def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
@@ -46,8 +51,16 @@ def day_of(run: RunSettings, drive: Drive) -> float:
     return (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
 
 
-def after_visit(run: RunSettings, drive: Drive, estimator: Estimator, track: Track) -> Place:
+def after_visit(
+    run: RunSettings,
+    drive: Drive,
+    estimator: Estimator,
+    track: Track,
+    store_home: str | None = None,
+) -> Place:
     """Return the place of a run as it is afterwards, all of it from `prepare` and `finish`.
+
+    A home of that name is stored where the drive ended.
 
     Raises
     ------
@@ -57,6 +70,8 @@ def after_visit(run: RunSettings, drive: Drive, estimator: Estimator, track: Tra
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
     told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
+    if store_home is not None:
+        told = told.store_home(store_home, *last_look(drive, track))
     if run.place_version is None:
         return first_place(Path(run.place).name, estimator, told)
     return merged(load_place(run.place, run.place_version), told)

@@ -66,6 +66,10 @@ def run(
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place at its end.")
     ] = False,
+    store_home: Annotated[
+        str | None,
+        typer.Option(help="With --update: a new home of this name where the drive ends."),
+    ] = None,
     place_home: Annotated[
         str | None, typer.Option(help="Answer in the frame of this home of the place [the first].")
     ] = None,
@@ -111,6 +115,8 @@ def run(
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if update and (place is None or smooth):
         raise InputError("--update needs a --place, and no --smooth")
+    if store_home is not None and not update:
+        raise InputError("--store-home needs --update")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when are for a --place")
     if estimator is not None and "," in estimator:
@@ -119,7 +125,7 @@ def run(
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in COMPILED:
         raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out, update)
+    _run(settings, out, update, store_home)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -173,7 +179,7 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     return folder
 
 
-def _run(settings: RunSettings, out: Path | None, update: bool) -> None:
+def _run(settings: RunSettings, out: Path | None, update: bool, store_home: str | None) -> None:
     from homeward.places.files import save_place
     from homeward.report.place.words import visit_words
     from homeward.report.run.folder import write_run
@@ -186,7 +192,7 @@ def _run(settings: RunSettings, out: Path | None, update: bool) -> None:
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
-            after = after_visit(complete, drive, estimator, track)
+            after = after_visit(complete, drive, estimator, track, store_home)
             save_place(after, settings.place, complete.place_version or 0)
     say(summary)
     if update:

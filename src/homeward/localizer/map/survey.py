@@ -90,8 +90,7 @@ class Survey:
             self.wrong, self.wrong_distances, self.used = {}, {}, []
             return SurveyFactors.none()
         factors, k = self.factors(names, pairs, numbers), len(names)
-        told = [self.known.landmarks[n].stays for n in names]
-        prior = [self._prior if p is None else 1.0 - p for p in told] + [self._prior] * len(pairs)
+        prior = [1.0 - self.stays(n) for n in names] + [self._prior] * len(pairs)
         wrong = wrong_probabilities(factors, free, ids, np.array(prior), self.size)
         self.wrong = dict(zip(names, wrong[:k].tolist(), strict=True))
         self.wrong_distances = dict(zip(pairs, wrong[k:].tolist(), strict=True))
@@ -113,6 +112,11 @@ class Survey:
             np.array([d.distance for d in apart]),
             np.array([d.sigma or known.sigma for d in apart]),
         )
+
+    def stays(self, name: str) -> float:
+        """Return how probable it is beforehand that a landmark stands where it was surveyed."""
+        told = self.known.landmarks[name].stays
+        return 1.0 - self._prior if told is None else told
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
         """Return the covariance of the surveyed coordinates of some, (2 k, 2 k) [m^2]."""

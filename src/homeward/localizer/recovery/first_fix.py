@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
+from scipy.stats import binom
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import AGREES, PROOF
+from homeward.localizer.tunables import AGREES, FALSE_ALARM, POSE, PROOF
 
+AHEAD = math.pi
+"""Landmarks are seen in about so wide a view [rad]."""
+PATIENCE = 4
+"""After each so many looks in vain, one more look is waited for: trying takes milliseconds."""
 KEPT = 2
 """The last so many sightings of each landmark are kept: the newest, and one to check it."""
 
@@ -28,6 +34,7 @@ class FirstFix:
 
     def __init__(self, survey: Survey) -> None:
         self._survey = survey
+        self._tries, self._wait = 0, 0
         self._seen: dict[str, deque[tuple[np.ndarray, float, float, np.ndarray]]] = {}
         """Of each landmark: the camera's pose, bearing and deviation, and the pose's variances."""
 
@@ -52,14 +59,19 @@ class FirstFix:
             if name in self._survey.places:
                 kept = self._seen.setdefault(name, deque(maxlen=KEPT))
                 kept.append((eye, float(bearing), float(sigma), variances))
-        if len(self._seen) < PROOF:
+        self._wait -= 1
+        if len(self._seen) < PROOF or self._wait > 0:
             return None
+        self._tries += 1
+        self._wait = self._tries // PATIENCE
         lines = self._lines(variances)
         found = relocalise(lines)
         if found is None:
             return None
-        names = self._agreeing(found[0], lines)
-        return (between(found[0], np.zeros(3)), names) if len(names) >= PROOF else None
+        names, wrong = self._agreeing(found[0], lines)
+        if len(names) < PROOF or wrong > FALSE_ALARM:
+            return None
+        return between(found[0], np.zeros(3)), names
 
     def _lines(self, now: np.ndarray) -> SightLines:
         """Return the sight lines, those of a while ago less certain by what odometry gathered."""
@@ -78,10 +90,24 @@ class FirstFix:
             covariances=blocks[each, :, each][numbers],
         )
 
-    def _agreeing(self, origin: np.ndarray, lines: SightLines) -> list[str]:
-        """Return the landmarks all of whose lines agree, the map's origin being there."""
+    def _agreeing(self, origin: np.ndarray, lines: SightLines) -> tuple[list[str], float]:
+        """Return the landmarks all of whose lines agree, and how probable it is to be wrong.
+
+        It is wrong if as many agree by chance with one of the triples, each of which fits some
+        place always (a contrario: Desolneux, Moisan and Morel), while so many have moved that the
+        right place is no rival to it.
+        """
         seen = sight(compose(origin, lines.cameras), lines.positions)
         variances = np.einsum("mi,mij,mj->m", seen.by_place, lines.covariances, seen.by_place)
-        off = np.abs(wrap(lines.bearings - seen.bearing))
-        fits = off < AGREES * np.sqrt(lines.sigmas**2 + variances)
-        return [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
+        off, sigmas = (
+            np.abs(wrap(lines.bearings - seen.bearing)),
+            np.sqrt(lines.sigmas**2 + variances),
+        )
+        fits = off < AGREES * sigmas
+        names = [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
+        by_chance = min(2.0 * AGREES * float(np.median(sigmas)) / AHEAD, 1.0)
+        others = len(self._seen) - POSE
+        tail = binom.sf(len(names) - POSE - 1, others, by_chance)
+        stay = np.mean([self._survey.stays(n) for n in self._seen])
+        no_rival = binom.cdf(len(names) - 2, len(self._seen), stay)
+        return names, math.comb(len(self._seen), POSE) * float(tail * no_rival)

@@ -53,12 +53,13 @@ def info_lines(place: Place) -> list[str]:
     ]
     for home, stored in place.homes.items():
         pose = place.home_pose(home)
-        stand = sum(stays.get(n, 0.0) for n in stored.seen)
+        known = {n: place.standings[n] for n in stored.seen if n in place.standings}
+        stand = sum(stays[n] for n, s in known.items() if s.since <= stored.stored)
         lines.append(
             f"Home {name(home)}, stored {date(stored.stored)}, at ({pose.x:.2f}, {pose.y:.2f}) m,"
             f" is known to {place.home_sigma(home, when):.3f} m; of the"
-            f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} stand where they are"
-            " mapped."
+            f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} still stand where they"
+            " did."
         )
     restless = sorted(
         (n for n, s in place.standings.items() if s.moved + s.returned),

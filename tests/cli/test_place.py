@@ -1,0 +1,119 @@
+"""`homeward run --place` and `homeward place` as docs show them, on the sample drive."""
+
+import shutil
+
+import pytest
+from commands import call, first_seconds, refused
+
+from homeward.places.files import load_place, newest
+
+
+@pytest.fixture(scope="module")
+def visited(tmp_path_factory):
+    """A folder with a place after two drives, the second of which stored a home at its end."""
+    folder = tmp_path_factory.mktemp("places")
+    hall, out = folder / "hall", folder / "out"
+    first = call("run", "sample", "--place", hall, "--update", "--when", "2026-11-01", "--out", out)
+    assert first.exit_code == 0, first.output
+    assert "hall: a new place, with 15 landmarks." in first.output
+    more = "--update", "--store-home", "dock 3", "--when", "2026-11-02"
+    second = call("run", "sample", "--place", hall, *more, "--out", out)
+    assert second.exit_code == 0, second.output
+    assert "of its landmarks 15 stayed" in second.output
+    assert "first pose came after" not in second.output  # it came at once
+    return folder
+
+
+@pytest.fixture
+def hall(visited, tmp_path):
+    shutil.copytree(visited / "hall", tmp_path / "hall")
+    return tmp_path / "hall"
+
+
+def test_info_says_what_is_known(hall):
+    said = call("place", "info", hall).output
+    assert "15 landmarks, 15 of which probably stand" in said
+    assert "two visits from 2026-11-01 to 2026-11-02" in said
+    assert "Home home, stored 2026-11-01, at (0.00, 0.00) m" in said
+    assert "Home dock 3, stored 2026-11-02" in said
+
+
+def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
+    words = "run", "sample", "--place", hall, "--place-home", "dock 3", "--out", tmp_path / "out"
+    assert call(*words).exit_code == 0
+    *_, last = (tmp_path / "out" / "estimate.csv").read_text().splitlines()
+    x, y = map(float, last.split(",")[1:3])
+    assert abs(x) < 0.15
+    assert abs(y) < 0.15  # the drive ends where that home was stored
+
+
+def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
+    drive = first_seconds(tmp_path / "drive", 20.0)
+    assert call("run", drive, "--place", hall, "--out", tmp_path / "out").exit_code == 0
+    again = call("run", tmp_path / "out" / "run.yaml", "--out", tmp_path / "again")
+    assert again.exit_code == 0, again.output
+    one, other = (tmp_path / n / "estimate.csv" for n in ("out", "again"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_forget_and_undo(hall):
+    before = load_place(hall)
+    said = call("place", "forget", hall, "L03", "--home", "dock 3").output
+    assert "14 landmarks and 1 homes are left" in said
+    assert "L03" not in load_place(hall).standings
+    assert "version 2 again" in call("place", "undo", hall).output
+    assert load_place(hall).standings == before.standings
+
+
+def test_merge(hall, visited):
+    said = call("place", "merge", hall, visited / "hall")
+    assert said.exit_code == 0, said.output
+    assert "home of hall" in load_place(hall).homes
+
+
+def test_view_writes_a_page(hall, tmp_path):
+    page = tmp_path / "pages" / "hall.html"
+    assert call("place", "view", hall, "--out", page).exit_code == 0
+    text = page.read_text(encoding="utf-8")
+    assert "<svg" in text
+    assert "L03" in text
+    assert "dock 3" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "refusal"),
+    [
+        (["run", "sample", "--update"], "--update needs a --place"),
+        (["run", "sample", "--place", "{hall}", "--update", "--smooth"], "no --smooth"),
+        (["run", "sample", "--place", "{hall}", "--store-home", "x"], "needs --update"),
+        (["run", "sample", "--place-home", "x"], "for a --place"),
+        (["run", "sample", "--place", "{hall}", "--place-home", "x"], "there are home, dock 3"),
+        (["run", "sample", "--place", "{hall}", "--when", "noon"], "no date"),
+        (["run", "sample", "--place", "{hall}", "--estimator", "ekf"], "for the estimator robust"),
+        (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "--place is for one"),
+        (["place", "info", "{hall}/.."], "holds no place"),
+        (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
+        (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(hall, words, refusal):
+    said = refused(call(*(word.format(hall=hall) for word in words)))
+    assert refusal in said
+    assert newest(hall) == 2
+
+
+def test_another_place_is_told_and_kept_apart(hall, tmp_path):
+    """The ids of a drive stand elsewhere: it is no drive through this place."""
+    from homeward import open_drive, save_drive
+
+    drive = open_drive(first_seconds(tmp_path / "drive", 60.0))
+    ids = sorted(set(drive.sightings.landmark.tolist()))
+    other = dict(zip(ids, ids[4:] + ids[:4], strict=True))
+    drive.sightings.landmark[:] = [other[n] for n in drive.sightings.landmark]
+    save_drive(drive, tmp_path / "elsewhere")
+    said = call(
+        *("run", tmp_path / "elsewhere", "--place", hall, "--update", "--out", tmp_path / "out")
+    )
+    assert "this is not the place, or most of it was rearranged" in said.output
+    assert load_place(hall).visits[-1].verdict == "apart"
+    assert load_place(hall).standings == load_place(hall, 2).standings

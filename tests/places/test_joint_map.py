@@ -1,0 +1,76 @@
+"""Two maps become one: no more is known of it than is right, wherever they lie."""
+
+import math
+
+import numpy as np
+import pytest
+from rooms import mapped, new_place, room
+
+from homeward.drives.drive import HomeBearing
+from homeward.frames import Pose, bearing
+from homeward.places.joint_map import JointMap, fused
+
+RUNS = 60
+
+
+def off_home_frame(place, places):
+    """How far a map is off in the frame of its home, and the covariance of that."""
+    there = place.seen_from_home("home")
+    truth = np.array([places[n] for n in there.names]).ravel()
+    return there.mean - truth, there.covariance
+
+
+def test_fused_maps_are_as_uncertain_as_they_are_wrong():
+    """Over many rooms the normalised squared error of the fused map is what its dimension says."""
+    squares = []
+    for seed in range(RUNS):
+        rng, places = np.random.default_rng(seed), room(8, seed)
+        home = np.array([0.01, 0.01, math.sqrt(1e-5)]) * rng.normal(size=3)
+        first = mapped(places, rng).with_home(
+            "home", {}, Pose(0.0, 0.0, 0.0), home, np.diag([1e-4, 1e-4, 1e-5])
+        )
+        place = first.at_home("home")
+        for pose in ((1.0, -2.0, 2.5), (-3.0, 1.0, -0.7)):
+            both, _ = fused(place, mapped(places, rng, pose), set(places))
+            place = both.at_home("home")
+        off, covariance = off_home_frame(place, places)
+        squares.append(off @ np.linalg.solve(covariance, off) / off.size)
+    assert np.mean(squares) == pytest.approx(1.0, abs=4 * math.sqrt(2.0 / 16 / RUNS))
+
+
+def test_what_both_know_is_known_better_and_what_one_knows_is_kept():
+    rng, places = np.random.default_rng(1), room(12)
+    names = list(places)
+    place = new_place({n: places[n] for n in names[:8]}, rng).map
+    visit = mapped({n: places[n] for n in names[4:]}, rng, (1.0, 1.0, 3.0))
+    both = fused(place, visit, names[4:8])[0].at_home("home")
+    assert set(both.names) == set(names)
+    assert both.homes == ("home",)
+    before = dict(zip(place.names, place.sigmas, strict=True))
+    after = dict(zip(both.names, both.sigmas, strict=True))
+    assert all(after[n] < before[n] for n in names[4:8])
+    off, covariance = off_home_frame(both, places)
+    assert off @ np.linalg.solve(covariance, off) < 24 + 4 * math.sqrt(2 * 24)
+
+
+def test_a_map_moved_as_a_whole_is_the_same_map():
+    rng, places = np.random.default_rng(2), room(6)
+    place = new_place(places, rng).map
+    moved = place.seen_from(np.array([3.0, -1.0, 2.0]), np.zeros((3, 3)))
+    again = moved.seen_from_home("home")
+    straight = place.seen_from_home("home")
+    assert again.mean == pytest.approx(straight.mean)
+    assert again.covariance == pytest.approx(straight.covariance, abs=1e-12)
+
+
+def test_a_home_is_found_by_what_was_seen_there():
+    rng, places = np.random.default_rng(3), room(10)
+    held, home, mount = mapped(places, rng), Pose(0.5, -0.7, 1.2), Pose(0.2, 0.0, 0.1)
+    exact = JointMap(held.names, (), np.array(list(places.values())).ravel(), 1e-8 * np.eye(20))
+    eye_x = home.x + 0.2 * math.cos(home.heading)
+    eye = Pose(eye_x, home.y + 0.2 * math.sin(home.heading), home.heading + 0.1)
+    seen = {n: HomeBearing(float(bearing(eye, *p)), 1e-3) for n, p in places.items()}
+    near = np.add(home, (0.3, -0.2, 0.2))
+    found = exact.with_home("home", seen, mount, near, np.diag([25.0, 25.0, 9.0]))
+    assert found.poses[0] == pytest.approx(np.array(home), abs=1e-4)
+    assert 1e-4 < math.sqrt(found.covariance[-3, -3]) < 1e-2

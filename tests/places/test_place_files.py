@@ -1,0 +1,120 @@
+"""A place as a folder: back to the last bit, whole or not there, and never trusted."""
+
+import shutil
+
+import numpy as np
+import pytest
+from rooms import new_place, room, told
+
+from homeward.errors import InputError
+from homeward.places.files import KEPT, load_place, newest, save_place, undo
+from homeward.places.visiting import merged
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rng, places = np.random.default_rng(0), room()
+    place = new_place(places, rng)
+    save_place(place, tmp_path / "hall", 0)
+    save_place(merged(place, told(places, rng)), tmp_path / "hall", 1)
+    return tmp_path / "hall"
+
+
+def same(a, b):
+    assert (a.name, a.standings, a.homes, a.visits, a.events) == (
+        *(b.name, b.standings, b.homes, b.visits),
+        b.events,
+    )
+    assert (a.map.names, a.map.homes) == (b.map.names, b.map.homes)
+    assert np.array_equal(a.map.mean, b.map.mean)
+    assert np.array_equal(a.map.covariance, b.map.covariance)
+
+
+def test_a_place_comes_back_to_the_last_bit(folder, tmp_path):
+    place = load_place(folder)
+    save_place(place, tmp_path / "again")
+    same(load_place(tmp_path / "again"), place)
+
+
+def test_undo_goes_back_and_only_as_far_as_there_is_something(folder):
+    first = load_place(folder, 1)
+    assert undo(folder) == 1
+    same(load_place(folder), first)
+    with pytest.raises(InputError, match="no older version"):
+        undo(folder)
+
+
+def test_old_versions_go_and_a_slower_one_is_refused(folder):
+    place = load_place(folder)
+    for _ in range(KEPT):
+        save_place(place, folder)
+    assert len(list(folder.iterdir())) == KEPT
+    assert newest(folder) == KEPT + 2
+    with pytest.raises(InputError, match="changed meanwhile"):
+        save_place(place, folder, 2)
+    with pytest.raises(InputError, match="is not kept"):
+        load_place(folder, 1)
+
+
+def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):
+    before = load_place(folder)
+
+    def cut(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", cut)
+    with pytest.raises(KeyboardInterrupt):
+        save_place(before, folder)
+    monkeypatch.undo()
+    # A real one leaves what was being written.
+    shutil.copytree(folder / "0002", folder / ".being-written-x")
+    (folder / ".being-written-x" / "covariance.npz").write_bytes(b"")
+    same(load_place(folder), before)
+    save_place(before, folder)
+    assert sorted(p.name for p in folder.iterdir()) == ["0001", "0002", "0003"]
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("all of it")
+    with pytest.raises(InputError, match="holds files but no place"):
+        save_place(new_place(room(), np.random.default_rng(0)), tmp_path)
+    with pytest.raises(InputError, match="holds no place"):
+        load_place(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        load_place(tmp_path / "nowhere")
+
+
+def edit(file, old, new):
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "words"),
+    [
+        ("place.yaml", lambda f: edit(f, "format: 1", "format: 2"), "of format 2"),
+        ("place.yaml", lambda f: f.write_text("[1"), "place.yaml"),
+        ("place.yaml", lambda f: edit(f, "landmarks: 20", "landmarks: 21"), "21 are due"),
+        ("landmarks.csv", lambda f: edit(f, "L3,", "L4,"), "has a row already"),
+        ("landmarks.csv", lambda f: f.write_text(""), "empty file"),
+        ("landmarks.csv", lambda f: f.write_bytes(b"\xff\xfe\x00"), "not UTF-8"),
+        ("landmarks.csv", lambda f: edit(f, "L3,", "L3,nan,0,0,0\nL3,"), "fields where"),
+        ("homes.csv", lambda f: edit(f, "home,0", "home,inf0"), "not a finite number"),
+        ("home_bearings.csv", lambda f: edit(f, "home,L0", "dock,L0"), "no home of homes.csv"),
+        ("visits.csv", lambda f: f.write_text("number,when\n"), "no column"),
+        ("events.csv", lambda f: f.unlink(), "events.csv"),
+        ("covariance.npz", lambda f: f.write_bytes(b"PK\x03\x04" + 50 * b"?"), "is damaged"),
+        ("covariance.npz", lambda f: np.savez(f, covariance=np.eye(3)), "is damaged"),
+        ("covariance.npz", lambda f: np.savez(f, covariance=-np.eye(43)), "is damaged"),
+        ("covariance.npz", lambda f: np.savez(f, covariance=np.full((43, 43), np.nan)), "damaged"),
+        ("covariance.npz", lambda f: np.savez(f, covariance=np.array([{}])), "is damaged"),
+        ("covariance.npz", lambda f: np.savez_compressed(f, covariance=np.zeros(10**6)), "damaged"),
+    ],
+)
+def test_a_damaged_place_ends_in_one_line(folder, name, spoil, words):
+    spoil(folder / "0002" / name)
+    with pytest.raises(InputError, match=words) as error:
+        load_place(folder)
+    assert "\n" not in str(error.value)
+    assert "0002" in str(error.value)

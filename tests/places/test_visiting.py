@@ -1,0 +1,137 @@
+"""Visits: what moved is named, what is gone fades, and another place is kept out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rooms import new_place, room, told
+
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Estimate, Status
+from homeward.frames import Pose, bearing
+from homeward.places.visiting import Looks, merged, merged_places
+
+
+def events(place, what):
+    number = place.visits[-1].number
+    return {e.landmark for e in place.events if e.visit == number and e.what == what}
+
+
+def looks(places, field_of_view=None):
+    """Looks all over a room at what is there."""
+    rng = np.random.default_rng(5)
+    cameras = np.column_stack([rng.uniform(-4, 4, 40), rng.uniform(-2, 2, 40), np.zeros(40)])
+    half = np.inf if field_of_view is None else 0.5 * field_of_view
+    seen = [[n for n, p in places.items() if abs(bearing(Pose(*c), *p)) < half] for c in cameras]
+    return Looks(cameras, seen, field_of_view)
+
+
+@pytest.mark.parametrize("moved", [0, 1, 4, 7])
+def test_what_moved_is_named_and_follows(moved):
+    rng, places = np.random.default_rng(moved), room()
+    place = new_place(places, rng)
+    for name in list(places)[:moved]:
+        places[name] = places[name] + (0.5, -0.4)
+    after = merged(place, told(places, rng))
+    assert events(after, "moved") == set(list(places)[:moved])
+    there = after.map.seen_from_home("home")
+    truth = np.array([places[n] for n in there.names])
+    assert np.abs(there.positions - truth).max() < 4 * there.sigmas.max()
+
+
+def test_what_is_in_view_and_not_seen_fades_and_is_forgotten():
+    rng, places = np.random.default_rng(0), room()
+    place = new_place(places, rng)
+    gone = places.pop("L3")
+    counts = []
+    for day in (1.0, 2.0, 3.0, 4.0):
+        place = merged(place, told(places, rng, day, looks=looks(places)))
+        counts.append("L3" in place.standings)
+    assert counts[0]
+    assert not counts[-1]
+    assert {e.what for e in place.events if e.landmark == "L3"} == {"new", "gone", "forgotten"}
+    assert len(place.standings) == 19
+    back = merged(place, told({**places, "L3": gone}, rng, 5.0))
+    assert events(back, "new") == {"L3"}
+
+
+def test_what_was_out_of_view_is_not_said_to_be_gone():
+    rng, places = np.random.default_rng(0), room()
+    place = new_place(places, rng)
+    ahead = {n: p for n, p in places.items() if p[0] > -1.0}
+    seen = looks(places, 0.5)
+    after = merged(place, told(ahead, rng, looks=replace(seen, cameras=np.abs(seen.cameras))))
+    assert not events(after, "gone")
+    assert len(after.standings) == 20
+
+
+def test_another_place_is_kept_apart():
+    rng = np.random.default_rng(0)
+    place = new_place(room(seed=0), rng)
+    after = merged(place, told(room(seed=9), rng))
+    assert after.visits[-1].verdict == "apart"
+    assert after.map is place.map
+    assert after.standings == place.standings
+
+
+def test_too_few_in_common_is_no_proof():
+    rng, places = np.random.default_rng(0), room()
+    place = new_place(places, rng)
+    after = merged(place, told({n: places[n] for n in list(places)[:4]}, rng))
+    assert after.visits[-1].verdict == "apart"
+
+
+def test_places_of_two_robots_in_one_room_are_merged():
+    rng, places = np.random.default_rng(0), room(24)
+    names = list(places)
+    mine = new_place({n: places[n] for n in names[:16]}, rng, 0.0, "mine")
+    places[names[10]] = places[names[10]] + (1.0, 0.5)
+    yours = new_place({n: places[n] for n in names[8:]}, rng, 5.0, "yours")
+    shifted = yours.map.seen_from(np.array([2.0, 1.0, 0.4]), np.zeros((3, 3)))
+    both = merged_places(mine, replace(yours, map=shifted))
+    assert set(both.standings) == set(names)
+    assert events(both, "moved") == {names[10]}
+    assert list(both.homes) == ["home", "home of yours"]
+    assert np.hypot(*both.home_pose("home of yours")[:2]) < 0.1
+    with pytest.raises(HomewardError, match="two places"):
+        merged_places(mine, new_place(room(24, seed=7), rng))
+
+
+def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():
+    """Its uncertainty grows with each night, and covers how far off it is."""
+    rng, places = np.random.default_rng(0), room(24)
+    place = new_place(places, rng)
+    answer = Estimate(9.0, Status.LOCALISED, "", Pose(2.0, 1.0, 0.5), np.diag([1e-4, 1e-4, 1e-5]))
+    visit = told(places, rng).store_home("dock 3", answer, {"L0": 0.3})
+    place = merged(place, visit)
+    sigmas = [place.home_sigma("dock 3", 1.0)]
+    for day in range(2, 14):
+        for name in list(places)[2 * (day - 2) : 2 * (day - 1)]:
+            places[name] = rng.uniform((-5, -3), (5, 3))
+        place = merged(place, told(places, rng, float(day)))
+        sigmas.append(place.home_sigma("dock 3", float(day)))
+    assert all(s.since > 1.0 for s in place.standings.values())
+    assert sigmas[-1] > sigmas[0]
+    known = place.known(13.0, "dock 3").landmarks
+    dock = Pose(2.0, 1.0, 0.5)
+    for name, found in known.items():
+        dx, dy = np.array(places[name]) - dock[:2]
+        there = np.exp(-0.5j) * complex(dx, dy)
+        assert abs(complex(found.x, found.y) - there) < 0.3
+    with pytest.raises(InputError, match="there are home, dock 3"):
+        place.known(13.0, "dock 4")
+    with pytest.raises(InputError, match="already"):
+        merged(place, told(places, rng, 14.0).store_home("dock 3", answer, {}))
+
+
+def test_a_place_does_not_grow_without_bound_nor_grow_surer_than_its_visits():
+    rng, places, day = np.random.default_rng(0), room(12), 0
+    place, number = new_place(places, rng), 12
+    for day in range(1, 120):
+        del places[next(iter(places))]
+        places[f"N{number}"] = rng.uniform((-5, -3), (5, 3))
+        number += 1
+        place = merged(place, told(places, rng, float(day), looks=looks(places)))
+    assert len(place.standings) < 20
+    assert place.map.sigmas.min() > 0.002
+    assert place.usual_rate == pytest.approx(1 / 12, rel=0.3)
