@@ -79,6 +79,13 @@ def test_python_of_a_lesson_runs(page, capsys):
         exec(compile(text, page.name, "exec"), names)
 
 
+def test_python_of_places_runs(tmp_path, monkeypatch, capsys):
+    (text,) = blocks(doc("do/places.md"), "python")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(text, "places.md", "exec"), {})
+    assert "verdict='merged', stayed=15" in capsys.readouterr().out
+
+
 def test_python_on_a_robot_runs(capsys):
     (text,) = blocks(doc("do/online.md"), "python")
     exec(compile(text, "online.md", "exec"), {})

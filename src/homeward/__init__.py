@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from homeward.localizer.localizer import Localizer
     from homeward.localizer.settings import LocalizerSettings
     from homeward.localizer.smoothing import smooth
+    from homeward.places.files import load_place, save_place
+    from homeward.places.place import Place
     from homeward.reasons import Reason, Rejection
     from homeward.registry import make_estimator
     from homeward.scoring import score
@@ -55,6 +57,8 @@ _NAMES = {
     "localizer.localizer": ("Localizer",),
     "localizer.settings": ("LocalizerSettings",),
     "localizer.smoothing": ("smooth",),
+    "places.files": ("load_place", "save_place"),
+    "places.place": ("Place",),
     "reasons": ("Reason", "Rejection"),
     "registry": ("make_estimator",),
     "scoring": ("score",),
@@ -81,6 +85,7 @@ __all__ = [
     "Mount",
     "Odometry",
     "OdometryNoise",
+    "Place",
     "Polar",
     "Pose",
     "ProportionalIntegralSettings",
@@ -96,11 +101,13 @@ __all__ = [
     "__version__",
     "a_ekf",
     "ekf",
+    "load_place",
     "make_estimator",
     "open_drive",
     "pi_ekf",
     "run",
     "save_drive",
+    "save_place",
     "score",
     "smooth",
 ]

@@ -16,7 +16,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
-from homeward.localizer.map.survey_factors import align
+from homeward.localizer.map.survey_factors import align, turned
 
 DATUM = 3
 """Unknowns of a rigid motion."""
@@ -194,9 +194,10 @@ class JointMap:
 
 def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarray:
     """Return the pose (3,) of a place's frame in that of a visit, by common landmarks (two)."""
-    mine, theirs = place.only(names, ()).loose(), visit.only(names)
-    there = theirs.mean[theirs.columns(mine.names)].reshape(-1, 2)
-    return align(there, mine.positions, mine.covariance).pose
+    mine, order = place.only(names, ()).loose(), visit.columns(place.only(names).names)
+    there, own = visit.mean[order].reshape(-1, 2), visit.covariance[np.ix_(order, order)]
+    turn = rotation(align(there, mine.positions, mine.covariance).pose[2])[:2, :2]
+    return align(there, mine.positions, mine.covariance + turned(own, turn.T)).pose
 
 
 def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:

@@ -123,7 +123,8 @@ class Map:
     @property
     def has_home_survey(self) -> bool:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
-        return self.survey.known.surveyed_from_home and bool(self.smoother.known.ids.size)
+        judged = self.smoother.known.ids.size and self.survey.used
+        return self.survey.known.surveyed_from_home and bool(judged)
 
     def measured(self) -> Marginal:
         """Return the state by what was seen alone, not by what is known of landmarks.
