@@ -47,9 +47,12 @@ def on_post_build(config: Any, **_: Any) -> None:
 def commands() -> str:
     """Return what ``--help`` says of every command."""
     parts = []
-    for command in COMMANDS:
-        name = command.__name__.rstrip("_")
-        told = CliRunner().invoke(app, [name, "--help"], terminal_width=80).stdout.rstrip()
+    names = [command.__name__.rstrip("_") for command in COMMANDS]
+    for group in app.registered_groups:
+        inside = group.typer_instance.registered_commands
+        names += [f"{group.name} {command.callback.__name__}" for command in inside]
+    for name in names:
+        told = CliRunner().invoke(app, [*name.split(), "--help"], terminal_width=80).stdout.rstrip()
         told = told.partition("\n\n  Exit status")[0]
         parts.append(f"## homeward {name}\n\n```text\n{told.strip()}\n```")
     return "\n\n".join(parts)

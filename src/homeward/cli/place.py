@@ -9,12 +9,13 @@ import typer
 
 from homeward.cli.terminal import say
 
-place = typer.Typer(
-    help="Describe a place that lasts from drive to drive, draw it, or change it.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+place = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the place.")]
+
+
+@place.callback()
+def about() -> None:
+    """Tell of a place, or change it."""
 
 
 @place.command()
