@@ -13,7 +13,11 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
-IN_BROWSER = ("report/test_page_in_browser", "report/test_site_in_browser")
+IN_BROWSER = (
+    "report/test_page_in_browser",
+    "report/test_site_in_browser",
+    "studio/test_studio_in_browser",
+)
 SLOW = ("vision", "consistency", "simulation/test_render", *IN_BROWSER)
 """What renders, looks at pictures, drives a browser or many drives: half of the time of all."""
 

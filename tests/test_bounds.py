@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.bounds import Arc
 from homeward.angles import wrap
-from homeward.bounds import posterior_bound
+from homeward.bounds import RunningBound, posterior_bound
 from homeward.frames import Pose, between, compose
 
 SIGMAS = {"bearing_sigma": 0.05, "home_sigma": 0.01, "speed_sigma": 0.02, "turn_sigma": 0.05}
@@ -147,3 +147,19 @@ def test_a_long_drive_has_a_bound_to_its_end():
     bound = posterior_bound(poses, twists, dt, marks, visible, **SIGMAS)
     assert np.isfinite(bound[100:]).all()
     assert bound[500:, 0, 0].max() < 2.0 * bound[100:200, 0, 0].max()
+
+
+def test_a_landmark_known_to_have_moved_tells_nothing_more_by_itself():
+    poses, _, _, marks, _ = scene()
+    bound = RunningBound(marks, **SIGMAS, start_covariance=0.01 * np.eye(3))
+    everything = np.ones(len(marks), bool)
+    bound.see(poses[0], marks, everything)
+    known = bound.covariance()
+    bound.move(0)
+    np.testing.assert_allclose(bound.covariance(), known, rtol=1e-9, atol=1e-9)
+    bound.see(poses[5], marks, np.arange(len(marks)) == 0)
+    np.testing.assert_allclose(bound.covariance(), known, rtol=1e-9, atol=1e-9)
+    bound.see(poses[5], marks, everything)
+    assert np.linalg.eigvalsh(known - bound.covariance()).min() > 0
+    bound.carry()
+    assert np.isinf(bound.covariance()).all()

@@ -63,74 +63,91 @@ def posterior_bound(
     ndarray, shape (n, 3, 3)
         Covariances of (x, y, heading); infinite while the pose is not fixed.
     """
-    information = _before_the_drive(landmarks, home_sigma, moved, start_covariance, mount)
+    bound = RunningBound(
+        landmarks,
+        bearing_sigma=bearing_sigma,
+        home_sigma=home_sigma,
+        speed_sigma=speed_sigma,
+        turn_sigma=turn_sigma,
+        moved=moved,
+        start_covariance=start_covariance,
+        mount=mount,
+    )
     bounds = np.full((len(poses), 3, 3), np.inf)
     for k, pose in enumerate(poses):
         if k and carried is not None and carried[k - 1]:
-            information = _without_pose(information)
+            bound.carry()
         elif k:
-            information = _predict(
-                information,
-                poses[k - 1],
-                pose,
-                twists[k - 1],
-                float(intervals[k - 1]),
-                (speed_sigma, turn_sigma),
-            )
-        jacobian = _bearing_jacobian(pose, landmarks, mount)[visible[k]]
-        information = information + jacobian.T @ jacobian / bearing_sigma**2
-        bounds[k] = _of_pose(information)
+            bound.drive(poses[k - 1], pose, twists[k - 1], float(intervals[k - 1]))
+        bound.see(pose, landmarks, visible[k])
+        bounds[k] = bound.covariance()
     return bounds
 
 
-def _before_the_drive(
-    landmarks: np.ndarray,
-    home_sigma: float,
-    moved: np.ndarray | None,
-    start_covariance: np.ndarray | None,
-    mount: Pose,
-) -> np.ndarray:
-    """Return the information of home bearings and start prior, shape (3 + 2 q, 3 + 2 q)."""
-    right = np.ones(len(landmarks), bool) if moved is None else ~moved
-    jacobian = _bearing_jacobian(np.zeros(3), landmarks, mount)[right]
-    jacobian[:, :3] = 0.0  # home itself is known
-    information = jacobian.T @ jacobian / home_sigma**2
-    if start_covariance is not None:
-        information[:3, :3] += np.linalg.inv(start_covariance)
-    return np.asarray(information)
+class RunningBound:
+    """The posterior bound as a drive goes on; parameters as those of `posterior_bound`."""
 
+    def __init__(
+        self,
+        landmarks: np.ndarray,
+        *,
+        bearing_sigma: float,
+        home_sigma: float,
+        speed_sigma: float,
+        turn_sigma: float,
+        moved: np.ndarray | None = None,
+        start_covariance: np.ndarray | None = None,
+        mount: Pose = CENTRE,
+    ) -> None:
+        self.bearing_sigma, self._sigmas = bearing_sigma, (speed_sigma, turn_sigma)
+        self.mount = mount
+        right = np.ones(len(landmarks), bool) if moved is None else ~moved
+        jacobian = _bearing_jacobian(np.zeros(3), landmarks, mount)[right]
+        jacobian[:, :3] = 0.0  # home itself is known
+        self._information = jacobian.T @ jacobian / home_sigma**2
+        if start_covariance is not None:
+            self._information[:3, :3] += np.linalg.inv(start_covariance)
 
-def _predict(
-    information: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    twist: np.ndarray,
-    dt: float,
-    sigmas: tuple[float, float],
-) -> np.ndarray:
-    """Carry information over a motion; its noise may be singular, and zero."""
-    back = np.eye(len(information))
-    back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
-    carried = back.T @ information @ back
-    middle = before[2] + 0.5 * twist[1] * dt
-    noise = np.zeros((len(information), 2))
-    noise[:2, 0] = np.cos(middle), np.sin(middle)
-    swing = 0.5 * twist[0] * dt
-    noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
-    noise *= np.array(sigmas) * np.sqrt(dt)
-    pulled = carried @ noise
-    after = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
-    return np.asarray(0.5 * (after + after.T))  # what is not symmetric would grow at each step
+    def drive(self, before: np.ndarray, after: np.ndarray, twist: np.ndarray, dt: float) -> None:
+        """Carry the information over a motion between poses (3,), by a twist (2,) over `dt` [s].
 
+        Its noise may be singular, and zero.
+        """
+        back = np.eye(len(self._information))
+        back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
+        carried = back.T @ self._information @ back
+        middle = before[2] + 0.5 * twist[1] * dt
+        noise = np.zeros((len(self._information), 2))
+        noise[:2, 0] = np.cos(middle), np.sin(middle)
+        swing = 0.5 * twist[0] * dt
+        noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
+        noise *= np.array(self._sigmas) * np.sqrt(dt)
+        pulled = carried @ noise
+        left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
+        self._information = 0.5 * (left + left.T)  # what is not symmetric would grow at each step
 
-def _without_pose(information: np.ndarray) -> np.ndarray:
-    """Return what is left of information when nothing is known of the pose any more."""
-    own, cross = information[:3, :3], information[:3, 3:]
-    left = np.zeros_like(information)
-    left[3:, 3:] = (
-        information[3:, 3:] - cross.T @ np.linalg.pinv(own, 1e-12, hermitian=True) @ cross
-    )
-    return left
+    def see(self, pose: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> None:
+        """Add one bearing to each visible landmark (q,), seen from a pose (3,)."""
+        jacobian = _bearing_jacobian(pose, landmarks, self.mount)[visible]
+        self._information = self._information + jacobian.T @ jacobian / self.bearing_sigma**2
+
+    def carry(self) -> None:
+        """Forget the pose: the robot was carried, and nothing is known of how."""
+        self._forget(slice(0, 3))
+
+    def move(self, landmark: int) -> None:
+        """Forget where a landmark stands: it was moved, and that is known."""
+        self._forget(slice(3 + 2 * landmark, 5 + 2 * landmark))
+
+    def covariance(self) -> np.ndarray:
+        """Return the least covariance of the pose now, shape (3, 3); infinite if not fixed."""
+        return _of_pose(self._information)
+
+    def _forget(self, part: slice) -> None:
+        own, cross = self._information[part, part], self._information[part]
+        inverse = np.linalg.pinv(own, 1e-12, hermitian=True)
+        self._information = self._information - cross.T @ inverse @ cross
+        self._information[part], self._information[:, part] = 0.0, 0.0
 
 
 def _bearing_jacobian(pose: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:

@@ -27,6 +27,7 @@ from homeward.cli.studies.observe import observe
 from homeward.cli.studies.plan import plan
 from homeward.cli.studies.reproduce import reproduce
 from homeward.cli.studies.study import study
+from homeward.cli.studio import studio
 from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.errors import HomewardError, InputError
 
@@ -80,6 +81,7 @@ COMMANDS = (
     run,
     tune,
     live,
+    studio,
     view,
     simulate,
     render,

@@ -69,6 +69,10 @@ class LiveRobot:
         self.t = round(self._steps * self.period, 6)
         return sensed
 
+    def sense_by(self, scenario: Scenario) -> None:
+        """Sense as another scenario has it from now on; landmarks, home and rates stay."""
+        self._wheels, self._camera = Wheels(scenario), Camera(scenario, self.world)
+
     def move_landmark(self, name: str, dx: float, dy: float) -> None:
         """Move a landmark by so much, in room coordinates [m]."""
         self.world.places[self.world.ids.index(name)] += (dx, dy)

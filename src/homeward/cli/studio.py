@@ -1,0 +1,75 @@
+"""`homeward studio`: a page to drag landmarks, home and robot on."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+import typer
+
+from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.terminal import say
+
+
+def studio(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="[SCENE|DRIVE]",
+            help="A scene (warehouse, paper-homing, circle, a scenario.yaml) to play in, or what "
+            "was driven: sample, a drive folder, an MRCLAM folder, a ROS bag or MCAP file.",
+        ),
+    ] = "warehouse",
+    estimator: Annotated[
+        str, typer.Option(help="Side by side: names, or package.module:make, with commas.")
+    ] = "robust,ekf",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="To listen at; 0: any free one.")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open it in the browser.")
+    ] = True,
+    robot: Robot = None,
+    home: HomePose = None,
+    home_noise_deg: HomeNoise = 0.0,
+    topics: Topics = None,
+) -> None:
+    """Open a page to play in: move landmarks, home and robot, and see which estimators notice.
+
+    Of a drive: scrub it, and run it with another camera, lag or noise. Only this machine can
+    connect, and only with the token in the address that is printed. It ends by Ctrl-C. Needs the
+    extra live. docs/do/studio.md has more.
+    """
+    import math
+    import webbrowser
+    from pathlib import Path
+
+    from homeward.drives.opening import SAMPLE, open_drive
+    from homeward.frames import Pose
+    from homeward.simulation.presets import PRESETS
+    from homeward.studio.replay import Replay
+    from homeward.studio.scenes import open_scene
+    from homeward.studio.server import Played, Studio
+    from homeward.studio.session import Session
+
+    names = tuple(word.strip() for word in estimator.split(",") if word.strip())
+    shown: Played
+    if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
+        shown = Session(open_scene(source), names)
+    else:
+        pose = None if home is None else Pose(*three_numbers(home, "--home"))
+        with progress(f"reading {source}") as tell:
+            drive = open_drive(
+                source,
+                robot=robot,
+                home=pose,
+                home_noise=math.radians(home_noise_deg),
+                topics=topics,
+                tell=tell,
+            )
+            shown = Replay(drive, names)
+
+    def opened(address: str) -> None:
+        say(f"The studio is at {address}")
+        if browser:
+            webbrowser.open(address)
+
+    asyncio.run(Studio(shown).serve(port, opened))

@@ -1,0 +1,128 @@
+// The page: a socket to the session, a picture that is drawn as often as the screen is, and the panel.
+import * as keys from "./keys.js";
+import {Panel} from "./panel.js";
+import {Replay} from "./replay.js";
+import {download, film, fromFragment, png, svgText, toFragment} from "./sharing.js";
+import {View} from "./view.js";
+import {Watchers} from "./watchers.js";
+import {World} from "./world.js";
+
+const $ = (id) => document.getElementById(id);
+const svg = $("picture"), said = $("said");
+const socket = new WebSocket(`ws://${location.host}/`);
+const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
+const view = new View(svg), world = new World(view, send), watchers = new Watchers(view), panel = new Panel(send);
+const replay = new Replay(view, send);
+let scene = null, before = null, after = null, arrived = 0, interval = 50, playing = true, wrong = 0, drawn = 0;
+
+function say(words, error = false) {
+  if (!error && performance.now() < wrong) return;
+  if (error) wrong = performance.now() + 4000;
+  said.classList.toggle("error", error);
+  if (said.textContent !== words) said.textContent = words;
+}
+
+const hear = {
+  scene(told) {
+    if (scene && told.begun !== scene.begun) { watchers.clear(); view.layers.alike.replaceChildren(); before = after = null; }
+    scene = told;
+    document.body.dataset.mode = told.mode;
+    world.show(told);
+    watchers.show(told);
+    if (told.mode === "scene") panel.show(told);
+    else {
+      if (!replay.sliders) toggle();
+      panel.choices(told);
+      replay.show(told);
+    }
+  },
+  frame(told) {
+    const now = performance.now();
+    before = after ?? told;
+    after = told;
+    interval = Math.min(Math.max(0.8 * interval + 0.2 * (now - arrived), 10), 200);
+    arrived = now;
+    watchers.take(told);
+    panel.tell(told);
+    say(told.said || "Drag a landmark while it drives, and see who notices.");
+  },
+  run(told) {
+    replay.take(told);
+    moment();
+  },
+  worlds(told) {
+    watchers.alike(told);
+    $("free").replaceChildren(...told.words.map((words) => Object.assign(document.createElement("li"), {textContent: words})));
+  },
+  file(told) { download(told.name, new Blob([told.text], {type: "text/plain"})); },
+  error(told) { say(told.text, true); },
+};
+
+/** Of an opened drive: show the chosen moment. */
+function moment() {
+  const frame = replay.frame();
+  if (!frame) return;
+  before = after = frame;
+  watchers.take(frame);
+  panel.tell(frame);
+  say(frame.said);
+}
+
+socket.addEventListener("open", () => {
+  send({do: "hello", token: new URLSearchParams(location.search).get("token") ?? ""});
+  let shared = null;
+  try { shared = fromFragment(location.hash); } catch { say("This link holds no scene.", true); }
+  if (shared) send({do: "open", scene: shared});
+});
+socket.addEventListener("message", (e) => { const told = JSON.parse(e.data); hear[told.type]?.(told); });
+socket.addEventListener("close", () => { wrong = 0; say("The studio ended, or this address is an old one. Start homeward studio again.", true); });
+
+function draw() {
+  drawn += 1;
+  if (before && after) {
+    const share = Math.min((performance.now() - arrived) / interval, 1);
+    world.drive(watchers.draw(before, after, share));
+  }
+  requestAnimationFrame(draw);
+}
+requestAnimationFrame(draw);
+
+const pace = () => send({do: "pace", pace: playing ? Number($("pace").value) : 0});
+function toggle() {
+  playing = !playing;
+  $("play").textContent = playing ? "Pause" : "Play";
+  replay.play(playing);
+  pace();
+}
+$("play").addEventListener("click", toggle);
+$("pace").addEventListener("change", (e) => { pace(); e.target.blur(); });
+$("again").addEventListener("click", () => send({do: "again"}));
+$("undo").addEventListener("click", () => send({do: "undo"}));
+$("worlds").addEventListener("click", () => send({do: "worlds"}));
+$("save").addEventListener("click", () => send({do: "save"}));
+$("svg").addEventListener("click", () => download("studio.svg", new Blob([svgText(svg)], {type: "image/svg+xml"})));
+$("png").addEventListener("click", async () => download("studio.png", await png(svg)));
+$("film").addEventListener("click", () => film(svg, say));
+$("link").addEventListener("click", async () => {
+  location.hash = toFragment(scene.scenario);
+  const there = location.origin + "/#" + toFragment(scene.scenario);
+  await navigator.clipboard?.writeText(there).catch(() => {});
+  say("The scene is in the address of this page, and, without your token, in the clipboard.");
+});
+replay.chosen = moment;
+replay.busy = say;
+svg.addEventListener("dblclick", (e) => {
+  if (e.target.closest(".handle") || scene?.mode !== "scene") return;
+  const [x, y] = view.metres(e);
+  send({do: "add", x, y});
+});
+keys.listen((v, omega) => {
+  if (scene?.steer && scene.steer.by !== "keys") {
+    $("by").value = "keys";
+    $("by").dispatchEvent(new Event("change"));
+  }
+  send({do: "keys", v, omega});
+}, {" ": toggle, "Ctrl+z": () => send({do: "undo"})});
+
+// For tests and measurements: pictures drawn so far.
+Object.defineProperty(window, "studio", {value: {get drawn() { return drawn; }, get frame() { return after; }, get scene() { return scene; }}});

@@ -1,0 +1,257 @@
+"""A drive in the studio: run with another camera, lag or noise, and looked at by moments.
+
+Everything is in the home frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.drives.drive import Drive, DriveSettings, Mount, Truth
+from homeward.drives.text.settings import settings_yaml, validated
+from homeward.errors import HomewardError, InputError
+from homeward.registry import ESTIMATORS, make_estimator
+from homeward.studies.single_run import with_start
+from homeward.studio.messages import Adjust, Asked, Estimators, Plain
+from homeward.studio.rival import NAMED, ellipse
+from homeward.studio.undo import Undo
+from homeward.track import Track, run
+
+MOST_ROWS = 2000
+"""Of a long drive so many moments are shown."""
+MARGIN_M = 0.5
+VIEW_S = 0.5
+"""A view is shown for so long [s]."""
+AS_IT_IS = Adjust(do="adjust")
+
+
+class Replay:
+    """What the studio shows of a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        As it was opened.
+    estimators : sequence of str
+        Who runs side by side; as `homeward.studio.session.Session`.
+
+    Raises
+    ------
+    InputError
+        When nothing was seen on it, or home saw nothing.
+    """
+
+    now_s = math.inf
+
+    def __init__(self, drive: Drive, estimators: tuple[str, ...]) -> None:
+        if not drive.sightings.t.size or not drive.home:
+            raise InputError(f"{drive.name}: no sightings in it, or no home bearings")
+        self._drive, self._names = drive, estimators
+        self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
+        sensor = drive.settings.sensor
+        self._asked = AS_IT_IS.model_copy(
+            update={**sensor.model_dump(include={"x", "y", "yaw", "bearing_sigma"})}
+        )
+        self._first, self._undo = self._asked, Undo()
+        self.version = self._begun = 0
+        self._run()
+
+    def step(self) -> None:
+        """Do nothing: it was driven already."""
+
+    def adjusted(self) -> Drive:
+        """Return the drive as it is run now."""
+        drive, asked = self._drive, self._asked
+        mount = {"x": asked.x, "y": asked.y, "yaw": asked.yaw}
+        sensor = drive.settings.sensor.model_copy(
+            update={**mount, "bearing_sigma": asked.bearing_sigma}
+        )
+        settings = drive.settings.model_copy(update={"sensor": sensor})
+        seen = drive.sightings
+        return replace(
+            drive,
+            settings=settings,
+            sightings=replace(seen, t=seen.t - asked.lag),
+            home={i: b for i, b in drive.home.items() if i not in asked.moved},
+        )
+
+    def _run(self) -> None:
+        """Run all estimators over the drive."""
+        drive = self.adjusted()
+        self._tracks: dict[str, Track | str] = {}
+        for name in self._names:
+            try:
+                _, started = with_start(drive, name)
+                self._tracks[name] = run(started, make_estimator(name, started))
+            except HomewardError as error:
+                self._tracks[name] = str(error)
+        self.version, self._begun = self.version + 1, self._begun + 1
+
+    def do(self, asked: Asked) -> dict[str, Any] | None:
+        """Do what the page asks for; return what to answer, if anything.
+
+        Raises
+        ------
+        InputError
+            When a drive that was driven does not allow it.
+        """
+        match asked:
+            case Adjust():
+                if len(set(self._drive.home) - set(asked.moved)) < 1:
+                    raise InputError("one home bearing at least must be left")
+                before = self._asked
+                self._change(asked)
+                self._undo.remember(asked.stroke, lambda: self._change(before))
+            case Estimators():
+                if unknown := set(asked.names) - set(self._known):
+                    raise InputError(f"no estimator {min(unknown)} here")
+                self._names = asked.names
+                self._run()
+            case Plain(do="undo"):
+                self._undo.back()
+            case Plain(do="save"):
+                settings = self.adjusted().settings
+                told = settings.model_copy(update={"sensor": _set_only(settings)})
+                return {"type": "file", "name": "drive.yaml", "text": settings_yaml(told)}
+            case _:
+                raise InputError("that is for a scene, not for a drive that was driven")
+        return None
+
+    def _change(self, asked: Adjust) -> None:
+        self._asked = asked
+        self._run()
+
+    def scene(self) -> dict[str, Any]:
+        """Return what changes seldom."""
+        placed = self._places()
+        return {
+            "type": "scene",
+            "mode": "drive",
+            "begun": self._begun,
+            "file": "drive.yaml",
+            "extent": self._extent(placed),
+            "room": None,
+            "home": [0.0, 0.0, 0.0],
+            "landmarks": placed,
+            "stood": placed,
+            "stored": sorted(self._drive.home),
+            "path": [],
+            "estimators": list(self._names),
+            "known": list(self._known),
+            "adjusted": self._asked.model_dump(exclude={"do", "stroke"}),
+            "undo": len(self._undo),
+        }
+
+    def picture(self) -> dict[str, Any]:
+        """Return the whole run, a row a moment."""
+        tracks = [t for t in self._tracks.values() if isinstance(t, Track)]
+        first, last = self._drive.span
+        number = min(MOST_ROWS, max(2, int((last - first) / 0.1)))
+        t = np.linspace(first, last, number)
+        adjusted, true = self.adjusted(), self._drive.truth
+        truth = None
+        if true is not None:
+            there = true.at(t)
+            truth = np.stack([there.x, there.y, there.heading], axis=1)
+        return {
+            "type": "run",
+            "t": (t - first).tolist(),
+            "truth": None if truth is None else truth.tolist(),
+            "camera": list(adjusted.settings.sensor.pose),
+            "seen": _seen(adjusted, t),
+            "rivals": {
+                name: {"failure": track} if isinstance(track, str) else _rows(track, t, true)
+                for name, track in self._tracks.items()
+            },
+            "said": self._words(tracks),
+        }
+
+    def _words(self, tracks: list[Track]) -> str:
+        if self._asked == self._first:
+            return f"{self._drive.name}, as it was driven."
+        lag = (
+            f" The lag of {self._asked.lag:g} s is no key of drive.yaml." if self._asked.lag else ""
+        )
+        return f"{self._drive.name}, with other settings; drive.yaml keeps them.{lag}"
+
+    def _places(self) -> dict[str, list[float]]:
+        """Return where the first estimator that tells has the landmarks at the end."""
+        for track in self._tracks.values():
+            if isinstance(track, Track):
+                known = {m.landmark: [m.x, m.y] for m in track.landmarks if math.isfinite(m.x)}
+                if known:
+                    return known
+        return {}
+
+    def _extent(self, placed: dict[str, list[float]]) -> list[float]:
+        points = [np.zeros((1, 2))]
+        if self._drive.truth is not None:
+            points.append(np.stack([self._drive.truth.x, self._drive.truth.y], axis=1))
+        for track in self._tracks.values():
+            if isinstance(track, Track) and track.has_pose.any():
+                rows = np.stack([track.x, track.y], axis=1)[track.has_pose]
+                points.append(np.quantile(rows, [0.02, 0.98], axis=0))
+                break
+        driven = np.vstack(points)
+        middle, reach = driven.mean(axis=0), max(float(np.ptp(driven, axis=0).max()), 1.0)
+        marks = np.array([*placed.values()]).reshape(-1, 2)
+        every = np.vstack([driven, marks[np.abs(marks - middle).max(axis=1) < reach]])
+        return [*(every.min(axis=0) - MARGIN_M), *(every.max(axis=0) + MARGIN_M)]
+
+
+def _set_only(settings: DriveSettings) -> Mount:
+    """Return the sensor with every key that has a value as one that was set."""
+    values = settings.sensor.model_dump(exclude_none=True)
+    return validated(type(settings.sensor), values)
+
+
+def _rows(track: Track, t: np.ndarray, truth: Truth | None) -> dict[str, Any]:
+    """Return what the page shows of a track at times `t` (m,), the last answer at each."""
+    at = np.clip(np.searchsorted(track.t, t, side="right") - 1, 0, len(track.t) - 1)
+    pose = np.stack([track.x, track.y, track.heading], axis=1)[at]
+    covariance, there = track.covariance[at], track.has_pose[at]
+    error, nees = np.full(len(t), np.nan), np.full(len(t), np.nan)
+    if truth is not None and there.any():
+        off = pose[there] - np.stack(truth.at(track.t[at[there]]), axis=1)
+        off[:, 2] = wrap(off[:, 2])
+        error[there] = np.hypot(off[:, 0], off[:, 1])
+        solved = np.linalg.pinv(covariance[there], hermitian=True) @ off[..., None]
+        nees[there] = np.einsum("ki,ki->k", off, solved[..., 0])
+    return {
+        "pose": [row.tolist() if ok else None for row, ok in zip(pose, there, strict=True)],
+        "ellipse": [
+            ellipse(c[:2, :2]) if ok else None for c, ok in zip(covariance, there, strict=True)
+        ],
+        "status": [track.status[k].value for k in at],
+        "reason": [track.reason[k] for k in at],
+        "error": error.tolist(),
+        "nees": nees.tolist(),
+        "moved": _moved(track, t),
+        "marks": {m.landmark: [m.x, m.y] for m in track.landmarks if math.isfinite(m.x)},
+    }
+
+
+def _moved(track: Track, t: np.ndarray) -> list[dict[str, float]]:
+    """Return which landmarks were called moved at each time (m,), and how probably."""
+    known = track.history
+    probable = known.moved_probability
+    rows = [
+        {known.landmark[k]: float(row[k]) for k in np.flatnonzero(row > NAMED)} for row in probable
+    ]
+    return [rows[k] if k >= 0 else {} for k in known.at(t)]
+
+
+def _seen(drive: Drive, t: np.ndarray) -> list[dict[str, float]]:
+    """Return the last view before each time (m,), id to bearing [rad]; none that is old."""
+    stamps = [(at, seen) for at, seen, _ in drive.sightings.stamps()]
+    at = np.array([stamp for stamp, _ in stamps])
+    last = np.searchsorted(at, t, side="right") - 1
+    return [
+        stamps[k][1] if k >= 0 and now - at[k] < VIEW_S else {}
+        for k, now in zip(last.tolist(), t.tolist(), strict=True)
+    ]

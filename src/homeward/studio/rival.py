@@ -1,0 +1,126 @@
+"""One of the estimators that run side by side, and how it fares against the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.drives.drive import Drive
+from homeward.errors import HomewardError
+from homeward.estimator import Estimate, Status
+from homeward.frames import Pose, compose
+from homeward.registry import make_estimator
+
+NAMED = 0.5
+"""A landmark is called moved where that is more probable than not."""
+TOLD_S = 0.5
+"""What is known of landmarks is asked for so often [s of the drive]."""
+
+
+class Rival:
+    """An estimator in the studio; one that fails says why, and is fed no more.
+
+    Parameters
+    ----------
+    name : str
+        As in `homeward.registry`.
+    drive : Drive
+        Before it begins: home and settings.
+    """
+
+    def __init__(self, name: str, drive: Drive) -> None:
+        self.name = name
+        self.estimate = Estimate(0.0, Status.WAITING, "nothing seen yet")
+        self.failure: str | None = None
+        self.update_s = 0.0
+        """Wall time of the last update [s]."""
+        self._told = -math.inf
+        self._marks: dict[str, tuple[float, float]] = {}
+        self._moved: dict[str, float] = {}
+        self.error = self.nees = math.nan
+        """Distance from the truth [m], and NEES, which is 3 on average when consistent."""
+        self._scored, self._sum = 0, 0.0
+        try:
+            self._estimator = make_estimator(name, drive)
+        except HomewardError as error:
+            self.failure = str(error)
+
+    @property
+    def sure(self) -> bool:
+        """Whether its pose is one to rely on."""
+        return self.estimate.status in (Status.LOCALISED, Status.COASTING)
+
+    def feed(self, t: float, twist: Twist, seen: Mapping[str, float] | None) -> None:
+        """Take what was sensed at `t` [s]: odometry, and bearings where the camera looked."""
+        if self.failure is not None:
+            return
+        try:
+            self._estimator.odometry(t, twist.v, twist.omega)
+            if seen is None:
+                self.estimate = self._estimator.estimate(t)
+                return
+            began = time.perf_counter()
+            self.estimate = self._estimator.bearings(t, seen)
+            self.update_s = time.perf_counter() - began
+            if t - self._told >= TOLD_S:
+                self._told = t
+                self._tell_landmarks()
+        except HomewardError as error:
+            self.failure = str(error)
+            self.estimate = Estimate(t, Status.WAITING, "failed")
+
+    def _tell_landmarks(self) -> None:
+        known = self._estimator.landmarks()
+        self._marks = {m.landmark: (m.x, m.y) for m in known if math.isfinite(m.x)}
+        self._moved = {
+            m.landmark: m.moved_probability for m in known if m.moved_probability > NAMED
+        }
+
+    def score(self, true: Pose) -> None:
+        """Compare its answer to the true pose of that time, in the home frame."""
+        pose, covariance = self.estimate.pose, self.estimate.covariance
+        self.error = self.nees = math.nan
+        if pose is None or covariance is None:
+            return
+        off = np.array([pose.x - true.x, pose.y - true.y, wrap(pose.heading - true.heading)])
+        self.error = math.hypot(*off[:2])
+        self.nees = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
+        self._scored += 1
+        self._sum += self.nees
+
+    def told(self, home: Pose) -> dict[str, Any]:
+        """Return what the page shows of it, in room coordinates."""
+        pose, covariance = self.estimate.pose, self.estimate.covariance
+        out: dict[str, Any] = {
+            "status": self.estimate.status.value,
+            "reason": self.failure or self.estimate.reason,
+            "update_ms": 1e3 * self.update_s,
+            "moved": self._moved,
+            "marks": {i: _placed(home, x, y) for i, (x, y) in self._marks.items()},
+        }
+        if pose is not None and covariance is not None:
+            out["pose"] = [float(part) for part in compose(home, pose)]
+            out["ellipse"] = ellipse(covariance[:2, :2], home.heading)
+            out["error"], out["nees"] = self.error, self.nees
+            out["nees_mean"] = self._sum / self._scored if self._scored else None
+        return out
+
+
+def _placed(home: Pose, x: float, y: float) -> list[float]:
+    there = compose(home, Pose(x, y, 0.0))
+    return [float(there.x), float(there.y)]
+
+
+def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:
+    """Return half axes [m] and direction [rad] of one sigma of (x, y), turned; None if infinite."""
+    if not np.isfinite(covariance).all():
+        return None
+    values, vectors = np.linalg.eigh(covariance)
+    a, b = np.sqrt(np.maximum(values[::-1], 0.0))
+    return [float(a), float(b), float(math.atan2(vectors[1, 1], vectors[0, 1]) + turn)]

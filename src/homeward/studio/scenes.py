@@ -1,0 +1,103 @@
+"""Scenarios as the studio plays them: every landmark listed, and nothing that would run code."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.errors import InputError
+from homeward.frames import Pose, bearing, compose
+from homeward.laws import LAWS
+from homeward.simulation.files import load_scenario
+from homeward.simulation.scenario import Homing, Listed, Moved, RoomPose, Scenario, StartPose
+from homeward.simulation.world import World, build_world
+
+MOST_LANDMARKS = 100
+"""More do not make a better picture, and a scene may come from anywhere."""
+FASTEST_HZ = 100.0
+"""Likewise, of samples."""
+
+
+def open_scene(source: str) -> Scenario:
+    """Return a scene by the name of a preset or from a YAML file; errors as `load_scenario`."""
+    return as_scene(load_scenario(source))
+
+
+def as_scene(scenario: Scenario) -> Scenario:
+    """Return a scenario whose landmarks, and faults of those that moved, are listed.
+
+    Raises
+    ------
+    InputError
+        When it cannot be built, is too large to be played, or has a law that is not homeward's:
+        a scene may come from anywhere, and must not name code to run.
+    """
+    trajectory = scenario.trajectory
+    if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
+        raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
+    if scenario.landmarks.count > MOST_LANDMARKS:
+        raise InputError(f"landmarks: the studio plays {MOST_LANDMARKS} at most")
+    if max(scenario.rates.odometry, scenario.rates.bearings) > FASTEST_HZ:
+        raise InputError(f"rates: the studio plays {FASTEST_HZ:g} Hz at most")
+    return with_landmarks(scenario, build_world(scenario))
+
+
+def with_landmarks(scenario: Scenario, world: World) -> Scenario:
+    """Return a scenario whose landmarks stand, and stood, as in a world."""
+    at = {i: (float(x), float(y)) for i, (x, y) in zip(world.ids, world.places, strict=True)}
+    camera = compose(world.home, scenario.home_mount.pose)
+    new = {
+        i: float(wrap(bearing(camera, *old) - bearing(camera, *now)))
+        for i, old, now in zip(world.ids, world.stood, world.places, strict=True)
+    }
+    faults = {i: fault for i, fault in new.items() if abs(fault) > 1e-6}
+    update = {"landmarks": Listed(at=at), "moved": Moved(faults=faults)}
+    return scenario.model_copy(update=update)
+
+
+def with_start(scenario: Scenario, robot: Pose) -> Scenario:
+    """Return a scenario that begins where the robot is now, given in the home frame."""
+    x, y, heading = map(float, compose(scenario.home.pose, robot))
+    told = scenario.start
+    start = StartPose(
+        x=x,
+        y=y,
+        heading=heading,
+        prior=told.prior,
+        sigma_R=told.sigma_R,
+        sigma_theta=told.sigma_theta,
+        sigma_alpha=told.sigma_alpha,
+    )
+    return scenario.model_copy(update={"start": start})
+
+
+def with_home(scenario: Scenario, robot: Pose, x: float, y: float, heading: float) -> Scenario:
+    """Return a scenario with home elsewhere in the room, and the robot where it stands.
+
+    Home is stored there anew, so that no landmark has moved since.
+
+    Raises
+    ------
+    InputError
+        When home would be in a shelf or outside the room.
+    """
+    if scenario.room is not None and not scenario.room.free(x, y):
+        raise InputError("home: outside the room or in a shelf")
+    here = with_start(scenario, robot)
+    home = RoomPose(x=x, y=y, heading=heading)
+    return here.model_copy(update={"home": home, "moved": Moved()})
+
+
+def extent(scenario: Scenario) -> tuple[float, float, float, float]:
+    """Return the rectangle to draw: x_min, y_min, x_max, y_max in room coordinates [m]."""
+    if scenario.room is not None:
+        return scenario.room.bounds
+    world = build_world(scenario)
+    robot = compose(world.home, scenario.start.in_home_frame(world.home))
+    points = np.vstack([world.places, [world.home[:2], robot[:2]]])
+    middle, half = points.mean(axis=0), 1.25 * float(np.abs(points - points.mean(axis=0)).max())
+    half = max(half, 1.0)
+    x, y = (math.floor(10 * float(v)) / 10 for v in middle)
+    return x - half, y - half, x + half, y + half

@@ -1,0 +1,70 @@
+"""Who drives the robot of a scene: keys, a homing law, the scene's own way, or nobody."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.frames import Pose
+from homeward.simulation.live_robot import STAND, LiveRobot
+from homeward.simulation.scenario import Homing, Scenario
+from homeward.simulation.trajectories import Control, make_control
+from homeward.studio.messages import Keys, Steer
+from homeward.studio.rival import Rival
+from homeward.studio.scenes import with_start
+
+KEYS_HOLD_S, KEYS_TURN = 0.4, 1.0
+"""Keys that are not said again for so long are let go [s]; they turn so fast [rad/s]."""
+SLOWING_S, LAW_TURN = 2.0, 1.0
+"""A law slows down so long before home [s], and turns so fast at most [rad/s]."""
+
+
+class Steering:
+    """Makes commands for the robot of a scenario."""
+
+    def __init__(self, scenario: Scenario, robot: LiveRobot, asked: Steer) -> None:
+        self._scenario, self._robot = scenario, robot
+        self._keys, self._keys_until = STAND, -math.inf
+        self.steer(asked)
+
+    def steer(self, asked: Steer) -> None:
+        """Let somebody drive, from where the robot is."""
+        self.asked, self.done = asked, False
+        self._control = None if asked.by in ("keys", "nobody") else self._make(asked)
+
+    def _make(self, asked: Steer) -> Control:
+        now, home = with_start(self._scenario, self._robot.pose), self._robot.drive.home_bearings()
+        drive = now.trajectory
+        if asked.by == "law":
+            drive = Homing(
+                law=asked.law, speed=drive.speed, slowing=SLOWING_S, max_turn_rate=LAW_TURN
+            )
+        now = now.model_copy(update={"trajectory": drive, "estimator": asked.believing})
+        return make_control(now, self._robot.pose, home)
+
+    def hold(self, keys: Keys) -> None:
+        """Take what the keys say."""
+        self._keys = Twist(self._scenario.trajectory.speed * keys.v, KEYS_TURN * keys.omega)
+        self._keys_until = self._robot.t + KEYS_HOLD_S
+
+    def twist(self, rivals: Sequence[Rival], seen: Mapping[str, float]) -> Twist:
+        """Return the command now; by what is believed, and what was `seen` last, id to [rad]."""
+        t = self._robot.t
+        if self._control is None:
+            return self._keys if self.asked.by == "keys" and t < self._keys_until else STAND
+        pose, sure = self._believed(rivals)
+        turn = self._scenario.sensor.yaw + (0.0 if pose is None else pose.heading)
+        faced = {} if pose is None else {i: float(wrap(b + turn)) for i, b in seen.items()}
+        twist = self._control.twist(t, pose, sure, faced)
+        if twist is None:
+            self._control, self.done = None, True
+        return twist or STAND
+
+    def _believed(self, rivals: Sequence[Rival]) -> tuple[Pose | None, bool]:
+        """Return the pose that steers, and whether it is one to rely on."""
+        for rival in rivals:
+            if rival.name == self.asked.believing:
+                return rival.estimate.pose, rival.sure
+        return self._robot.pose, True

@@ -1,0 +1,117 @@
+"""The page as a hand and a keyboard meet it, in Chromium."""
+
+import contextlib
+import subprocess
+import sys
+import time
+
+import pytest
+from chromium import Page
+from report.browser import needs_chromium
+
+pytest.importorskip("websockets", reason="the studio's pages need the extra `live`")
+pytestmark = needs_chromium
+
+
+@contextlib.contextmanager
+def studio(scratch, *words, **options):
+    """A page on a studio of its own."""
+    command = [sys.executable, "-m", "homeward", "studio", *words, "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            address = process.stdout.readline().split()[-1]
+            page = Page(scratch, address, **options)
+            try:
+                page.until("window.studio && studio.frame")
+                yield page
+                assert page.errors == []
+                wide = page.find("[document.documentElement.scrollWidth, innerWidth]")
+                assert wide[0] <= wide[1]
+            finally:
+                page.close()
+        finally:
+            process.terminate()
+            process.wait(timeout=20)
+
+
+def choose(page, name, value):
+    page.find(
+        f"(() => {{ const s = document.querySelector('#{name}'); s.value = '{value}';"
+        " s.dispatchEvent(new Event('change')); })()"
+    )
+
+
+def words(page, rival):
+    return page.find(f"document.querySelector('.rival[data-rival={rival}]').innerText")
+
+
+def test_a_landmark_is_dragged_while_it_drives_and_robust_names_it(tmp_path):
+    with studio(tmp_path, "--estimator", "robust,ekf") as page:
+        choose(page, "pace", 8)
+        x, y = page.find("studio.scene.landmarks.L06")
+        page.drag("landmark L06", 60, -60)
+        page.until(f"Math.abs(studio.scene.landmarks.L06[0] - {x}) > 0.3")
+        stood = page.find("studio.scene.stood.L06")
+        assert stood == pytest.approx([x, y], abs=1e-6)
+        assert page.find("document.querySelectorAll('[data-stood=L06]').length") == 1
+        page.until("studio.frame.rivals.robust.moved.L06 > 0.9")
+        assert "L06" in words(page, "robust").split("Moved since home")[1]
+        assert "Moved" not in words(page, "ekf")
+        page.find("document.querySelector('#undo').click()")
+        page.until(f"Math.abs(studio.scene.landmarks.L06[0] - {x}) < 1e-6")
+
+
+def test_keys_choose_and_move_and_drive(tmp_path):
+    with studio(tmp_path, "paper-homing", width=390, height=800, dark=True) as page:
+        labels = page.find(
+            "[...document.querySelectorAll('.handle')].map((g) => g.getAttribute('aria-label'))"
+        )
+        assert {label.partition(",")[0] for label in labels} >= {"home", "robot", "landmark L1"}
+        x, _ = page.find("studio.scene.landmarks.L1")
+        page.find("document.querySelector('[data-id=L1]').focus()")
+        page.key("ArrowRight", "ArrowRight")
+        page.until(f"studio.scene.landmarks.L1[0] > {x} + 0.01")
+        page.find("document.activeElement.blur()")
+        page.key("ArrowUp", "ArrowUp")
+        page.until("studio.scene.steer.by === 'keys'")
+        before = page.find("studio.frame.robot")
+        time.sleep(0.5)
+        assert page.find("studio.frame.robot") != before
+        page.key("ArrowUp", "ArrowUp", down=False)
+        page.until("document.querySelector('#by').value === 'keys'")
+
+
+def test_a_scene_travels_by_its_link_and_leaves_as_pictures(tmp_path):
+    with studio(tmp_path, "paper-homing") as page:
+        page.drag("landmark L2", 40, 40)
+        page.until("studio.scene.undo > 0")
+        page.find("document.querySelector('#link').click()")
+        shared = "import('/sharing.js').then((s) => s.fromFragment(location.hash))"
+        moved = page.find(f"{shared}.then((scene) => scene.landmarks.at.L2)")
+        page.find("document.querySelector('#again').click()")
+        page.find("location.reload()")
+        page.until("window.studio && studio.frame && studio.scene.undo > 2")
+        assert page.find("studio.scene.landmarks.L2") == pytest.approx(moved)
+        sizes = page.find(
+            "import('/sharing.js').then(async (s) => { const svg = document.querySelector('svg');"
+            " const text = s.svgText(svg), image = await s.png(svg);"
+            " return [text.includes('xmlns'), text.includes('touch'), image.size]; })"
+        )
+        assert sizes[:2] == [True, False]
+        assert sizes[2] > 10_000
+
+
+def test_a_drive_is_scrubbed_and_run_with_another_camera(tmp_path):
+    with studio(tmp_path, "sample", "--estimator", "ekf") as page:
+        slide = (
+            "(() => {{ const s = document.querySelector('#{}'); s.value = {};"
+            " s.dispatchEvent(new Event('input')); }})()"
+        )
+        page.find(slide.format("moment", 900))
+        page.until("Math.abs(studio.frame.t - 90) < 1")
+        assert page.find("document.querySelectorAll('[data-ray]').length") > 0
+        first = words(page, "ekf")
+        page.find(slide.format("set-yaw", 20))
+        page.until("document.querySelector('#said').textContent.includes('other settings')")
+        page.find(slide.format("moment", 900))
+        assert words(page, "ekf") != first

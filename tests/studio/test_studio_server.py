@@ -1,0 +1,99 @@
+"""The host of the studio: who gets the page, who the socket."""
+
+import asyncio
+import contextlib
+import json
+import urllib.error
+import urllib.request
+
+import pytest
+
+from homeward.studio.scenes import open_scene
+from homeward.studio.server import Studio
+from homeward.studio.session import Session
+
+pytest.importorskip("websockets", reason="the studio's pages need the extra `live`")
+
+
+@contextlib.asynccontextmanager
+async def hosted():
+    """The address of a studio, with its token."""
+    studio, opened = Studio(Session(open_scene("circle"), ("ekf",))), asyncio.Future()
+    task = asyncio.create_task(studio.serve(0, opened.set_result))
+    try:
+        yield await asyncio.wait_for(opened, 20)
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def talk(address, *said, origin="http://127.0.0.1:1", count=1):
+    """What the studio answers to lines of a page."""
+    from websockets.asyncio.client import connect
+
+    async with connect(address.partition("?")[0].replace("http", "ws"), origin=origin) as socket:
+        for line in said:
+            await socket.send(json.dumps(line))
+        return [json.loads(await asyncio.wait_for(socket.recv(), 20)) for _ in range(count)]
+
+
+def hello(address):
+    return {"do": "hello", "token": address.partition("token=")[2]}
+
+
+def test_a_page_is_told_the_scene_and_then_pictures():
+    async def whole():
+        async with hosted() as address:
+            first = await talk(address, hello(address), {"do": "pace", "pace": 4}, count=4)
+            assert [one["type"] for one in first] == ["scene", "frame", "frame", "frame"]
+            assert first[3]["t"] > first[2]["t"] >= first[1]["t"]
+            (_, _, wrong) = await talk(
+                address, hello(address), {"do": "pace", "pace": 0}, {"do": "fly"}, count=3
+            )
+            assert wrong["type"] in ("error", "frame")
+
+    asyncio.run(whole())
+
+
+@pytest.mark.parametrize(
+    "first", [{"do": "hello", "token": "guess"}, {"do": "again"}, {"do": "nothing"}]
+)
+def test_without_the_token_nothing_is_told(first):
+    async def whole():
+        async with hosted() as address:
+            (said,) = await talk(address, first)
+            assert said["type"] == "error"
+
+    asyncio.run(whole())
+
+
+def test_pages_of_others_are_refused_by_their_origin():
+    from websockets.exceptions import InvalidStatus
+
+    async def whole():
+        async with hosted() as address:
+            for origin in ("https://example.org", "http://127.0.0.1.example.org", None):
+                with pytest.raises(InvalidStatus):
+                    await talk(address, hello(address), origin=origin)
+
+    asyncio.run(whole())
+
+
+def test_the_page_s_files_are_there_and_no_others():
+    def get(address):
+        with urllib.request.urlopen(address) as answer:
+            return answer.headers, answer.read().decode()
+
+    async def whole():
+        async with hosted() as address:
+            root = address.partition("?")[0]
+            headers, page = await asyncio.to_thread(get, address)
+            assert "default-src 'none'" in headers["Content-Security-Policy"]
+            assert "main.js" in page
+            assert "http" not in page
+            for name in ("../session.py", "session.py", "%2e%2e/server.py", "nothing.js"):
+                with pytest.raises(urllib.error.HTTPError, match="404"):
+                    await asyncio.to_thread(get, root + name)
+
+    asyncio.run(whole())
