@@ -39,13 +39,14 @@ PORT, SETTLE_S = 9896, 10.0
 
 
 def main() -> None:
-    """Draw observability, a plan, a rendered room, and the sample's report and recording."""
+    """Draw observability, a plan, a room, the studio, and the sample's report and recording."""
     (IMAGES / "observe-two.png").write_bytes(png(draw_family(observe(2)), dpi=90))
     plan = analyse(load_plan("warehouse"))
     (IMAGES / "plan-warehouse.png").write_bytes(png(draw_begin(plan), dpi=90))
     _picture_room(IMAGES / "rendered-room.jpg")
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
+    _picture_studio(IMAGES / "studio.png")
     drive, track, settings = execute(RunSettings(drive=SAMPLE))
     with tempfile.TemporaryDirectory() as scratch:
         write_run(Path(scratch) / "run", drive, track, settings.model_dump(mode="json"))
@@ -59,6 +60,24 @@ def _picture_room(file: Path) -> None:
     eye = Eye(load_room("living-room", changes={"camera.width": 1024, "camera.height": 256}))
     cv2 = opencv()
     cv2.imwrite(str(file), eye.home_picture(), [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def _picture_studio(file: Path) -> None:
+    """Draw the studio, a while after a landmark was moved; as its tests do, with a real pointer."""
+    sys.path.append(str(IMAGES.parents[1] / "tests"))
+    from studio.chromium import studio
+
+    width, height = PAGE_SIZE
+    words = ("warehouse", "--estimator", "robust,ekf,a-ekf")
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch,
+        studio(Path(scratch), *words, width=width, height=height) as page,
+    ):
+        page.until("studio.frame.t > 12")
+        page.drag("landmark L06", 60, -40)
+        page.until("studio.frame.rivals.robust.moved.L06 > 0.9")
+        page.until("studio.frame.t > 45")
+        page.picture(file)
 
 
 def _picture_page(page: Path, file: Path) -> None:

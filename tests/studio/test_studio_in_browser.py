@@ -1,37 +1,13 @@
 """The page as a hand and a keyboard meet it, in Chromium."""
 
-import contextlib
-import subprocess
-import sys
 import time
 
 import pytest
-from chromium import Page
+from chromium import studio
 from report.browser import needs_chromium
 
 pytest.importorskip("websockets", reason="the studio's pages need the extra `live`")
 pytestmark = needs_chromium
-
-
-@contextlib.contextmanager
-def studio(scratch, *words, **options):
-    """A page on a studio of its own."""
-    command = [sys.executable, "-m", "homeward", "studio", *words, "--no-browser"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            address = process.stdout.readline().split()[-1]
-            page = Page(scratch, address, **options)
-            try:
-                page.until("window.studio && studio.frame")
-                yield page
-                assert page.errors == []
-                wide = page.find("[document.documentElement.scrollWidth, innerWidth]")
-                assert wide[0] <= wide[1]
-            finally:
-                page.close()
-        finally:
-            process.terminate()
-            process.wait(timeout=20)
 
 
 def choose(page, name, value):

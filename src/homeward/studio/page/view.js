@@ -26,7 +26,7 @@ export class View {
 
   /** Show a rectangle [x_min, y_min, x_max, y_max] in metres; units of the SVG are CSS pixels. */
   fit(extent) {
-    const box = this.svg.getBoundingClientRect(), margin = 28;
+    const box = this.svg.getBoundingClientRect(), margin = 36;
     this.extent = extent;
     const [x0, y0, x1, y1] = extent;
     this.scale = Math.max(Math.min((box.width - 2 * margin) / (x1 - x0), (box.height - 2 * margin) / (y1 - y0)), 1);
