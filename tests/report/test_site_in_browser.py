@@ -169,3 +169,58 @@ def test_parallax_and_scale(lesson):
     found = lesson("free-scale", 'drag("size of the world", 0, -2.4); found.small = say();')
     assert found["before"].split("directions")[1] == found["small"].split("directions")[1]
     assert "0.92 times as large" in found["small"]
+
+
+@needs_chromium
+def test_near_home_and_in_line_the_polar_filter_is_singular(lesson):
+    script = """
+    drag("robot", -1.5, -2.6); found.far = say();
+    drag("robot", -1.5, -0.8); found.near = say();
+    drag("landmark", 1, 0.4); drag("robot", 0.25, 0.1); found.line = say();
+    """
+    found = lesson("polar-filter", script)
+    assert "R is 2.0" in found["far"]
+    assert "turns θ by 6° a second" in found["far"]
+    assert "turns θ by 57° a second" in found["near"]
+    assert "nothing tells how far" in found["line"]
+
+
+@needs_chromium
+def test_a_wrong_home_bearing_spoils_home_and_not_the_map(lesson):
+    script = """
+    found.right = say();
+    document.querySelectorAll(".lesson input")[1].click(); found.elsewhere = say();
+    document.querySelectorAll(".lesson input")[0].click();
+    drag("the robot before", 2, -2.2); found.narrow = say();
+    """
+    found = lesson("map-first", script, width=500, dark=True)
+    worst = [found[key].split(" m off")[0] for key in ("right", "elsewhere", "narrow")]
+    assert worst[0] == worst[1] != worst[2]
+    assert "the map is not" in found["elsewhere"]
+    assert "the map is not" not in found["right"]
+
+
+@needs_chromium
+def test_evidence_names_the_moved_one_unless_noise_hides_it(lesson):
+    script = """
+    found.sharp = say();
+    const radios = [...document.querySelectorAll(".lesson input")];
+    radios[2].click(); found.noisy = say();
+    radios[0].click(); drag("landmark C", 2.4, 2); found.back = say();
+    """
+    found = lesson("which-are-wrong", script)
+    assert "C moved: 100 %" in found["sharp"]
+    assert "nothing moved" in found["noisy"].split("then")[0]
+    assert "nothing moved" in found["back"].split("then")[0]
+
+
+@needs_chromium
+def test_who_believes_in_half_the_noise_is_too_sure(lesson):
+    script = """
+    const radios = [...document.querySelectorAll(".lesson input")];
+    radios[0].click(); found.half = say(); radios[2].click(); found.double = say();
+    """
+    found = lesson("how-sure", script)
+    assert found["before"].endswith("Honest.")
+    assert "Too sure" in found["half"]
+    assert "Too careful" in found["double"]
