@@ -1,6 +1,7 @@
 """Recorded drives in a study: as they are, and made harder."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -90,7 +91,11 @@ def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, mo
     # It repeats from what it wrote, wherever that lies.
     again = load_study(str(tmp_path / "out" / "study.yaml"))
     assert again.drives[0].drive == str(short)
-    done(call("study", tmp_path / "out" / "study.yaml", "--out", tmp_path / "out"))
+    again = call("study", tmp_path / "out" / "study.yaml", "--out", tmp_path / "out", "--json")
+    assert again.exit_code == 0
+    told = json.loads(again.stdout)
+    assert {line["estimator"] for line in told["lines"]}
+    assert not told["failures"]
     assert "x ekf" in (tmp_path / "out" / "table.md").read_text()
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli.commands import call, first_seconds
 
 from benchmarks.odometry_noise import drive_of
 from homeward.drives.drive import DriveSettings
 from homeward.drives.text.settings import parse_settings
 from homeward.errors import HomewardError
 from homeward.studies.tuning import Check, Noise, Tuning, tune
-from tests.cli.commands import call, first_seconds
 
 
 def untold(seconds):

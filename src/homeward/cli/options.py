@@ -35,6 +35,7 @@ Changes = Annotated[
         help="Another value of a setting; repeatable. homeward settings lists them.",
     ),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")]
 Scheduler = Annotated[
     str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
 ]

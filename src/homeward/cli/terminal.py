@@ -29,8 +29,12 @@ def say(text: str, indent: str = "") -> None:
 
 
 def answer(facts: dict[str, Any]) -> None:
-    """Print an answer for programs: one JSON object; a number that is not finite is null."""
-    plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)
+    """Print an answer for programs: one JSON object; a number that is not finite is null.
+
+    Arrays become lists. docs/look-up/json.md says what is in each answer.
+    """
+    text = json.dumps(facts, default=lambda array: array.tolist())
+    plain = json.loads(text, parse_constant=lambda _: None)
     typer.echo(json.dumps(plain, indent=2))
 
 

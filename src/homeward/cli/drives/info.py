@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import progress
+from homeward.cli.options import AsJson, progress
 from homeward.cli.terminal import answer, say, table, warn
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def info(
     topics: Annotated[
         Path | None, typer.Option(help="A YAML file that says which topics hold what.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")] = False,
+    json: AsJson = False,
 ) -> None:
     """List topics, types, rates, gaps and clocks of a log, and which topics would be used.
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from homeward.cli.options import (
+    AsJson,
     Changes,
     HomePose,
     Robot,
@@ -19,13 +22,16 @@ from homeward.cli.options import (
     progress,
     three_numbers,
 )
-from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
+    from homeward.scoring import Metrics
+    from homeward.studies.several_runs import Outcome
     from homeward.studies.single_run import RunSettings
+    from homeward.track import Track
 
 
 def run(
@@ -84,6 +90,7 @@ def run(
         typer.Option(help="The filters: auto (default), interpreter or native."),
     ] = None,
     changes: Changes = None,
+    json: AsJson = False,
 ) -> None:
     """Localise a robot along a drive, and write what came out.
 
@@ -120,12 +127,12 @@ def run(
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when are for a --place")
     if estimator is not None and "," in estimator:
-        _run_several(drive, given, out)
+        _run_several(drive, given, out, json)
         return
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in COMPILED:
         raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out, update, store_home)
+    _run(settings, out, update, store_home, json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -179,10 +186,13 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     return folder
 
 
-def _run(settings: RunSettings, out: Path | None, update: bool, store_home: str | None) -> None:
+def _run(
+    settings: RunSettings, out: Path | None, update: bool, store_home: str | None, json: bool
+) -> None:
     from homeward.places.files import save_place
     from homeward.report.place.words import visit_words
     from homeward.report.run.folder import write_run
+    from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
     from homeward.studies.visits import after_visit
 
@@ -194,17 +204,28 @@ def _run(settings: RunSettings, out: Path | None, update: bool, store_home: str 
         if update and settings.place is not None:
             after = after_visit(complete, drive, estimator, track, store_home)
             save_place(after, settings.place, complete.place_version or 0)
-    say(summary)
-    if update:
-        say(visit_words(after))
-    for line in (*drive.remark_lines, *track.notes):
-        warn(line)
-    say(f"Report: {folder / 'report.html'}")
+    words = [summary, *([visit_words(after)] if update else [])]
+    if json:
+        told = {"summary": "\n".join(words), "folder": str(folder)}
+        told["report"] = str(folder / "report.html")
+        answer({**told, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))})
+    else:
+        for paragraph in words:
+            say(paragraph)
+        for line in (*drive.remark_lines, *track.notes):
+            warn(line)
+        say(f"Report: {folder / 'report.html'}")
     if not track.has_pose.any():
         raise no_answer()
 
 
-def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
+def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:
+    """Return what came out of one run as plain values."""
+    landmarks = [asdict(landmark) for landmark in track.landmarks]
+    return {"metrics": metrics.as_dict(), "landmarks": landmarks, "notes": track.notes}
+
+
+def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool) -> None:
     from homeward.report.output import check_output
     from homeward.report.run.several import PAGE, table, write_several
     from homeward.studies.several_runs import run_several
@@ -220,13 +241,26 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None) -> None:
         folder = out or Path("out") / f"{outcomes[0].drive.name}-estimators"
         check_output(folder, PAGE)
         write_several(folder, outcomes)
-    print_rows(table(outcomes), left=1)
+    if json:
+        came = [
+            {"estimator": o.run.estimator, "failure": o.failure or None}
+            | ({} if o.track is None or o.metrics is None else _facts(o.track, o.metrics))
+            for o in outcomes
+        ]
+        told = {"folder": str(folder), "page": str(folder / PAGE), "runs": came}
+        answer({**told, "remarks": outcomes[0].drive.remark_lines})
+    else:
+        _say_several(outcomes, table(outcomes), folder / PAGE)
+    if not any(o.track is not None and o.track.has_pose.any() for o in outcomes):
+        raise no_answer()
+
+
+def _say_several(outcomes: Sequence[Outcome], rows: list[list[str]], page: Path) -> None:
+    print_rows(rows, left=1)
     for line in outcomes[0].drive.remark_lines:
         warn(line)
     for outcome in outcomes:
         notes = () if outcome.track is None else outcome.track.notes
         for line in filter(None, (outcome.failure, *notes)):
             warn(f"{outcome.run.estimator}: {line}" if line in notes else line)
-    say(f"Page: {folder / PAGE}")
-    if not any(o.track is not None and o.track.has_pose.any() for o in outcomes):
-        raise no_answer()
+    say(f"Page: {page}")

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.options import AsJson
+from homeward.cli.terminal import answer, no_answer, say, warn
 
 
 def compare(
@@ -28,6 +29,7 @@ def compare(
     force: Annotated[
         bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
     ] = False,
+    json: AsJson = False,
 ) -> None:
     """Tell how the camera has turned since home, and where home lies.
 
@@ -35,7 +37,13 @@ def compare(
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
     from homeward.one_thread import one_thread
-    from homeward.report.images.comparison import PICTURE, RESULT, describe, write_comparison
+    from homeward.report.images.comparison import (
+        PICTURE,
+        RESULT,
+        as_dict,
+        describe,
+        write_comparison,
+    )
     from homeward.report.output import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas
@@ -55,11 +63,16 @@ def compare(
         images, views = (home_image, now_image), (home_view, now_view)
         doubt = better_settings(seen, images, views, settings.panorama)
     write_comparison(out, seen, images, views)
-    say(describe(seen))
-    if doubt is not None:
-        warn(f"But {doubt}.")
+    notes = [] if doubt is None else [f"But {doubt}."]
     if found := find_self_occlusion(seen, settings.panorama):
-        warn(f"{found.matches} {found.words} (--mask FILE).")
-    say(f"Picture: {out / PICTURE}")
+        notes.append(f"{found.matches} {found.words} (--mask FILE).")
+    if json:
+        told = {"summary": describe(seen), **as_dict(seen), "notes": notes}
+        answer({**told, "picture": str(out / PICTURE)})
+    else:
+        say(describe(seen))
+        for note in notes:
+            warn(note)
+        say(f"Picture: {out / PICTURE}")
     if not seen.accepted:
         raise no_answer()

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.observability.study import ModelView
-    from homeward.studies.observing import DriveView
+    from homeward.studies.observing import DriveView, Window
 
 
 def observe(
@@ -46,6 +46,7 @@ def observe(
     home_noise_deg: HomeNoise = 0.0,
     topics: Topics = None,
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/observe"),
+    json: AsJson = False,
 ) -> None:
     """Say in words what bearings cannot tell apart, and draw it.
 
@@ -72,12 +73,12 @@ def observe(
             there = "needs a drive" if drive is None else "is for a model, not for a drive"
             raise InputError(f"--{name} {there}")
     if drive is None:
-        _of_model({k: v for k, v in of_model.items() if v is not None}, out)
+        _of_model({k: v for k, v in of_model.items() if v is not None}, out, json)
     else:
-        _of_drive(drive, {k: v for k, v in of_drive.items() if v is not None}, out)
+        _of_drive(drive, {k: v for k, v in of_drive.items() if v is not None}, out, json)
 
 
-def _of_model(given: dict[str, Any], out: Path) -> None:
+def _of_model(given: dict[str, Any], out: Path, json: bool) -> None:
     from homeward.observability.study import observe as observe_model
     from homeward.report.observe.page import (
         PAGE,
@@ -95,6 +96,18 @@ def _of_model(given: dict[str, Any], out: Path) -> None:
         check_output(out, SETTINGS_FILE)
         tell(0.5)
         write_model_view(out, view, settings)
+    if json:
+        rank = view.drive.found.value if view.model is None else view.model.rank
+        answer(
+            {
+                "summary": model_summary(view),
+                "rank": rank,
+                "unknowns": view.drive.unknowns if view.model is None else view.model.n,
+                "not_told": [freedom.words for freedom in view.freedoms],
+                "page": str(out / PAGE),
+            }
+        )
+        return
     say(model_summary(view))
     say(_numbers(view))
     if view.family:
@@ -123,7 +136,7 @@ def _numbers(view: ModelView) -> str:
     )
 
 
-def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
+def _of_drive(drive: str, given: dict[str, Any], out: Path, json: bool) -> None:
     from homeward.drives.opening import open_drive
     from homeward.frames import Pose
     from homeward.report.observe.page import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
@@ -147,5 +160,28 @@ def _of_drive(drive: str, given: dict[str, Any], out: Path) -> None:
     with progress(f"observing {opened.name}") as tell:
         view: DriveView = observe_drive(opened, settings["window"], tell)
         write_drive_view(out, view, settings)
+    if json:
+        answer(
+            {
+                "summary": drive_summary(view),
+                "whole": _window(view.whole),
+                "windows": [_window(window) for window in view.windows],
+                "page": str(out / PAGE),
+            }
+        )
+        return
     say(drive_summary(view))
     say(f"Page: {out / PAGE}")
+
+
+def _window(window: Window) -> dict[str, Any]:
+    return {
+        "begin_s": window.begin,
+        "end_s": window.end,
+        "sightings": window.sightings,
+        "rank": window.rank,
+        "unknowns": window.unknowns,
+        "position_sigma_m": window.position_sigma,
+        "heading_sigma_rad": window.heading_sigma,
+        "weakest": window.weakest,
+    }

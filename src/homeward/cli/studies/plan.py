@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import progress
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson, progress
+from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.studies.planning.analysis import PlanView
 
 
 def plan(
@@ -17,6 +20,7 @@ def plan(
         str, typer.Argument(metavar="PLAN", help="A YAML file, or: warehouse, an example.")
     ],
     out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/plan"),
+    json: AsJson = False,
 ) -> None:
     """Map from where homing can begin on a floor plan, how well, and where to add landmarks.
 
@@ -39,5 +43,31 @@ def plan(
     with progress(f"planning {settings.name}") as tell:
         view = analyse(settings, tell)
         write_plan(out, view)
+    if json:
+        answer({"summary": plan_summary(view), **_facts(view), "page": str(out / PAGE)})
+        return
     say(plan_summary(view))
     say(f"Page: {out / PAGE}")
+
+
+def _facts(view: PlanView) -> dict[str, Any]:
+    """Return what is known as plain values."""
+    landmarks = [
+        {"landmark": name, "seen_from_home": bool(seen), "share_without": float(left)}
+        for name, seen, left in zip(
+            view.names, view.stored, (view.hidden <= 1).mean(axis=0), strict=True
+        )
+    ]
+    advice = view.advice
+    further = [
+        {"x": float(x), "y": float(y), "share": float(share), "safe_share": float(safe)}
+        for (x, y), share, safe in zip(
+            advice.places, advice.share[1:], advice.safe[1:], strict=True
+        )
+    ]
+    return {
+        "share": float(view.begins.mean()),
+        "safe_share": float(view.safe.mean()),
+        "landmarks": landmarks,
+        "further": further,
+    }

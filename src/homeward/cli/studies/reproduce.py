@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from homeward.cli.options import Scheduler, Workers, key_values, progress, resumable
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson, Scheduler, Workers, key_values, progress, resumable
+from homeward.cli.terminal import answer, say
 from homeward.cli.terminal import table as print_rows
 from homeward.errors import InputError
 
@@ -50,6 +51,7 @@ def reproduce(
             "and robust: how many layouts these parts get, and grid.KEY: what is combined.",
         ),
     ] = None,
+    json: AsJson = False,
 ) -> None:
     """Run the paper's Cases 1 to 4 with its filters and printed parameters.
 
@@ -65,16 +67,18 @@ def reproduce(
     if study:
         if imaged:
             raise InputError("--study has no images: leave out --measurements images")
-        _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values)
+        _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values, json)
         return
     if imaged:
         values = {"runs": IMAGE_RUNS} | values
     values["measurements"] = measurements
     values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
-    _cases(out or Path("out/paper"), (scheduler, workers), values)
+    _cases(out or Path("out/paper"), (scheduler, workers), values, json)
 
 
-def _cases(out: Path, places: tuple[str | None, int | None], values: dict[str, Any]) -> None:
+def _cases(
+    out: Path, places: tuple[str | None, int | None], values: dict[str, Any], json: bool
+) -> None:
     from homeward.drives.text.settings import validated
     from homeward.report.output import check_output
     from homeward.report.paper.page import (
@@ -97,6 +101,10 @@ def _cases(out: Path, places: tuple[str | None, int | None], values: dict[str, A
         result = run_cases(settings, store, where, tell)
         write_reproduction(out, result)
 
+    if json:
+        told = {"summary": " ".join(sentences(result)), "rows": [asdict(r) for r in rows(result)]}
+        answer({**told, "runs": settings.runs, "page": str(out / PAGE)})
+        return
     head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
     print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
     if settings.measurements == "images":
@@ -122,6 +130,7 @@ def _study(
     seed: int | None,
     places: tuple[str | None, int | None],
     values: dict[str, Any],
+    json: bool,
 ) -> None:
     from homeward.report.output import check_output
     from homeward.report.paper.layout_page import (
@@ -146,7 +155,13 @@ def _study(
     with resumable(), progress("layouts of the paper's cases") as tell:
         result = study_layouts(settings, store, where, tell)
         write_layouts(out, result)
-    for table in (error_table, ratio_table, order_table, search_table, claim_table):
+    tables = (error_table, ratio_table, order_table, search_table, claim_table)
+    if json:
+        told = {table.__name__.removesuffix("_table"): table(result) for table in tables}
+        files = {"page": str(out / PAGE), "results": str(out / DATA)}
+        answer({"summary": headline(result), "tables": told, **files})
+        return
+    for table in tables:
         print_rows(table(result), left=3)
         typer.echo("")
     say(f"{headline(result)} Page: {out / PAGE}; every run: {out / DATA}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Scheduler, Workers, progress, resumable
-from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.options import AsJson, Scheduler, Workers, progress, resumable
+from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
 
 
@@ -23,6 +24,7 @@ def study(
     seed: Annotated[int | None, typer.Option(help="Another seed than the study's.")] = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
+    json: AsJson = False,
 ) -> None:
     """Run a Monte Carlo study: every estimator in every scenario, many times.
 
@@ -37,7 +39,7 @@ def study(
     from homeward.studies.study.plan import make_plan
     from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
     from homeward.studies.study.settings import load_study
-    from homeward.studies.study.summary import failures
+    from homeward.studies.study.summary import failures, lines
 
     require_scale()
     where = Where(scheduler, workers)
@@ -49,10 +51,15 @@ def study(
     with resumable(), progress(plan.study.name) as tell:
         results = run_study(plan, store, where, tell)
         rows = write_study(folder, results)
-    print_rows(rows)
-    say(headline(results) + ".")
-    for reason, number in failures(results).items():
-        warn(f"{number} failed: {reason}")
-    say(f"Page: {folder / PAGE}; results: {folder / DATA}")
+    if json:
+        told = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}
+        files = {"page": str(folder / PAGE), "results": str(folder / DATA)}
+        answer({**told, "failures": failures(results), **files})
+    else:
+        print_rows(rows)
+        say(headline(results) + ".")
+        for reason, number in failures(results).items():
+            warn(f"{number} failed: {reason}")
+        say(f"Page: {folder / PAGE}; results: {folder / DATA}")
     if results.failed.sum() == results.number:
         raise no_answer()

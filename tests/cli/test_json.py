@@ -1,0 +1,65 @@
+"""`--json`: what commands answer to programs, and the page that says so."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from commands import call, first_seconds
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs/look-up/json.md").read_text("utf-8")
+
+
+def documented(command, part=0):
+    """Keys of the tables below a command's heading, of one level, without those of arrays."""
+    text = re.search(rf"## homeward {command} --json\n(.*?)\n## ", PAGE, re.DOTALL)[1]
+    tables = re.findall(r"\| key \|.*?(?=\n\n|$)", text, re.DOTALL)
+    cells = re.findall(r"^\| (`.*?) \|", tables[part], re.MULTILINE)
+    names = [name for cell in cells for name in re.findall(r"`(.*?)`", cell)]
+    return {re.split(r"[.\[]", name)[0] for name in names} - {""}
+
+
+def said(*words, status=0):
+    done = call(*words, "--json")
+    assert done.exit_code == status, done.output
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return first_seconds(tmp_path / "drive", 40.0)
+
+
+def test_a_run(drive, tmp_path):
+    told = said("run", drive, "--out", tmp_path / "run")
+    assert set(told) == documented("run")
+    assert told["metrics"] == json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert {m["landmark"] for m in told["landmarks"] if m["moved"]} <= {"L01", "L02", "L08"}
+
+
+def test_several_estimators(drive, tmp_path):
+    told = said("run", drive, "--estimator", "ekf,ukf", "--out", tmp_path / "runs")
+    assert set(told) == documented("run", 1)
+    first, second = told["runs"]
+    assert first["metrics"]["position_rmse_m"] < 1
+    assert first["failure"] is None
+    assert second["estimator"] == "ukf"
+
+
+def test_what_bearings_tell(drive, tmp_path):
+    told = said("observe", "--landmarks", "2", "--out", tmp_path / "model")
+    assert set(told) == documented("observe")
+    assert (told["rank"], told["unknowns"]) == (4, 5)
+    told = said("observe", drive, "--window", "40", "--out", tmp_path / "observed")
+    assert set(told) == documented("observe", 1)
+    assert told["whole"]["position_sigma_m"] > 0
+
+
+def test_a_plan(tmp_path):
+    plans = Path(__file__).resolve().parents[2] / "src/homeward/data/plans"
+    coarse = tmp_path / "coarse.yaml"
+    coarse.write_text((plans / "warehouse.yaml").read_text().replace("grid: 0.1", "grid: 1.0"))
+    told = said("plan", coarse, "--out", tmp_path / "plan")
+    assert set(told) == documented("plan")
+    assert 0 <= told["safe_share"] <= told["share"] <= 1
+    assert all(m["share_without"] <= told["share"] for m in told["landmarks"])
