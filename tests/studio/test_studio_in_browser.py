@@ -86,6 +86,8 @@ def test_a_drive_is_scrubbed_and_run_with_another_camera(tmp_path):
         page.find(slide.format("moment", 900))
         page.until("Math.abs(studio.frame.t - 90) < 1")
         assert page.find("document.querySelectorAll('[data-ray]').length") > 0
+        odd = "[...document.querySelectorAll('.landmark.odd')].map((c) => c.parentNode.dataset.id)"
+        assert page.find(odd) == []  # the EKF calls none moved
         first = words(page, "ekf")
         page.find(slide.format("set-yaw", 20))
         page.until("document.querySelector('#said').textContent.includes('other settings')")

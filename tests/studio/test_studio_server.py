@@ -7,7 +7,9 @@ import urllib.error
 import urllib.request
 
 import pytest
+from typer.testing import CliRunner
 
+from homeward.cli.main import app
 from homeward.studio.scenes import open_scene
 from homeward.studio.server import Studio
 from homeward.studio.session import Session
@@ -97,3 +99,24 @@ def test_the_page_s_files_are_there_and_no_others():
                     await asyncio.to_thread(get, root + name)
 
     asyncio.run(whole())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere"),
+        (["nowhere.yaml"], "neither a file nor one of the presets"),
+        (["--estimator", "nobody"], "no estimator 'nobody'"),
+        (["--port", "1"], "cannot listen at port 1"),
+    ],
+)
+def test_what_cannot_be_opened_is_one_line(words, said, monkeypatch):
+    async def refused(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    if "--port" in words:  # whoever runs the tests might be allowed to
+        monkeypatch.setattr("websockets.asyncio.server.serve", refused)
+    done = CliRunner().invoke(app, ["studio", "--no-browser", *words])
+    assert done.exit_code == 2
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

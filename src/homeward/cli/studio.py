@@ -44,6 +44,7 @@ def studio(
 
     from homeward.drives.opening import SAMPLE, open_drive
     from homeward.frames import Pose
+    from homeward.registry import settings_model
     from homeward.simulation.presets import PRESETS
     from homeward.studio.replay import Replay
     from homeward.studio.scenes import open_scene
@@ -51,6 +52,8 @@ def studio(
     from homeward.studio.session import Session
 
     names = tuple(word.strip() for word in estimator.split(",") if word.strip())
+    for name in names:
+        settings_model(name)  # whoever is not there is refused before anything is opened
     shown: Played
     if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
         shown = Session(open_scene(source), names)

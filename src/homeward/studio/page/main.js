@@ -65,6 +65,7 @@ function moment() {
   before = after = frame;
   watchers.take(frame);
   panel.tell(frame);
+  world.name(new Set(Object.values(frame.rivals).flatMap((told) => Object.keys(told.moved ?? {}))));
   say(frame.said);
 }
 

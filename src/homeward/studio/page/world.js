@@ -96,6 +96,11 @@ export class World {
     }
   }
 
+  /** Colour the landmarks that somebody calls moved. */
+  name(moved) {
+    for (const [id, mark] of this.marks) mark.dot.classList.toggle("odd", moved.has(id));
+  }
+
   /** Put a knob ahead of what it turns. */
   ahead(knob, owner, heading = owner.heading) {
     if (knob.held) return;
