@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rig import NEES, Rig, ring
 
+from homeward.control import Twist
 from homeward.drives.drive import (
     Drive,
     KnownLandmarks,
@@ -272,6 +273,20 @@ def test_one_look_at_a_survey_is_a_pose(off):
         assert rig.error() < 0.2
         nees += rig.nees().tolist()
     assert 8 * 0.5 < sum(nees) < 8 * 3 * 2.0  # about the 1 % and 99 % quantiles of chi-square
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_that_sees_one_or_two_at_a_time_has_a_fix_when_it_has_seen_enough(seed):
+    """Turning on the spot, so that no landmark can be triangulated."""
+    rig = SurveyedRig(ring(12, seed), seed, off=1, at_home=False)
+
+    def narrow(seen):
+        return {n: b for n, b in seen.items() if abs(b) < 0.35}
+
+    rig.drive(16.0, lambda _: Twist(0.0, 0.4), narrow)
+    posed = [a.pose is not None for a, _ in rig.answers]
+    assert any(posed)
+    assert rig.wrong_share() < 0.05
 
 
 def test_a_surveyed_landmark_that_moves_on_the_way_is_followed():

@@ -20,7 +20,7 @@ def about() -> None:
 
 @place.command()
 def info(folder: Folder) -> None:
-    """Say what is known of a place: its visits, what changes in it, and its homes."""
+    """Say what is known of a place and its homes."""
     from homeward.places.files import load_place
     from homeward.report.place.words import info_lines
 
@@ -35,7 +35,7 @@ def view(
         Path | None, typer.Option(help="The page to write [out/NAME OF THE PLACE.html].")
     ] = None,
 ) -> None:
-    """Draw a place over its visits: what stood where, and what moves often."""
+    """Draw a place over its visits, on a page."""
     from homeward.places.files import load_place
     from homeward.report.place.page import write_page
 
