@@ -91,6 +91,8 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--place", "{hall}", "--when", "noon"], "no date"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf"], "for the estimator robust"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "--place is for one"),
+        (["run", "sample", "--place", "{hall}/new"], "no such folder"),
+        (["run", "sample", "--place", "{hall}/0001", "--update"], "holds files but no place"),
         (["place", "info", "{hall}/.."], "holds no place"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
         (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),

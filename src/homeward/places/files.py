@@ -68,6 +68,15 @@ def is_place(folder: Path) -> bool:
     return bool(_versions(folder)) if folder.is_dir() else False
 
 
+def check_place(folder: Path) -> None:
+    """Refuse a folder into which no place can be written: `InputError` if it holds other things."""
+    if is_there(folder):
+        require_folder(folder)
+        strangers = [p.name for p in folder.iterdir() if not p.name.startswith(SCRATCH)]
+        if strangers and not _versions(folder):
+            raise InputError("holds files but no place; choose another folder", folder)
+
+
 def load_place(folder: str | os.PathLike[str], version: int | None = None) -> Place:
     """Read a place.
 
@@ -113,11 +122,7 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
         When the folder holds something else, or cannot be written, or has a newer version.
     """
     path = Path(folder)
-    if is_there(path):
-        require_folder(path)
-        strangers = [p.name for p in path.iterdir() if not p.name.startswith(SCRATCH)]
-        if strangers and not _versions(path):
-            raise InputError("holds files but no place; choose another folder", path)
+    check_place(path)
     with naming(path, "cannot be written"):
         path.mkdir(parents=True, exist_ok=True)
         for left in path.glob(SCRATCH + "*"):  # of one that was cut short

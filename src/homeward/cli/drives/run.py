@@ -100,6 +100,7 @@ def run(
     was found, the exit status is 1.
     """
     from homeward.drives.text.settings import nested
+    from homeward.places.files import check_place, newest
     from homeward.registry import COMPILED
 
     own = nested(key_values(changes or []))
@@ -122,6 +123,10 @@ def run(
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if update and (place is None or smooth):
         raise InputError("--update needs a --place, and no --smooth")
+    if place is not None and update:
+        check_place(place)  # before a run of minutes
+    elif place is not None:
+        newest(place)
     if store_home is not None and not update:
         raise InputError("--store-home needs --update")
     if place is None and (place_home is not None or when is not None):
