@@ -105,7 +105,14 @@ def test_help_is_wrapped_at_words_and_never_cut(width):
     for words in ([], *([name] for name in NAMES)):
         shown = on_terminal(width, *words, "--help")
         assert all(len(line.rstrip()) <= width for line in shown.splitlines()), words
-        for several in ("[ARGS]...", "{files}...", "files... ", "--set ..."):
+        for several in (
+            "[ARGS]...",
+            "{files}...",
+            "files... ",
+            "{drives}...",
+            "drives... ",
+            "--set ...",
+        ):
             shown = shown.replace(several, "")
         assert "..." not in shown
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rooms import mapped, new_place, room
+from visited import mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose, bearing

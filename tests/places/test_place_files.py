@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from rooms import new_place, room, told
+from visited import new_place, room, told
 
 from homeward.errors import InputError
 from homeward.places.files import KEPT, load_place, newest, save_place, undo

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rooms import new_place, room, told
+from visited import new_place, room, told
 
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
