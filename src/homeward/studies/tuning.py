@@ -37,8 +37,12 @@ LEARNT_FROM = 0.5
 """So much of each log is learnt from [1]."""
 FACTORS = (2.0, math.sqrt(2.0))
 """By so much a noise goes up or down, coarse and fine [1]."""
+NOTABLE = 2.0
+"""A noise is changed for so much log-likelihood: a likelihood ratio of one parameter, at 95 %."""
+MOST_STEPS = 5
+"""Steps one way: what a log cannot tell from none is not made smaller for ever."""
 ENOUGH = 100
-"""Sightings with an innovation that a log needs."""
+"""Sightings that each half of a log needs."""
 
 
 class Noise(NamedTuple):
@@ -73,6 +77,8 @@ class Tuning:
     """What was learnt, and how it does."""
 
     noise: Noise
+    tells_bearings: bool
+    """Whether the noise of bearings is among it: not where all came with a deviation."""
     turn_scale_sigma: float
     """How far turn rates were off, and how sure that is, over all logs [1]."""
     turn_bias_sigma: float
@@ -91,8 +97,8 @@ class Tuning:
         scale, bias = (float(f"{s:.2g}") for s in (self.turn_scale_sigma, self.turn_bias_sigma))
         odometry = {"speed_sigma": speed, "turn_sigma": turn}
         odometry |= {"turn_scale_sigma": scale, "turn_bias_sigma": bias}
-        sensor = Sensor(bearing_sigma=bearing)
-        return DriveSettings(sensor=sensor, odometry=OdometryNoise(**odometry))
+        sensor = {"sensor": Sensor(bearing_sigma=bearing)} if self.tells_bearings else {}
+        return DriveSettings(**sensor, odometry=OdometryNoise(**odometry))
 
 
 def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
@@ -112,35 +118,40 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     """
     halves = [_halves(drive) for drive in drives]
     first = [a for a, _ in halves]
-    runs = 2 * len(Noise._fields) * len(FACTORS) + 3
+    tells_bearings = any(np.isnan(drive.sightings.sigma).any() for drive in first)
+    fields = Noise._fields[0 if tells_bearings else 1 :]
+    runs = 2 * len(fields) * len(FACTORS) + 4
     done = 0
 
     def tell() -> None:
         nonlocal done
         done += 1
-        progress(min(done / runs, 1.0))
+        progress(done / runs)
 
     begun = [_identified(drive) for drive in first]
     tell()
     noise = Noise(*np.exp(np.mean(np.log([n for n, _, _ in begun]), axis=0)).tolist())
-    noise = _search(first, noise, tell)
+    noise = _search(first, noise, fields, tell)
     turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
     scale, bias = turn.tolist()
     held_out = [b for _, b in halves]
     before = [_check(drive) for drive in held_out]
     tell()
     after = [_check(_told(drive, noise, scale, bias)) for drive in held_out]
-    progress(1.0)
-    return Tuning(noise, scale, bias, [d.name for d in drives], before, after)
+    tell()
+    names = [drive.name for drive in drives]
+    return Tuning(noise, tells_bearings, scale, bias, names, before, after)
 
 
 def _halves(drive: Drive) -> tuple[Drive, Drive]:
     """Return the part of a drive to learn from, and the one to judge by."""
+    seen = drive.sightings.t
+    if seen.size < 2 * ENOUGH:
+        raise HomewardError(f"{drive.name}: {seen.size} sightings; {2 * ENOUGH} are needed")
+    middle = float(seen[int(LEARNT_FROM * seen.size)])
     begin, end = drive.span
-    middle = begin + LEARNT_FROM * (end - begin)
-    return _part(drive, begin, middle, drive.settings), _part(
-        drive, middle, end, drive.settings.model_copy(update={"start": None})
-    )
+    later = drive.settings.model_copy(update={"start": None})
+    return _part(drive, begin, middle, drive.settings), _part(drive, middle, end, later)
 
 
 def _part(drive: Drive, begin: float, end: float, settings: DriveSettings) -> Drive:
@@ -173,9 +184,7 @@ def _told(drive: Drive, noise: Noise, scale: float | None, bias: float | None) -
     )
     sensor = said.sensor.model_copy(update={"bearing_sigma": noise.bearing_sigma})
     told = said.model_copy(update={"odometry": odometry, "sensor": sensor})
-    unsaid = np.full(drive.sightings.sigma.shape, np.nan)
-    seen = dataclasses.replace(drive.sightings, sigma=unsaid)
-    return dataclasses.replace(drive, settings=told, sightings=seen)
+    return dataclasses.replace(drive, settings=told)
 
 
 def _identified(drive: Drive) -> tuple[Noise, float, float]:
@@ -202,24 +211,23 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
     return noise, float(off[TURN_SCALE]), float(off[TURN_BIAS])
 
 
-def _search(drives: Sequence[Drive], noise: Noise, tell: Callable[[], None]) -> Noise:
-    """Let each noise go up or down while innovations become likelier."""
+def _search(
+    drives: Sequence[Drive], noise: Noise, fields: Sequence[str], tell: Callable[[], None]
+) -> Noise:
+    """Let each noise go up, or else down, while innovations become notably likelier."""
     tracks = _tracks(drives, noise)
     tell()
     for factor in FACTORS:
-        for field in Noise._fields:
+        for field in fields:
+            begun = noise
             for way in (factor, 1.0 / factor):
-                moved = False
-                while True:
+                for _ in range(MOST_STEPS if noise is begun else 0):
                     other = noise._replace(**{field: way * getattr(noise, field)})
                     theirs = _tracks(drives, other)
-                    if not _gain(tracks, theirs) > 0.0:
+                    if _gain(tracks, theirs) <= NOTABLE:
                         break
-                    noise, tracks, moved = other, theirs, True
+                    noise, tracks = other, theirs
                 tell()
-                if moved:
-                    tell()
-                    break
     return noise
 
 
