@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import secrets
 import urllib.error
 import urllib.request
 
@@ -18,9 +19,10 @@ pytest.importorskip("websockets", reason="the studio's pages need the extra `liv
 
 
 @contextlib.asynccontextmanager
-async def hosted():
+async def hosted(played=None):
     """The address of a studio, with its token."""
-    studio, opened = Studio(Session(open_scene("circle"), ("ekf",))), asyncio.Future()
+    played = played or Session(open_scene("circle"), ("ekf",))
+    studio, opened = Studio(played), asyncio.Future()
     task = asyncio.create_task(studio.serve(0, opened.set_result))
     try:
         yield await asyncio.wait_for(opened, 20)
@@ -54,6 +56,35 @@ def test_a_page_is_told_the_scene_and_then_pictures():
                 address, hello(address), {"do": "pace", "pace": 0}, {"do": "fly"}, count=3
             )
             assert wrong["type"] in ("error", "frame")
+
+    asyncio.run(whole())
+
+
+def test_a_page_that_does_not_read_holds_up_no_other():
+    from websockets.asyncio.client import connect
+
+    class Large:
+        """Played things whose every picture fills the buffers of a socket."""
+
+        version, now_s = 0, 0.0
+
+        def step(self):
+            self.now_s += 0.02
+
+        def scene(self):
+            return {"type": "scene"}
+
+        def picture(self):
+            return {"type": "frame", "t": self.now_s, "much": secrets.token_hex(2**18)}
+
+    async def whole():
+        async with hosted(Large()) as address:
+            place = address.partition("?")[0].replace("http", "ws")
+            async with connect(place, origin="http://127.0.0.1:1", max_queue=1) as silent:
+                await silent.send(json.dumps(hello(address)))
+                read = await talk(address, hello(address), count=40)
+                assert read[-1]["t"] > read[1]["t"]
+                silent.transport.abort()
 
     asyncio.run(whole())
 

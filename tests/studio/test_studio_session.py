@@ -10,11 +10,13 @@ import yaml
 from homeward.drives.opening import open_drive
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
+from homeward.frames import Pose
 from homeward.simulation.scenario import Scenario
 from homeward.studio.messages import Move, Set, parse
 from homeward.studio.replay import Replay
 from homeward.studio.scenes import as_scene, open_scene
 from homeward.studio.session import Session
+from homeward.studio.worlds import Views
 
 
 def play(session, seconds):
@@ -125,6 +127,7 @@ def test_a_scene_from_anywhere_names_no_code(session):
         '{"do":"move","what":"landmark","name":"L06","x":1e999,"y":0}',
         '{"do":"set","key":"name","value":1}',
         '{"do":"pace","pace":1e9}',
+        '{"do":"adjust","x":1e300}',
         '{"do":"estimators","names":["a","b","c","d","e","f","g"]}',
         "[" * 5000,
     ],
@@ -141,6 +144,10 @@ def test_what_nobody_asked_for_is_refused(text):
         ("move", {"what": "home", "x": -50, "y": 0}),
         ("set", {"key": "visibility.probability", "value": 2}),
         ("set", {"key": "visibility.range", "value": [5, 1]}),
+        *(("move", {"what": "robot", "x": x, "y": 0}) for x in (1e9, 1e300)),
+        *(("set", {"key": "noise.bearing_sigma", "value": sigma}) for sigma in (1e300, 1e-300)),
+        ("set", {"key": "sensor.x", "value": -1e300}),
+        ("add", {"x": 1e300, "y": 0}),
         ("remove", {"name": "nobody"}),
         ("worlds", {}),
         ("adjust", {}),
@@ -151,6 +158,34 @@ def test_what_cannot_be_changes_nothing(session, do, more):
     with pytest.raises(InputError):
         say(session, do, **more)
     assert session.scene() == before
+
+
+@pytest.mark.parametrize(
+    ("section", "values"),
+    [
+        ("noise", {"bearing_sigma": 1e300}),
+        ("noise", {"home_sigma": 1e-300}),
+        ("landmarks", {"at": {"A": [1e300, 0]}}),
+        ("trajectory", {"points": [[1, 1], [9, 1]] * 10**4}),
+    ],
+)
+def test_a_scene_with_absurd_numbers_changes_nothing(session, section, values):
+    before = session.scene()
+    absurd = before["scenario"] | {"moved": {}}
+    with pytest.raises(InputError, match=section):
+        say(session, "open", scene=absurd | {section: absurd[section] | values})
+    assert session.scene() == before
+
+
+def test_views_of_a_long_drive_are_few_and_spread():
+    views = Views()
+    for k in range(20_000):
+        views.add(Pose(k, 0.0, 0.0), frozenset("A"))
+    way = [pose.x for pose, _ in views.kept]
+    assert 100 < len(way) < 1000
+    assert way[0] == 0
+    assert np.ptp(np.diff(way)) == 0
+    assert way[-1] > 19_000
 
 
 def test_keys_drive_while_they_are_held(session):

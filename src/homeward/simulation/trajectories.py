@@ -10,6 +10,7 @@ from typing import Protocol, assert_never
 import numpy as np
 
 from homeward.control import Twist, arrived, homing
+from homeward.errors import InputError
 from homeward.frames import Polar, Pose, bearing, between, to_polar
 from homeward.laws import Slope, law_named, steer, way_home
 from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
@@ -30,6 +31,8 @@ TURN_ACCELERATION = 1.0
 """Between way points the turn rate changes at most so fast [rad/s^2]."""
 LINE_STEP = 0.01
 """The line through the way points is taken as points this far apart [m]."""
+LONGEST_LINE = 1e5
+"""[m]; its points are all held in memory."""
 
 
 class Control(Protocol):
@@ -234,7 +237,13 @@ class WaypointControl:
 
 
 def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
-    """Return the line from `start` through the way points, shape (n, 2), in the home frame [m]."""
+    """Return the line from `start` through the way points, shape (n, 2), in the home frame [m].
+
+    Raises
+    ------
+    InputError
+        When it is too long to be held.
+    """
     corners = [(start.x, start.y)]
     for x, y in trajectory.points:
         local = between(home, Pose(x, y, 0.0))
@@ -244,5 +253,7 @@ def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
     knots = np.array(corners, float)
     lengths = np.hypot(*np.diff(knots, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
+    if not along[-1] <= LONGEST_LINE:
+        raise InputError(f"trajectory.points: {along[-1]:.3g} m to drive, {LONGEST_LINE:g} at most")
     fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
     return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)

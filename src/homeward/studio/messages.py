@@ -6,12 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from homeward.drives.drive import Finite, Strict
+from homeward.drives.drive import Strict
 from homeward.errors import InputError
 from homeward.simulation.scenario import Scenario
 
 LONGEST = 2**20
 """Of a message [byte]; a whole scene is the longest."""
+LARGEST = 1e4
+"""Of a place or a length [m], and of any other number of a scene; larger ones overflow."""
+Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+"""[m] or [rad]"""
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
@@ -28,9 +32,9 @@ class Move(Strict):
     do: Literal["move"]
     what: Literal["landmark", "home", "robot"]
     name: str = ""
-    x: Finite
-    y: Finite
-    heading: Finite | None = None
+    x: Bounded
+    y: Bounded
+    heading: Bounded | None = None
     """None: as it was [rad]."""
     stroke: int = 0
     """Moves of one stroke are undone together."""
@@ -40,8 +44,8 @@ class Add(Strict):
     """Put up a landmark that home knew; the drive begins again."""
 
     do: Literal["add"]
-    x: Finite
-    y: Finite
+    x: Bounded
+    y: Bounded
 
 
 class Remove(Strict):
@@ -65,7 +69,7 @@ class Set(Strict):
         "sensor.y",
         "sensor.yaw",
     ]
-    value: float | tuple[float, float]
+    value: Bounded | tuple[Bounded, Bounded]
     stroke: int = 0
 
 
@@ -120,9 +124,9 @@ class Adjust(Strict):
     """Run an opened drive otherwise."""
 
     do: Literal["adjust"]
-    x: Finite = 0.0
-    y: Finite = 0.0
-    yaw: Finite = 0.0
+    x: Bounded = 0.0
+    y: Bounded = 0.0
+    yaw: Bounded = 0.0
     lag: Annotated[float, Field(ge=-5, le=5)] = 0.0
     bearing_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
     moved: tuple[str, ...] = ()

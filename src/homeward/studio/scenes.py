@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +15,14 @@ from homeward.laws import LAWS
 from homeward.simulation.files import load_scenario
 from homeward.simulation.scenario import Homing, Listed, Moved, RoomPose, Scenario, StartPose
 from homeward.simulation.world import World, build_world
+from homeward.studio.messages import LARGEST
 
 MOST_LANDMARKS = 100
 """More do not make a better picture, and a scene may come from anywhere."""
 FASTEST_HZ = 100.0
 """Likewise, of samples."""
+SMALLEST = 1e-9
+"""Of a sigma or a rate that is not 0."""
 
 
 def open_scene(source: str) -> Scenario:
@@ -31,9 +36,10 @@ def as_scene(scenario: Scenario) -> Scenario:
     Raises
     ------
     InputError
-        When it cannot be built, is too large to be played, or has a law that is not homeward's:
-        a scene may come from anywhere, and must not name code to run.
+        When it cannot be built, is too large to be played, has an absurd number, or a law that is
+        not homeward's: a scene may come from anywhere, and must not name code to run.
     """
+    check_numbers(scenario)
     trajectory = scenario.trajectory
     if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
         raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
@@ -42,6 +48,23 @@ def as_scene(scenario: Scenario) -> Scenario:
     if max(scenario.rates.odometry, scenario.rates.bearings) > FASTEST_HZ:
         raise InputError(f"rates: the studio plays {FASTEST_HZ:g} Hz at most")
     return with_landmarks(scenario, build_world(scenario))
+
+
+def check_numbers(scenario: Scenario) -> None:
+    """Raise InputError for a number of a scenario that would overflow, or be divided by in vain."""
+    for key, value in _numbers(scenario.model_dump(exclude={"trajectory": {"duration"}})):
+        divides = "sigma" in key or key.startswith("rates.")
+        if abs(value) > LARGEST or (divides and 0 < value < SMALLEST):
+            raise InputError(f"{key}: {value:g} is beyond what the studio plays")
+
+
+def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the floats in nested mappings and sequences, with their keys in dots."""
+    if isinstance(value, float):
+        yield key.lstrip("."), value
+    inner = value.items() if isinstance(value, dict) else ()
+    for part, one in enumerate(value) if isinstance(value, tuple) else inner:
+        yield from _numbers(one, f"{key}.{part}")
 
 
 def with_landmarks(scenario: Scenario, world: World) -> Scenario:

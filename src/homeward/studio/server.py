@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable
 from http import HTTPStatus
 from importlib import resources
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from homeward.errors import InputError, needs_extra
 from homeward.one_thread import one_thread
@@ -30,8 +30,6 @@ TICK_S = 1 / 40
 BUSY_S = 0.1
 """The session works for so long at most before it is asked and shown again [s]."""
 HELLO_S = 5.0
-MOST_UNREAD = 2**22
-"""Who leaves so much unread gets no pictures meanwhile [byte]."""
 MOST_WAITING = 1000
 OWN = re.compile(r"http://(localhost|127\.0\.0\.1)(:\d+)?")
 KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
@@ -64,6 +62,39 @@ class Played(Protocol):
         """Return what changes with every step; None when nothing did."""
 
 
+class Line(NamedTuple):
+    """A message as it is sent."""
+
+    kind: str
+    text: str
+
+
+class Page:
+    """Sends a page what it has not read yet: of each kind of message the newest alone.
+
+    Nobody waits for a page that does not read; websockets' keepalive lets it go in the end.
+    """
+
+    def __init__(self, socket: Any) -> None:
+        self._socket, self._unsent, self._some = socket, dict[str, str](), asyncio.Event()
+
+    def tell(self, line: Line) -> None:
+        """Send a line soon, in place of one of its kind that is still to be sent."""
+        self._unsent.pop(line.kind, None)
+        self._unsent[line.kind] = line.text
+        self._some.set()
+
+    async def send(self) -> None:
+        """Send what is told until the page is gone."""
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):
+            while await self._some.wait():
+                while self._unsent:
+                    await self._socket.send(self._unsent.pop(next(iter(self._unsent))))
+                self._some.clear()
+
+
 class Studio:
     """Serves one session to the pages of this machine that know the token.
 
@@ -77,8 +108,8 @@ class Studio:
 
     def __init__(self, session: Played, token: str | None = None) -> None:
         self._session, self.token = session, token or secrets.token_urlsafe(16)
-        self._pages: set[Any] = set()
-        self._asked: deque[tuple[Asked, Any]] = deque(maxlen=MOST_WAITING)
+        self._pages: set[Page] = set()
+        self._asked: deque[tuple[Asked, Page]] = deque(maxlen=MOST_WAITING)
         self._pace = 1.0
 
     async def serve(self, port: int = 0, opened: Callable[[str], None] | None = None) -> None:
@@ -124,28 +155,31 @@ class Studio:
         """Take what a page asks for, once it said the token."""
         from websockets.exceptions import ConnectionClosed
 
+        page = Page(socket)
+        sending = asyncio.create_task(page.send())
         try:
             hello = parse(await asyncio.wait_for(socket.recv(), HELLO_S))
             told = hello.token.encode() if isinstance(hello, Hello) else b""
             if not hmac.compare_digest(told, self.token.encode()):
                 raise InputError("wrong token: open the address that homeward studio printed")
-            await socket.send(_text(self._session.scene()))
+            page.tell(_line(self._session.scene()))
             picture = self._session.picture()
             if picture is not None:
-                await socket.send(_text(picture))
-            self._pages.add(socket)
+                page.tell(_line(picture))
+            self._pages.add(page)
             async for line in socket:
                 try:
-                    self._asked.append((parse(line), socket))
+                    self._asked.append((parse(line), page))
                 except InputError as error:
-                    await socket.send(_text({"type": "error", "text": str(error)}))
+                    page.tell(_refusal(error))
         except InputError as error:
             with contextlib.suppress(ConnectionClosed):
-                await socket.send(_text({"type": "error", "text": str(error)}))
+                await socket.send(_refusal(error).text)
         except (ConnectionClosed, TimeoutError):
             pass
         finally:
-            self._pages.discard(socket)
+            self._pages.discard(page)
+            sending.cancel()
 
     async def _play(self) -> None:
         """Let time go by for the session while somebody looks."""
@@ -160,15 +194,13 @@ class Studio:
                 behind = 0.0
                 continue
             said, behind = await asyncio.to_thread(self._work, behind)
-            for out, to in said:
-                for page in [to] if to is not None else list(self._pages):
-                    if page.transport.get_write_buffer_size() < MOST_UNREAD:
-                        with contextlib.suppress(Exception):
-                            await page.send(out)
+            for line, to in said:
+                for page in self._pages if to is None else [to]:
+                    page.tell(line)
 
-    def _work(self, behind: float) -> tuple[list[tuple[str, Any]], float]:
+    def _work(self, behind: float) -> tuple[list[tuple[Line, Page | None]], float]:
         """Do what was asked for, and step; return what to say to whom, None being all."""
-        said: list[tuple[str, Any]] = []
+        said: list[tuple[Line, Page | None]] = []
         session, version = self._session, self._session.version
         with one_thread():
             while self._asked:
@@ -177,9 +209,9 @@ class Studio:
                     if isinstance(asked, Pace):
                         self._pace = asked.pace
                     elif (answer := session.do(asked)) is not None:
-                        said.append((_text(answer), page))
+                        said.append((_line(answer), page))
                 except InputError as error:
-                    said.append((_text({"type": "error", "text": str(error)}), page))
+                    said.append((_refusal(error), page))
                     version = -1  # what the page drew already is put right
             until, stepped = time.monotonic() + BUSY_S, False
             began = session.now_s
@@ -187,17 +219,21 @@ class Studio:
                 session.step()
                 stepped = True
         if session.version != version:
-            said.insert(0, (_text(session.scene()), None))
+            said.insert(0, (_line(session.scene()), None))
             stepped = True
         if stepped and (picture := session.picture()) is not None:
-            said.append((_text(picture), None))
+            said.append((_line(picture), None))
         left = behind - (session.now_s - began) if math.isfinite(began) else 0.0
         return said, max(left, -TICK_S * 8)
 
 
-def _text(message: dict[str, Any]) -> str:
+def _line(message: dict[str, Any]) -> Line:
     """Return a message as JSON; a number that is not finite is null."""
-    return json.dumps(_finite(message), separators=(",", ":"))
+    return Line(message["type"], json.dumps(_finite(message), separators=(",", ":")))
+
+
+def _refusal(error: InputError) -> Line:
+    return _line({"type": "error", "text": str(error)})
 
 
 def _finite(value: Any) -> Any:

@@ -35,6 +35,7 @@ from homeward.studio.rival import Rival
 from homeward.studio.scenes import (
     MOST_LANDMARKS,
     as_scene,
+    check_numbers,
     extent,
     with_home,
     with_landmarks,
@@ -42,7 +43,7 @@ from homeward.studio.scenes import (
 )
 from homeward.studio.steering import Steering
 from homeward.studio.undo import Undo
-from homeward.studio.worlds import worlds_alike
+from homeward.studio.worlds import Views, worlds_alike
 
 
 class Session:
@@ -66,13 +67,15 @@ class Session:
 
     def _begin(self, scenario: Scenario) -> None:
         """Play a scene from its start."""
-        robot = LiveRobot(scenario)  # what is wrong with a scene is said before anything changed
+        # What is wrong with a scene is said before anything changed.
+        robot = LiveRobot(scenario)
+        steering = Steering(scenario, robot, self._steer)
         self._scenario, self._robot, self._start = scenario, robot, scenario.start
-        self._steering = Steering(scenario, robot, self._steer)
+        self._steering = steering
         self._rivals = [Rival(name, robot.drive) for name in self._names]
         self._best, self._noises = Best(robot, scenario), 0
         self._now, self._seen = (0.0, robot.pose), dict[str, float]()
-        self._views: list[tuple[Pose, frozenset[str]]] = []
+        self._views = Views()
         self._said = ""
         self._begun, self.version = self._begun + 1, self.version + 1
 
@@ -93,7 +96,7 @@ class Session:
                 rival.score(pose)
         if sensed.seen is not None:
             self._seen = dict(sensed.seen)
-            self._views.append((pose, frozenset(sensed.seen)))
+            self._views.add(pose, frozenset(sensed.seen))
             self._best.see(sensed.t, pose, set(sensed.seen))
 
     def do(self, asked: Asked) -> dict[str, Any] | None:
@@ -133,7 +136,7 @@ class Session:
                 self._undo.back()
                 self._said, self.version = "Undone.", self.version + 1
             case Plain(do="worlds"):
-                return {"type": "worlds", **worlds_alike(self._robot, self._views)}
+                return {"type": "worlds", **worlds_alike(self._robot, self._views.kept)}
             case Plain(do="save"):
                 return {"type": "file", "name": "scenario.yaml", "text": scenario_yaml(self.now())}
             case _:
@@ -167,7 +170,7 @@ class Session:
         was = world.places[world.ids.index(name)]
         self._robot.move_landmark(name, x - was[0], y - was[1])
         self._best.move(name)
-        self._views.clear()  # they saw another world
+        self._views = Views()  # they saw another world
         self.version += 1
 
     def _move_robot(self, asked: Move) -> None:
@@ -180,10 +183,15 @@ class Session:
         self.version += 1
 
     def _put_robot(self, pose: Pose) -> None:
-        self._robot.pose, self._now = pose, (self._robot.t, pose)
+        was, self._robot.pose = self._robot.pose, pose
+        try:
+            self._steering.steer(self._steer)
+        except InputError:  # too far from its way
+            self._robot.pose = was
+            raise
+        self._now = self._robot.t, pose
         self._best.carry()
-        self._views.clear()
-        self._steering.steer(self._steer)
+        self._views = Views()
 
     def _move_home(self, asked: Move) -> None:
         heading = self._scenario.home.heading if asked.heading is None else asked.heading
@@ -195,7 +203,9 @@ class Session:
         changes: dict[str, Any] = {asked.key: asked.value}
         if asked.key.startswith("sensor.") and before.home_sensor is None:
             changes["home_sensor"] = before.sensor.model_dump()  # home was stored with the old one
-        self._sense_by(changed_scenario(before, changes))
+        changed = changed_scenario(before, changes)
+        check_numbers(changed)
+        self._sense_by(changed)
         self._undo.remember((asked.key, asked.stroke), lambda: self._sense_by(before))
         self._said = "Nobody was told; who begins again is."
 

@@ -31,8 +31,8 @@ class Steering:
 
     def steer(self, asked: Steer) -> None:
         """Let somebody drive, from where the robot is."""
-        self.asked, self.done = asked, False
         self._control = None if asked.by in ("keys", "nobody") else self._make(asked)
+        self.asked, self.done = asked, False
 
     def _make(self, asked: Steer) -> Control:
         now, home = with_start(self._scenario, self._robot.pose), self._robot.drive.home_bearings()

@@ -16,6 +16,24 @@ from homeward.simulation.live_robot import LiveRobot
 
 MOST_POSES = 40
 """So many views tell what hundreds tell."""
+MOST_KEPT = 10 * MOST_POSES
+
+
+class Views:
+    """Views spread evenly over a drive, a few hundred however long it is."""
+
+    def __init__(self) -> None:
+        self.kept: list[tuple[Pose, frozenset[str]]] = []
+        """True poses of the robot in the home frame, and the ids that were seen from each."""
+        self._count, self._every = 0, 1
+
+    def add(self, pose: Pose, seen: frozenset[str]) -> None:
+        """Take what was seen next."""
+        if self._count % self._every == 0:
+            self.kept.append((pose, seen))
+        self._count += 1
+        if len(self.kept) > MOST_KEPT:
+            self.kept, self._every = self.kept[::2], 2 * self._every
 
 
 def worlds_alike(robot: LiveRobot, views: Sequence[tuple[Pose, frozenset[str]]]) -> dict[str, Any]:
