@@ -177,6 +177,12 @@ def test_a_scene_with_absurd_numbers_changes_nothing(session, section, values):
     assert session.scene() == before
 
 
+def test_a_camera_that_could_not_have_stored_home_is_played():
+    session = Session(open_scene("paper-homing"), ("ekf",))
+    say(session, "set", key="visibility.field_of_view", value=0.01)
+    assert session.scene()["settings"]["visibility"]["field_of_view"] == 0.01
+
+
 def test_views_of_a_long_drive_are_few_and_spread():
     views = Views()
     for k in range(20_000):

@@ -71,7 +71,7 @@ class Session:
         robot = LiveRobot(scenario)
         steering = Steering(scenario, robot, self._steer)
         self._scenario, self._robot, self._start = scenario, robot, scenario.start
-        self._steering = steering
+        self._steering, self._extent = steering, extent(scenario)
         self._rivals = [Rival(name, robot.drive) for name in self._names]
         self._best, self._noises = Best(robot, scenario), 0
         self._now, self._seen = (0.0, robot.pose), dict[str, float]()
@@ -259,7 +259,7 @@ class Session:
             "type": "scene",
             "mode": "scene",
             "begun": self._begun,
-            "extent": extent(scenario),
+            "extent": self._extent,
             "room": None if scenario.room is None else scenario.room.model_dump(),
             "home": [float(v) for v in world.home],
             "landmarks": _placed(world.ids, world.places),
