@@ -83,7 +83,7 @@ def test_python_of_places_runs(tmp_path, monkeypatch, capsys):
     (text,) = blocks(doc("do/places.md"), "python")
     monkeypatch.chdir(tmp_path)
     exec(compile(text, "places.md", "exec"), {})
-    assert "verdict='merged', stayed=15" in capsys.readouterr().out
+    assert "verdict='first', stayed=0" in capsys.readouterr().out
 
 
 def test_python_on_a_robot_runs(capsys):

@@ -1,11 +1,22 @@
 """`homeward run --place` and `homeward place` as docs show them, on the sample drive."""
 
 import shutil
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from commands import call, first_seconds, refused
 
-from homeward.places.files import load_place, newest
+from homeward import open_drive, save_drive
+from homeward.places.files import load_place, newest, save_place
+
+
+def another_day(folder):
+    """The sample drive, with other noise of the camera."""
+    drive = open_drive("sample")
+    drive.sightings.bearing[:] += np.random.default_rng(0).normal(0.0, 2e-3, drive.sightings.t.size)
+    save_drive(drive, folder)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +28,8 @@ def visited(tmp_path_factory):
     assert first.exit_code == 0, first.output
     assert "hall: a new place, with 15 landmarks." in first.output
     more = "--update", "--store-home", "dock 3", "--when", "2026-11-02"
-    second = call("run", "sample", "--place", hall, *more, "--out", out)
+    again = another_day(folder / "another-day")
+    second = call("run", again, "--place", hall, *more, "--out", folder / "second")
     assert second.exit_code == 0, second.output
     assert "of its landmarks 15 stayed" in second.output
     assert "first pose came after" not in second.output  # it came at once
@@ -65,10 +77,15 @@ def test_forget_and_undo(hall):
     assert load_place(hall).standings == before.standings
 
 
-def test_merge(hall, visited):
-    said = call("place", "merge", hall, visited / "hall")
+def test_merge(hall, visited, tmp_path):
+    place = load_place(visited / "hall")
+    others = tuple(replace(v, evidence=f"other{v.number}") for v in place.visits)
+    save_place(replace(place, visits=others), tmp_path / "other")
+    said = call("place", "merge", hall, tmp_path / "other")
     assert said.exit_code == 0, said.output
     assert "home of hall" in load_place(hall).homes
+    for copy in (hall, tmp_path / "other"):
+        assert "would count twice" in refused(call("place", "merge", hall, copy))
 
 
 def test_view_writes_a_page(hall, tmp_path):
@@ -106,8 +123,6 @@ def test_what_cannot_be_is_refused_in_one_line(hall, words, refusal):
 
 def test_another_place_is_told_and_kept_apart(hall, tmp_path):
     """The ids of a drive stand elsewhere: it is no drive through this place."""
-    from homeward import open_drive, save_drive
-
     drive = open_drive(first_seconds(tmp_path / "drive", 60.0))
     ids = sorted(set(drive.sightings.landmark.tolist()))
     other = dict(zip(ids, ids[4:] + ids[:4], strict=True))

@@ -1,6 +1,7 @@
 """A place as a folder: back to the last bit, whole or not there, and never trusted."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,13 @@ def test_undo_goes_back_and_only_as_far_as_there_is_something(folder):
     same(load_place(folder), first)
     with pytest.raises(InputError, match="no older version"):
         undo(folder)
+
+
+def test_a_place_that_contradicts_itself_is_not_written(folder):
+    place = load_place(folder)
+    with pytest.raises(InputError, match="not the place's homes"):
+        save_place(replace(place, homes={**place.homes, "dock": place.homes["home"]}), folder)
+    assert newest(folder) == 2
 
 
 def test_old_versions_go_and_a_slower_one_is_refused(folder):

@@ -9,7 +9,9 @@ from visited import new_place, room, told
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing
-from homeward.places.visiting import Looks, merged, merged_places
+from homeward.places.files import load_place, save_place
+from homeward.places.place import NUDGED
+from homeward.places.visiting import MOST_EVENTS, Looks, merged, merged_places
 
 
 def events(place, what):
@@ -95,6 +97,64 @@ def test_places_of_two_robots_in_one_room_are_merged():
     assert np.hypot(*both.home_pose("home of yours")[:2]) < 0.1
     with pytest.raises(HomewardError, match="two places"):
         merged_places(mine, new_place(room(24, seed=7), rng))
+
+
+def test_a_drive_counts_once():
+    rng, places = np.random.default_rng(0), room()
+    place, visit = new_place(places, rng), told(places, rng)
+    after = merged(place, visit)
+    with pytest.raises(InputError, match="count twice"):
+        merged(after, replace(visit, drive="renamed", when=9.0))
+    apart = told(room(seed=9), rng)
+    merged(merged(place, apart), apart)  # nothing of it has counted yet
+
+
+def test_places_with_a_drive_in_common_are_not_merged():
+    rng, places = np.random.default_rng(0), room()
+    mine, yours = new_place(places, rng), new_place(places, rng)
+    child = merged(mine, told(places, rng))
+    both = merged_places(mine, yours)
+    for place, other in [(mine, mine), (mine, child), (child, mine), (both, yours), (yours, both)]:
+        with pytest.raises(InputError, match="count twice"):
+            merged_places(place, other)
+
+
+def test_homes_of_namesakes_get_names_that_are_free(tmp_path):
+    rng, places = np.random.default_rng(0), room()
+    place = new_place(places, rng)
+    for _ in range(3):
+        place = merged_places(place, new_place(places, rng))
+    names = ["home", "home of hall", "home of hall, 2", "home of hall, 3"]
+    assert list(place.homes) == names
+    save_place(place, tmp_path / "hall")
+    assert list(load_place(tmp_path / "hall").homes) == names
+
+
+def test_a_place_that_is_merged_has_aged_and_lost_what_went():
+    rng, places = np.random.default_rng(0), room()
+    mine = new_place({n: places[n] for n in list(places)[:12]}, rng, 300.0)
+    yours = new_place(places, rng, 0.0)
+    believed = {n: replace(s, watched=1e5) for n, s in yours.standings.items()}
+    believed["L19"] = replace(believed["L19"], stands=0.3)
+    yours = replace(yours, standings=believed)
+    today = replace(yours, visits=(replace(yours.visits[0], when=300.0),))
+    old, fresh = merged_places(mine, yours), merged_places(mine, today)
+    assert set(old.standings) == set(places) - {"L19"}
+    nudged = NUDGED * np.sqrt(300.0)
+    assert old.map.sigmas[-1] == pytest.approx(np.hypot(fresh.map.sigmas[-1], nudged), rel=0.05)
+
+
+def test_of_many_visits_the_first_and_the_last_are_kept():
+    rng, places = np.random.default_rng(0), room(8)
+    place = new_place(places, rng)
+    visits = tuple(replace(place.visits[0], number=n) for n in range(1, MOST_EVENTS))
+    for after in (
+        merged(replace(place, visits=visits), told(places, rng)),
+        merged_places(replace(place, visits=visits), new_place(places, rng)),
+    ):
+        numbers = [v.number for v in after.visits]
+        assert len(numbers) == MOST_EVENTS // 10
+        assert (numbers[0], numbers[-1]) == (1, MOST_EVENTS)
 
 
 def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():

@@ -36,10 +36,10 @@ def new_place(places, rng, when=0.0, name="hall"):
     standings = {n: Standing(when, when) for n in places}
     homes = {"home": StoredHome(when, {n: HomeBearing(0.1) for n in list(places)[:6]})}
     events = tuple(Event(1, n, "new", *map(float, p)) for n, p in places.items())
-    visit = Visit(1, when, "first", "first", new=len(places), of=len(places))
+    visit = Visit(1, when, "first", rng.bytes(8).hex(), "first", new=len(places), of=len(places))
     return Place(name, start.at_home("home"), standings, homes, (visit,), events)
 
 
 def told(places, rng, when=1.0, pose=(1.0, -2.0, 2.5), **more):
     """What a drive tells that began elsewhere."""
-    return Told("a drive", when, mapped(places, rng, pose), **more)
+    return Told("a drive", rng.bytes(8).hex(), when, mapped(places, rng, pose), **more)

@@ -119,9 +119,12 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
     Raises
     ------
     InputError
-        When the folder holds something else, or cannot be written, or has a newer version.
+        When the folder holds something else, or cannot be written, or has a newer version, or the
+        place contradicts itself.
     """
     path = Path(folder)
+    if place.map.homes != tuple(place.homes):
+        raise InputError("the homes of its map are not the place's homes", path)
     check_place(path)
     with naming(path, "cannot be written"):
         path.mkdir(parents=True, exist_ok=True)

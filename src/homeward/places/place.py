@@ -38,6 +38,8 @@ class Visit:
     when: float
     """[days since 1970]"""
     drive: str
+    evidence: str
+    """The drive's `fingerprint`; of a place that was merged, those of all its drives."""
     verdict: str
     """first, merged, or apart: then the rest is zero, and nothing of it was merged."""
     stayed: int = 0

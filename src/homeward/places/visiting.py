@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey import wrong_probabilities
 from homeward.localizer.map.survey_factors import SurveyFactors
 from homeward.localizer.tunables import AGREES, CLOSE, ENOUGH, PROOF
+from homeward.places.evidence import evidence, fingerprint, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
 from homeward.places.place import Event, Place, StoredHome, Visit
@@ -34,6 +36,8 @@ IN_REACH = 0.9
 """Landmarks are seen as far as this share of all sightings goes."""
 MOST_EVENTS = 4000
 """So many events are kept, and a tenth as many visits: of a place with ten a day, a year's."""
+FIRST_HOME = "home"
+"""So the home of a place's first drive is called."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ class Told:
     """What a drive tells of a place."""
 
     drive: str
+    evidence: str
+    """Its `fingerprint`."""
     when: float
     """[days since 1970]"""
     map: JointMap
@@ -85,12 +91,19 @@ class Told:
         InputError
             When the answer has no pose, or the name cannot stand in a file.
         """
-        if not is_identifier(name):
-            raise InputError(f"{quoted(name)} is no name for a home: printable text, trimmed")
+        require_home_name(name, self.homes)
         if answer.pose is None:
             raise InputError(f"home {quoted(name)} cannot be stored without a pose")
         stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
         return replace(self, homes={**self.homes, name: (stored, answer)})
+
+
+def require_home_name(name: str, homes: Collection[str]) -> None:
+    """Raise `InputError` where no home can be stored by a name, beside those that are there."""
+    if not is_identifier(name):
+        raise InputError(f"{quoted(name)} is no name for a home: printable text, trimmed")
+    if name in homes:
+        raise InputError(f"there is a home {quoted(name)} already; forget that one first")
 
 
 def last_look(drive: Drive, track: Track) -> tuple[Estimate, dict[str, float]]:
@@ -132,7 +145,7 @@ def told_by(
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
     looks = Looks(cameras, known, drive.settings.sensor.field_of_view)
-    return Told(drive.name, when, own_map(localizer), looks, home)
+    return Told(drive.name, fingerprint(drive), when, own_map(localizer), looks, home)
 
 
 def own_map(localizer: Localizer) -> JointMap:
@@ -144,13 +157,14 @@ def own_map(localizer: Localizer) -> JointMap:
     return JointMap(own.names, (), own.positions.ravel(), own.covariance)
 
 
-def first_place(name: str, localizer: Localizer, told: Told, home: str = "home") -> Place:
+def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_HOME) -> Place:
     """Return the place that a first drive makes; its frame is that of the drive's home.
 
     Raises
     ------
     HomewardError
-        When home was not found in the map.
+        When home was not found in the map, or too few landmarks are placed well for any later
+        drive to prove that it is of this place.
     """
     found = localizer.found_home
     if found is None:
@@ -162,6 +176,11 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = "home")
     mount = Pose(*localizer.chart.home.observation.mount.tolist())
     there = told.map.with_home(home, right, mount, found, vague).at_home(home)
     there = there.only(_well_placed(there))
+    if len(there.names) < PROOF:
+        raise HomewardError(
+            f"{len(there.names)} landmarks are placed well by this drive, and a place takes "
+            f"{PROOF}: drive further"
+        )
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
     place = Place(name, there, standings, {home: StoredHome(when, dict(observed))})
@@ -172,13 +191,20 @@ def merged(place: Place, told: Told) -> Place:
     """Return a place after a visit: what stayed is fused, what moved follows, what is gone fades.
 
     A visit that contradicts the place leaves it as it is but for a line that says so.
+
+    Raises
+    ------
+    InputError
+        When the place knows this drive already, or has a home of a name that it stores.
     """
+    require_new(place, told.drive, told.evidence)
     judged = _judged(place, told)
     stays = place.stays(told.when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
     expected = sum(stays[n] for n in judged)
-    apart = Visit(place.visits[-1].number + 1, told.when, told.drive, "apart", of=len(stays))
-    kept_apart = replace(place, visits=(*place.visits, apart)[-MOST_EVENTS // 10 :])
+    number = place.visits[-1].number + 1
+    apart = Visit(number, told.when, told.drive, told.evidence, "apart", of=len(stays))
+    kept_apart = replace(place, visits=_visits(place, apart))
     if len(stayed) < max(PROOF, LEAST_AGREEING * expected):
         return kept_apart
     before = place.aged(told.when)
@@ -196,18 +222,24 @@ def merged(place: Place, told: Told) -> Place:
 def merged_places(place: Place, other: Place) -> Place:
     """Return a place with what another robot's place of the same room adds to it.
 
-    Where a landmark stands elsewhere in the two, the one that saw it last is right. Homes of the
-    other that have a name of the place get the other's name, too.
+    Where a landmark stands elsewhere in the two, the one that saw it last is right; what the other
+    holds to be gone adds nothing. Homes of the other that have a name of the place get the other's
+    name, too.
 
     Raises
     ------
+    InputError
+        When they have a drive in common: what it saw would count twice.
     HomewardError
         When they are not of one room, or most was rearranged between them.
     """
-    names = {h: h if h not in place.homes else f"{h} of {other.name}" for h in other.homes}
+    known = evidence(other)
+    require_new(place, other.name, known)
+    names = _free_names(place, other)
     when = max(place.visits[-1].when, other.visits[-1].when)
-    theirs = replace(other.map, homes=tuple(names[h] for h in other.map.homes))
-    told = Told(other.name, when, theirs)
+    theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
+    theirs = theirs.only({n for n, stays in other.stays(when).items() if stays >= GONE})
+    told = Told(other.name, known, when, theirs)
     judged, before = _judged(place, told), place.aged(when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
     few = len(stayed) < max(PROOF, LEAST_AGREEING * len(judged))
@@ -231,6 +263,7 @@ def merged_places(place: Place, other: Place) -> Place:
         place.visits[-1].number + 1,
         when,
         other.name,
+        known,
         "merged",
         stayed=len(stayed),
         moved=len(moved),
@@ -238,7 +271,24 @@ def merged_places(place: Place, other: Place) -> Place:
         of=len(now.names),
     )
     events = (*place.events, *_events(place, there, what))[-MOST_EVENTS:]
-    return replace(there, visits=(*place.visits, visit), events=events)
+    return replace(there, visits=_visits(place, visit), events=events)
+
+
+def _free_names(place: Place, other: Place) -> dict[str, str]:
+    """Return the names that the homes of another place get in a place."""
+    names = dict[str, str]()
+    for home in other.homes:
+        longer = f"{home} of {other.name}"
+        tries = chain((home, longer), (f"{longer}, {number}" for number in count(2)))
+        taken = {*place.homes, *names.values()}
+        names[home] = next(name for name in tries if name not in taken)
+    return names
+
+
+def _visits(before: Place, visit: Visit) -> tuple[Visit, ...]:
+    """Return the visits of a place with one more: the first, which made it, and the last ones."""
+    first, *others = (*before.visits, visit)
+    return first, *others[1 - MOST_EVENTS // 10 :]
 
 
 def _followed(
@@ -289,8 +339,10 @@ def _followed(
     counts = {k: sum(w == k for w in what.values()) for k in ("moved", "gone", "new", "returned")}
     stayed = sum(wrong <= 0.5 for wrong in judged.values())
     number = before.visits[-1].number + 1
-    visit = Visit(number, when, told.drive, "merged", stayed=stayed, of=len(kept), **counts)
-    return replace(place, visits=(*before.visits, visit)[-MOST_EVENTS // 10 :])
+    visit = Visit(
+        number, when, told.drive, told.evidence, "merged", stayed=stayed, of=len(kept), **counts
+    )
+    return replace(place, visits=_visits(before, visit))
 
 
 def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
@@ -304,7 +356,7 @@ def _first_visit(place: Place, told: Told) -> Place:
     """Return a place with its first visit written down."""
     at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
     events = tuple(Event(1, name, "new", *where) for name, where in at.items())
-    visit = Visit(1, told.when, told.drive, "first", new=len(at), of=len(at))
+    visit = Visit(1, told.when, told.drive, told.evidence, "first", new=len(at), of=len(at))
     return replace(place, visits=(visit,), events=events)
 
 
@@ -353,8 +405,7 @@ def _well_placed(some: JointMap) -> set[str]:
 def _with_homes(place: Place, told: Told) -> Place:
     """Return a place with the homes that were stored on a visit."""
     for name, (stored, answer) in told.homes.items():
-        if name in place.homes:
-            raise InputError(f"there is a home {quoted(name)} already; forget that one first")
+        require_home_name(name, place.homes)
         if answer.pose is None or answer.covariance is None:
             continue
         pose = np.array(_in_place(place, told.home, answer.pose))
