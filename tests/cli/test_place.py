@@ -9,6 +9,9 @@ from commands import call, first_seconds, refused
 
 from homeward import open_drive, save_drive
 from homeward.places.files import load_place, newest, save_place
+from homeward.studies.single_run import load_run, prepare
+
+SHORT = ["run", "{short}"]
 
 
 def another_day(folder):
@@ -68,6 +71,29 @@ def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
     assert one.read_bytes() == other.read_bytes()
 
 
+def test_the_first_run_of_a_place_repeats_as_if_there_were_none(visited, tmp_path):
+    settings = visited / "out" / "run.yaml"
+    assert "place_version: 0" in settings.read_text(encoding="utf-8")
+    drive = first_seconds(tmp_path / "drive", 5.0)
+    run = load_run(settings).model_copy(update={"drive": str(drive)})
+    known = prepare(run)[0].known
+    assert known == open_drive(drive).known
+
+
+def test_a_first_drive_that_shows_little_makes_no_place_but_has_its_answer(tmp_path):
+    drive = open_drive(first_seconds(tmp_path / "drive", 60.0))
+    few = np.isin(drive.sightings.landmark.astype(str), sorted(drive.home)[:4])
+    seen = drive.sightings
+    some = type(seen)(seen.t[few], seen.landmark[few], seen.bearing[few], seen.sigma[few])
+    save_drive(replace(drive, sightings=some), tmp_path / "few")
+    words = "--place", tmp_path / "hall", "--update", "--out", tmp_path / "out"
+    said = call("run", tmp_path / "few", *words)
+    assert said.exit_code == 1, said.output
+    assert "Report: " in said.stdout
+    assert "a place takes" in said.stderr
+    assert not (tmp_path / "hall").exists()
+
+
 def test_forget_and_undo(hall):
     before = load_place(hall)
     said = call("place", "forget", hall, "L03", "--home", "dock 3").output
@@ -110,15 +136,24 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "--place is for one"),
         (["run", "sample", "--place", "{hall}/new"], "no such folder"),
         (["run", "sample", "--place", "{hall}/0001", "--update"], "holds files but no place"),
+        (["run", "sample", "--place", "{hall}", "--update"], "would count twice"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 3"], "'dock 3' already"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-home", " x"], "no name for a home"),
+        ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' already"),
+        ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
         (["place", "info", "{hall}/.."], "holds no place"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
         (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(hall, words, refusal):
-    said = refused(call(*(word.format(hall=hall) for word in words)))
+def test_what_cannot_be_is_refused_in_one_line(hall, words, refusal, tmp_path):
+    short = first_seconds(tmp_path / "short", 5.0)
+    out = tmp_path / "out"
+    words = [*words, *(["--out", "{out}"] if words[0] == "run" else [])]
+    said = refused(call(*(word.format(hall=hall, short=short, out=out) for word in words)))
     assert refusal in said
     assert newest(hall) == 2
+    assert not out.exists()
 
 
 def test_another_place_is_told_and_kept_apart(hall, tmp_path):
@@ -128,9 +163,10 @@ def test_another_place_is_told_and_kept_apart(hall, tmp_path):
     other = dict(zip(ids, ids[4:] + ids[:4], strict=True))
     drive.sightings.landmark[:] = [other[n] for n in drive.sightings.landmark]
     save_drive(drive, tmp_path / "elsewhere")
-    said = call(
-        *("run", tmp_path / "elsewhere", "--place", hall, "--update", "--out", tmp_path / "out")
-    )
+    words = "--place", hall, "--update", "--store-home", "dock 4", "--out", tmp_path / "out"
+    said = call("run", tmp_path / "elsewhere", *words)
+    assert said.exit_code == 1, said.output
+    assert "home 'dock 4' was not stored" in said.stderr
     assert "this is not the place, or most of it was rearranged" in said.output
     assert load_place(hall).visits[-1].verdict == "apart"
     assert load_place(hall).standings == load_place(hall, 2).standings

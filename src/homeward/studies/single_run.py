@@ -59,8 +59,8 @@ class RunSettings(Strict):
     drive's settings, or where these say nothing and the estimator needs one, from its truth."""
     place: str | None = None
     """The folder of a place that is known; a new one for the first drive of it."""
-    place_version: Annotated[int, Field(ge=1)] | None = None
-    """Of the place; None: the newest, if there is any."""
+    place_version: Annotated[int, Field(ge=0)] | None = None
+    """Of the place; 0: there was none yet; None: the newest, if there is any."""
     place_home: str | None = None
     """The home of the place in whose frame answers are; None: the first."""
     when: Finite | None = None
@@ -122,7 +122,7 @@ def finish(
 ) -> Track:
     """Return the track of a run, its three parts as from `prepare`."""
     notes = (TRUTH_NOTE,) if run.start == "truth" else ()
-    if run.place_version is not None:
+    if run.place_version:
         notes = (*notes, PLACE_NOTE)
     settings = estimator_settings(run.estimator, run.settings)
     if run.smooth and isinstance(settings, LocalizerSettings):
@@ -175,7 +175,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     )
     if not drive.sightings.t.size:
         raise _saw_nothing(drive_path(run), drive.remark_lines)
-    visits = run.place is not None and is_place(Path(run.place))
+    visits = run.place is not None and run.place_version != 0 and is_place(Path(run.place))
     if not (drive.home or visits) and not (
         drive.known.surveyed_from_home and run.estimator == DEFAULT
     ):

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from homeward.drives.drive import Drive
+from homeward.drives.text.table import quoted
+from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
+from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
 from homeward.places.place import Place
-from homeward.places.visiting import first_place, last_look, merged, told_by
+from homeward.places.visiting import (
+    FIRST_HOME,
+    first_place,
+    last_look,
+    merged,
+    require_home_name,
+    told_by,
+)
 from homeward.track import Track
 
 if TYPE_CHECKING:
@@ -28,19 +39,44 @@ def in_place(run: RunSettings, drive: Drive) -> Drive:
     InputError
         When the place is damaged.
     """
-    if run.place is None or run.place_version is None or run.when is None:
+    if run.place is None or not run.place_version or run.when is None:
         return drive
     return load_place(run.place, run.place_version).visited_by(drive, run.when, run.place_home)
 
 
 def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
-    """Return which version of its place a run knows, and on which day; nothing without a place."""
+    """Return which version of its place a run knows, and on which day; nothing without a place.
+
+    The version is 0 where there is none yet, so that the run repeats when there is one.
+    """
     if run.place is None:
         return {}
     version = run.place_version
-    if version is None and is_place(Path(run.place)):
-        version = newest(run.place)
+    if version is None:
+        version = newest(run.place) if is_place(Path(run.place)) else 0
     return {"place_version": version, "when": day_of(run, drive)}
+
+
+def check_update(run: RunSettings, drive: Drive, store_home: str | None = None) -> None:
+    """Refuse before a run of minutes what `after_visit` would refuse after it.
+
+    Raises
+    ------
+    InputError
+        When the place knows the drive, or has a home of the name that is to be stored, or is new
+        and has not the home that is asked for.
+    """
+    homes: Collection[str] = (FIRST_HOME,)
+    if run.place is not None and run.place_version:
+        place = load_place(run.place, run.place_version)
+        require_new(place, drive.name, fingerprint(drive))
+        homes = place.homes
+    elif run.place_home not in (None, FIRST_HOME):
+        raise InputError(
+            f"no home {quoted(str(run.place_home))}: the place is new, and its home {FIRST_HOME}"
+        )
+    if store_home is not None:
+        require_home_name(store_home, homes)
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
@@ -72,6 +108,6 @@ def after_visit(
     told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
     if store_home is not None:
         told = told.store_home(store_home, *last_look(drive, track))
-    if run.place_version is None:
+    if not run.place_version:
         return first_place(Path(run.place).name, estimator, told)
     return merged(load_place(run.place, run.place_version), told)

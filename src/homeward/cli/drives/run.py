@@ -25,9 +25,11 @@ from homeward.cli.options import (
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
 from homeward.drives.text.files import is_there
-from homeward.errors import InputError
+from homeward.drives.text.table import quoted
+from homeward.errors import HomewardError, InputError
 
 if TYPE_CHECKING:
+    from homeward.places.place import Place
     from homeward.scoring import Metrics
     from homeward.studies.several_runs import Outcome
     from homeward.studies.single_run import RunSettings
@@ -199,17 +201,26 @@ def _run(
     from homeward.report.run.folder import write_run
     from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
-    from homeward.studies.visits import after_visit
+    from homeward.studies.visits import after_visit, check_update
 
+    lost: HomewardError | None = None
+    after: Place | None = None
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
+        if update:
+            check_update(complete, drive, store_home)
         folder = _output_folder(out, drive.name, settings.drive)
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
-            after = after_visit(complete, drive, estimator, track, store_home)
-            save_place(after, settings.place, complete.place_version or 0)
-    words = [summary, *([visit_words(after)] if update else [])]
+            try:
+                after = after_visit(complete, drive, estimator, track, store_home)
+                save_place(after, settings.place, complete.place_version or 0)
+            except HomewardError as error:  # told below the answer, which is there nevertheless
+                after, lost = None, error
+    words = [summary, *([] if after is None else [visit_words(after)])]
+    if after is not None and store_home is not None and store_home not in after.homes:
+        lost = HomewardError(f"home {quoted(store_home)} was not stored")
     if json:
         told = {"summary": "\n".join(words), "folder": str(folder)}
         told["report"] = str(folder / "report.html")
@@ -220,6 +231,8 @@ def _run(
         for line in (*drive.remark_lines, *track.notes):
             warn(line)
         say(f"Report: {folder / 'report.html'}")
+    if lost is not None:
+        raise lost
     if not track.has_pose.any():
         raise no_answer()
 
