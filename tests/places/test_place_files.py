@@ -1,5 +1,6 @@
 """A place as a folder: back to the last bit, whole or not there, and never trusted."""
 
+import csv
 import shutil
 from dataclasses import replace
 
@@ -7,9 +8,12 @@ import numpy as np
 import pytest
 from visited import new_place, room, told
 
+from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
 from homeward.places.files import KEPT, load_place, newest, save_place, undo
+from homeward.places.place import FIRST_DAY, LAST_DAY
 from homeward.places.visiting import merged
+from homeward.report.place.words import date
 
 
 @pytest.fixture
@@ -98,6 +102,19 @@ def edit(file, old, new):
     file.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+def swap(file, row, column, value):
+    """Write another value into the row of a table that begins so."""
+    with file.open(newline="", encoding="utf-8") as stream:
+        head, *rows = csv.reader(stream)
+    next(cells for cells in rows if cells[0] == row)[head.index(column)] = value
+    write_csv(file, head, rows)
+
+
+def test_days_that_have_a_date_have_one():
+    assert date(FIRST_DAY) == "0001-01-01"
+    assert date(LAST_DAY) == "9999-12-31"
+
+
 @pytest.mark.parametrize(
     ("name", "spoil", "words"),
     [
@@ -110,6 +127,11 @@ def edit(file, old, new):
         ("landmarks.csv", lambda f: edit(f, "L3,", "L3,nan,0,0,0\nL3,"), "fields where"),
         ("homes.csv", lambda f: edit(f, "home,0", "home,inf0"), "not a finite number"),
         ("home_bearings.csv", lambda f: edit(f, "home,L0", "dock,L0"), "no home of homes.csv"),
+        ("homes.csv", lambda f: swap(f, "home", "stored", "1e9"), "no day that has a date"),
+        ("visits.csv", lambda f: swap(f, "1", "when", "1e300"), "no day that has a date"),
+        ("visits.csv", lambda f: swap(f, "1", "when", "-1e9"), "no day that has a date"),
+        ("landmarks.csv", lambda f: swap(f, "L3", "since", "1e9"), "no day that has a date"),
+        ("landmarks.csv", lambda f: swap(f, "L3", "last", "1e9"), "no day that has a date"),
         ("visits.csv", lambda f: f.write_text("number,when\n"), "no column"),
         ("events.csv", lambda f: f.unlink(), "events.csv"),
         ("covariance.npz", lambda f: f.write_bytes(b"PK\x03\x04" + 50 * b"?"), "is damaged"),

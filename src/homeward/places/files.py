@@ -10,8 +10,8 @@ import os
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterable
-from dataclasses import astuple, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import Field, astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from homeward.drives.drive import HomeBearing, NonNegative, Strict
 from homeward.drives.text.files import is_there, naming, opened, require_folder
 from homeward.drives.text.settings import read_settings
 from homeward.drives.text.table import (
+    Parser,
     Table,
     identifiers,
     numbers,
@@ -32,7 +33,7 @@ from homeward.drives.text.table import (
 from homeward.errors import InputError
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
-from homeward.places.place import Event, Place, StoredHome, Visit
+from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit
 
 FORMAT = 1
 KEPT = 10
@@ -44,6 +45,8 @@ SETTINGS, LANDMARKS, HOMES, BEARINGS = (
     "home_bearings.csv",
 )
 VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
+DAYS = ("when", "since", "last")
+"""Fields of records that are days since 1970."""
 SCRATCH = ".being-written-"
 MOST_LANDMARKS = 5000
 """A covariance of more takes more than a gigabyte."""
@@ -251,7 +254,7 @@ def _read(folder: Path) -> Place:
         raise InputError(
             f"of format {told.format}; this homeward reads {FORMAT}", folder / SETTINGS
         )
-    standing = {f.name: numbers for f in fields(Standing)}
+    standing = {f.name: _parser(f) for f in fields(Standing)}
     table = read_csv(
         folder / LANDMARKS, {"landmark": identifiers, "x": numbers, "y": numbers, **standing}
     )
@@ -261,7 +264,7 @@ def _read(folder: Path) -> Place:
         table.require(name, table[name] >= 0, "less than nothing")
     homes = read_csv(
         folder / HOMES,
-        {"home": identifiers, **dict.fromkeys(("x", "y", "heading", "stored"), numbers)},
+        {"home": identifiers, **dict.fromkeys(("x", "y", "heading"), numbers), "stored": _days},
     )
     homes.require_rows()
     homes.require_unique("home")
@@ -290,6 +293,22 @@ def _read(folder: Path) -> Place:
     )
 
 
+def _parser(of: Field[Any]) -> Parser:
+    """Return what reads the column of a record's field."""
+    if of.name in DAYS:
+        return _days
+    return identifiers if of.type == "str" else numbers
+
+
+def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Parse days since 1970, of which a date can be made."""
+    values = numbers(name, cells, rows, path)
+    for value, row in zip(values.tolist(), rows, strict=True):
+        if not FIRST_DAY <= value <= LAST_DAY:
+            raise InputError(f"{name} is {value:g}, no day that has a date", path, row)
+    return values
+
+
 def _standings(table: Table) -> Iterable[tuple[Any, ...]]:
     kinds = [int if f.type == "int" else float for f in fields(Standing)]
     columns = [table[f.name].tolist() for f in fields(Standing)]
@@ -299,7 +318,7 @@ def _standings(table: Table) -> Iterable[tuple[Any, ...]]:
 
 def _rows(path: Path, kind: Any) -> Iterable[Any]:
     """Yield the rows of a table whose columns are the fields of a record."""
-    parsers = {f.name: identifiers if f.type == "str" else numbers for f in fields(kind)}
+    parsers = {f.name: _parser(f) for f in fields(kind)}
     table = read_csv(path, parsers)
     kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
     columns = [table[f.name].tolist() for f in fields(kind)]

@@ -15,6 +15,8 @@ from homeward.frames import Pose
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
 
+FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
+"""Days since 1970 that have a date, of the years 1 to 9999 [days]."""
 NUDGED = 0.002
 """Goods are nudged: a place is no better known after a year without a visit (4 cm) than one drive
 maps it [m / sqrt(day)]."""

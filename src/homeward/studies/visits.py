@@ -14,7 +14,7 @@ from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
-from homeward.places.place import Place
+from homeward.places.place import FIRST_DAY, LAST_DAY, Place
 from homeward.places.visiting import (
     FIRST_HOME,
     first_place,
@@ -80,11 +80,13 @@ def check_update(run: RunSettings, drive: Drive, store_home: str | None = None) 
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
-    """Return the day of a run's visit [days since 1970]."""
-    if run.when is not None:
-        return run.when
-    epoch = drive.settings.epoch
-    return (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
+    """Return the day of a run's visit [days since 1970]; `InputError` where that has no date."""
+    epoch, when = drive.settings.epoch, run.when
+    if when is None:
+        when = (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
+    if not FIRST_DAY <= when <= LAST_DAY:
+        raise InputError(f"the day of the visit, {when:g} since 1970, has no date")
+    return when
 
 
 def after_visit(

@@ -13,7 +13,7 @@ DAY_S = 86400.0
 
 def date(when: float) -> str:
     """Return a day since 1970 as a date."""
-    return datetime.fromtimestamp(when * DAY_S, UTC).strftime("%Y-%m-%d")
+    return datetime.fromtimestamp(when * DAY_S, UTC).date().isoformat()
 
 
 def visit_words(place: Place) -> str:
