@@ -49,13 +49,22 @@ class Page:
     def call(self, method, **parameters):
         number = next(self._ids)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
-        while True:
-            said = json.loads(self._socket.recv(timeout=90))
-            if said.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
-                self.errors.append(said["params"])
-            if said.get("id") == number:
-                assert "error" not in said, said
-                return said["result"]
+        while (said := self._hear()).get("id") != number:
+            pass
+        assert "error" not in said, said
+        return said["result"]
+
+    def _hear(self):
+        said = json.loads(self._socket.recv(timeout=90))
+        if said.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
+            self.errors.append(said["params"])
+        return said
+
+    def reload(self):
+        """Load the page again, and wait until it is there: till then nothing can be asked."""
+        self.call("Page.reload")
+        while self._hear().get("method") != "Page.loadEventFired":
+            pass
 
     def find(self, script):
         """What an expression in the page is worth."""

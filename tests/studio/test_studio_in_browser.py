@@ -65,7 +65,7 @@ def test_a_scene_travels_by_its_link_and_leaves_as_pictures(tmp_path):
         shared = "import('/sharing.js').then((s) => s.fromFragment(location.hash))"
         moved = page.find(f"{shared}.then((scene) => scene.landmarks.at.L2)")
         page.find("document.querySelector('#again').click()")
-        page.find("location.reload()")
+        page.reload()
         page.until("window.studio && studio.frame && studio.scene.undo > 2")
         assert page.find("studio.scene.landmarks.L2") == pytest.approx(moved)
         sizes = page.find(
