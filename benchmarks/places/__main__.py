@@ -29,7 +29,8 @@ from homeward.drives.mrclam import read_mrclam
 from homeward.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place
-from homeward.places.visiting import first_place, merged, told_by
+from homeward.places.telling import told_by
+from homeward.places.visiting import first_place, merged
 from homeward.scoring import errors, statistics
 from homeward.track import Track, run
 

@@ -11,7 +11,8 @@ from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing
 from homeward.places.files import load_place, save_place
 from homeward.places.place import NUDGED
-from homeward.places.visiting import MOST_EVENTS, Looks, merged, merged_places
+from homeward.places.telling import Looks
+from homeward.places.visiting import MOST_EVENTS, merged, merged_places
 
 
 def events(place, what):

@@ -6,7 +6,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
 from homeward.places.place import Event, Place, StoredHome, Visit
-from homeward.places.visiting import Told
+from homeward.places.telling import Told
 
 SIGMA, SCALE_SIGMA = 0.01, 0.02
 

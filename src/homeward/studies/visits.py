@@ -15,14 +15,8 @@ from homeward.localizer.localizer import Localizer
 from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
 from homeward.places.place import FIRST_DAY, LAST_DAY, Place
-from homeward.places.visiting import (
-    FIRST_HOME,
-    first_place,
-    last_look,
-    merged,
-    require_home_name,
-    told_by,
-)
+from homeward.places.telling import last_look, require_home_name, told_by
+from homeward.places.visiting import FIRST_HOME, first_place, merged
 from homeward.track import Track
 
 if TYPE_CHECKING:
