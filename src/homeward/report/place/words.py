@@ -41,14 +41,14 @@ def events(place: Place, visit: Visit, what: str) -> list[Event]:
 
 def info_lines(place: Place) -> list[str]:
     """Describe a place as it was at the last visit: what changes in it, and its homes."""
-    first, last = place.visits[0], place.visits[-1]
-    when = last.when
+    first, when = place.visits[0], place.visits[-1].when
     stays = place.stays(when)
     standing = sum(p >= GONE for p in stays.values())
+    begun, now = date(first.when), date(when)
+    days = f"on {now}" if begun == now else f"from {begun} to {now}"
     lines = [
         f"{place.name}: {count(len(stays), 'landmark')}, {standing:,} of which probably stand where"
-        f" they are mapped; {count(len(place.visits), 'visit')} from {date(first.when)} to"
-        f" {date(last.when)}.",
+        f" they are mapped; {count(len(place.visits), 'visit')} {days}.",
         f"In a day a landmark changes its place with probability {percent(place.usual_rate)}.",
     ]
     for home, stored in place.homes.items():
