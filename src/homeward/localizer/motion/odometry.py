@@ -169,11 +169,12 @@ class Odometry:
             return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
         pieces: list[Piece] = []
         until = [twist.t for twist in held[1:]] + [end]
-        for (t, v, omega, _, _), then in zip(held, until, strict=True):
-            start, silent = max(t, begin), t + HOLD_S
+        steady = [twist.steady for twist in held[1:]] + [self._twists.steady_speed(end)]
+        for twist, then, speed in zip(held, until, steady, strict=True):
+            start, silent = max(twist.t, begin), twist.t + HOLD_S
             known = min(max(silent - start, 0.0), then - start)
             unknown = self._unknown(silent, start + known, then)
-            pieces.append(Piece(*unknown, known, v, omega, self._twists.steady_speed(then)))
+            pieces.append(Piece(*unknown, known, twist.v, twist.omega, speed))
         if held[0].t > begin:
             shift, swing = self._unknown(-math.inf, begin, held[0].t)
             begun = pieces[0]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
+from operator import attrgetter
 from typing import NamedTuple
 
 from homeward.estimator import HOLD_S
@@ -25,6 +27,11 @@ class Twist(NamedTuple):
     """As odometry alone has it [rad]."""
     path: float
     """The same, driven forward less backward [m]."""
+    steady: float
+    """Its speed before, without the noise of samples [m/s]."""
+
+
+_stamp = attrgetter("t")
 
 
 class Twists:
@@ -49,13 +56,13 @@ class Twists:
             later.append(self._twists.pop())
         if self._twists and t == self._twists[-1].t:
             self._twists.pop()
-        self._twists.append(Twist(t, v, omega, *self._done(t)))
-        for twist in reversed(later):
-            self._twists.append(Twist(twist.t, twist.v, twist.omega, *self._done(twist.t)))
+        for now in ((t, v, omega), *(twist[:3] for twist in reversed(later))):
+            self._twists.append(Twist(*now, *self._done(now[0]), self.steady_speed(now[0])))
 
     def before(self, t: float) -> Twist | None:
         """Return the twist that holds at `t` [s], or did last; None before the first."""
-        return next((twist for twist in reversed(self._twists) if twist.t <= t), None)
+        after = bisect_right(self._twists, t, key=_stamp)
+        return self._twists[after - 1] if after else None
 
     def heading(self, t: float) -> float:
         """Return the heading at `t` [s], by the twists alone [rad]."""
@@ -69,7 +76,8 @@ class Twists:
         """Return heading [rad] and path [m] at `t` [s], by the twists alone."""
         twist = self.before(t)
         if twist is None:
-            return self._twists[0][3:] if self._twists else (0.0, 0.0)
+            twist = self._twists[0] if self._twists else None
+            return (twist.heading, twist.path) if twist else (0.0, 0.0)
         dt = min(t - twist.t, HOLD_S)
         return twist.heading + twist.omega * dt, twist.path + twist.v * dt
 
