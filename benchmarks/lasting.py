@@ -139,8 +139,7 @@ def _blacked_out(drive: Drive) -> Drive:
     """Return it without the bearings of the last minute of every five."""
     seen = drive.sightings
     use = (seen.t - drive.odometry.t[0]) % 300.0 < 240.0
-    parts = {f.name: getattr(seen, f.name)[use] for f in dataclasses.fields(seen)}
-    return dataclasses.replace(drive, sightings=dataclasses.replace(seen, **parts))
+    return dataclasses.replace(drive, sightings=seen.rows(use))
 
 
 def _slipping(drive: Drive) -> Drive:

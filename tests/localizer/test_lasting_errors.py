@@ -79,16 +79,9 @@ def test_as_many_sightings_tell_as_much_as_the_mean_of_their_process(gap):
 def test_maps_keep_their_scale_where_errors_last():
     drive, whole = drive_of("all", 1)
     end = drive.odometry.t[0] + 150.0
-    seen = drive.sightings
-    parts = {f.name: getattr(seen, f.name)[seen.t < end] for f in dataclasses.fields(seen)}
-    odometry = {
-        f.name: getattr(drive.odometry, f.name)[drive.odometry.t < end]
-        for f in dataclasses.fields(drive.odometry)
-    }
+    seen, twists = drive.sightings, drive.odometry
     drive = dataclasses.replace(
-        drive,
-        sightings=dataclasses.replace(seen, **parts),
-        odometry=dataclasses.replace(drive.odometry, **odometry),
+        drive, sightings=seen.rows(seen.t < end), odometry=twists.rows(twists.t < end)
     )
     localizer = Localizer(drive.home, **drive.settings.robot)
     track = run(drive, localizer)

@@ -20,9 +20,7 @@ def untold(seconds):
     drive = drive_of(1.0, 0.3, 1)[0].drive
 
     def cut(table):
-        use = table.t <= table.t[0] + seconds
-        parts = {f.name: getattr(table, f.name)[use] for f in dataclasses.fields(table)}
-        return dataclasses.replace(table, **parts)
+        return table.rows(table.t <= table.t[0] + seconds)
 
     return dataclasses.replace(
         drive,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, TypedDict
+from typing import Annotated, Any, Literal, Self, TypedDict, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
@@ -213,8 +213,16 @@ class KnownLandmarks(Strict):
         return bool(self.landmarks or self.distances)
 
 
+class Columns:
+    """A table whose fields are columns of one length."""
+
+    def rows(self, use: np.ndarray) -> Self:
+        """Return some rows: a mask (n,), or their numbers."""
+        return type(self)(*(getattr(self, f.name)[use] for f in fields(cast(Any, self))))
+
+
 @dataclass(frozen=True)
-class Odometry:
+class Odometry(Columns):
     """Twists; each holds from its stamp to the next. All arrays have shape (n,)."""
 
     t: np.ndarray
@@ -226,7 +234,7 @@ class Odometry:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Sightings(Columns):
     """Bearings seen on the way. All arrays have shape (n,)."""
 
     t: np.ndarray
@@ -267,7 +275,7 @@ class HomeBearing(ByValue):
 
 
 @dataclass(frozen=True)
-class Truth:
+class Truth(Columns):
     """True poses in the home frame, for scoring alone. All arrays have shape (n,)."""
 
     t: np.ndarray

@@ -30,7 +30,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE
 from homeward.localizer.tunables import GATE
 from homeward.scoring import accuracy, errors
-from homeward.track import Track, run
+from homeward.track import Innovations, run
 
 Table = TypeVar("Table", Odometry, Sightings, Truth)
 LEARNT_FROM = 0.5
@@ -158,9 +158,7 @@ def _part(drive: Drive, begin: float, end: float, settings: DriveSettings) -> Dr
     """Return the drive from `begin` to `end` [s]."""
 
     def cut(table: Table) -> Table:
-        use = (table.t >= begin) & (table.t <= end)
-        fields = {f.name: getattr(table, f.name)[use] for f in dataclasses.fields(table)}
-        return dataclasses.replace(table, **fields)
+        return table.rows((table.t >= begin) & (table.t <= end))
 
     truth = None if drive.truth is None else cut(drive.truth)
     return dataclasses.replace(
@@ -215,7 +213,7 @@ def _search(
     drives: Sequence[Drive], noise: Noise, fields: Sequence[str], tell: Callable[[], None]
 ) -> Noise:
     """Let each noise go up, or else down, while innovations become notably likelier."""
-    tracks = _tracks(drives, noise)
+    likely = _likelihoods(drives, noise)
     tell()
     for factor in FACTORS:
         for field in fields:
@@ -223,53 +221,48 @@ def _search(
             for way in (factor, 1.0 / factor):
                 for _ in range(MOST_STEPS if noise is begun else 0):
                     other = noise._replace(**{field: way * getattr(noise, field)})
-                    theirs = _tracks(drives, other)
-                    if _gain(tracks, theirs) <= NOTABLE:
+                    found = _likelihoods(drives, other)
+                    both = likely.keys() & found.keys()
+                    if sum(found[key] - likely[key] for key in both) <= NOTABLE:
                         break
-                    noise, tracks = other, theirs
+                    noise, likely = other, found
                 tell()
     return noise
 
 
-def _tracks(drives: Sequence[Drive], noise: Noise) -> list[Track]:
-    """Run all drives with a noise."""
-    told = [_told(drive, noise, None, None) for drive in drives]
-    return [run(drive, _localizer(drive)) for drive in told]
+def _likelihoods(drives: Sequence[Drive], noise: Noise) -> dict[tuple[int, float, str], float]:
+    """Return the log-likelihood of each innovation when all drives run with a noise."""
+    found: dict[tuple[int, float, str], float] = {}
+    for number, drive in enumerate(drives):
+        told = _told(drive, noise, None, None)
+        i = run(told, _localizer(told)).innovations
+        stamps = zip(i.t.tolist(), i.landmark.tolist(), strict=True)
+        values = _log_likelihoods(i)[1].tolist()
+        found |= {(number, *s): value for s, value in zip(stamps, values, strict=True)}
+    return found
 
 
 def _localizer(drive: Drive) -> Localizer:
     return Localizer(drive.home, known=drive.known, **drive.settings.robot)
 
 
-def _gain(before: Sequence[Track], after: Sequence[Track]) -> float:
-    """Return by how much likelier the innovations became that both have."""
-    gain = 0.0
-    for one, other in zip(before, after, strict=True):
-        was, now = _log_likelihoods(one), _log_likelihoods(other)
-        both = was.keys() & now.keys()
-        gain += sum(now[key] - was[key] for key in both)
-    return gain
+def _log_likelihoods(i: Innovations) -> tuple[np.ndarray, np.ndarray]:
+    """Return the squares of innovations over their variances, at most the gate's, and what follows.
 
-
-def _log_likelihoods(track: Track) -> dict[tuple[float, str], float]:
-    """Return the log-likelihood of each innovation, of an outlier's that at the gate."""
-    i = track.innovations
+    The second is the log-likelihood, (m,) like the first; an outlier is as likely as at the gate.
+    """
     square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
-    values = -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)
-    keys = zip(i.t.tolist(), i.landmark.tolist(), strict=True)
-    return dict(zip(keys, values.tolist(), strict=True))
+    return square, -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)
 
 
 def _check(drive: Drive) -> Check:
     """Return how a drive goes."""
-    track = run(drive, _localizer(drive))
-    i, truth = track.innovations, drive.truth
+    track, truth = run(drive, _localizer(drive)), drive.truth
     judged = None if truth is None else accuracy(errors(track, truth))
-    likelihoods = list(_log_likelihoods(track).values())
-    square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
+    square, likelihood = _log_likelihoods(track.innovations)
     return Check(
         nis=float(square.mean()) if square.size else math.nan,
-        log_likelihood=float(np.mean(likelihoods)) if likelihoods else math.nan,
+        log_likelihood=float(likelihood.mean()) if square.size else math.nan,
         pose_share=float(track.has_pose.mean()),
         rmse_m=math.nan if judged is None else judged.position.rmse,
         nees=math.nan if judged is None else judged.nees_mean,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from homeward.cli.drives.run import run_settings
-from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, three_numbers
 from homeward.cli.terminal import answer, say, table
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def tune(
     home: HomePose = None,
     home_noise_deg: HomeNoise = 0.0,
     topics: Topics = None,
-    json: Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")] = False,
+    json: AsJson = False,
 ) -> None:
     """Learn the noise of a robot's camera and odometry from its logs, as lines for drive.yaml.
 
@@ -35,6 +35,7 @@ def tune(
     (1 is honest), likelihood, and where there is truth, RMSE and NEES (3 is honest).
     """
     from homeward.drives.text.settings import settings_yaml
+    from homeward.report.words import count
     from homeward.studies.single_run import opened
     from homeward.studies.tuning import tune as identify
 
@@ -45,7 +46,7 @@ def tune(
         "topics": None if topics is None else str(topics),
     }
     given = {key: value for key, value in options.items() if value is not None}
-    with progress(f"{len(drives)} drive{'s' if len(drives) > 1 else ''}") as tell:
+    with progress(count(len(drives), "drive")) as tell:
         found = identify([opened(run_settings(drive, given)) for drive in drives], tell)
     if json:
         answer(_facts(found))

@@ -134,6 +134,4 @@ def falsified(
 def with_dropped(drive: Drive, share: float, draw: np.random.Generator) -> Drive:
     """Return a drive without a share of its sightings, each left out by chance."""
     kept = draw.random(drive.sightings.t.size) >= share
-    fields = dataclasses.fields(drive.sightings)
-    columns = {field.name: getattr(drive.sightings, field.name)[kept] for field in fields}
-    return dataclasses.replace(drive, sightings=type(drive.sightings)(**columns))
+    return dataclasses.replace(drive, sightings=drive.sightings.rows(kept))
