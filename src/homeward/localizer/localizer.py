@@ -39,7 +39,6 @@ from homeward.localizer.inputs.bearing_noise import deviation
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.odometry import lag_words
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
@@ -232,8 +231,8 @@ class Localizer:
         chart = self.chart
         state, mapped = chart.map.measured(), chart.map.landmarks.mapped
         index = chart.map.landmarks.index(mapped.values())
-        at = HEAD + 2 * index[:, None] + np.arange(2)
-        mean, covariance = state.mean[at], state.covariance[np.ix_(at.ravel(), at.ravel())]
+        at = state.columns(index).ravel()
+        mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]
         if not self._known.tells:  # then the map takes the speed at its word
             given = self._robot.odometry.speed_scale_sigma
             sigma = self.settings.odometry.speed_scale if given is None else given

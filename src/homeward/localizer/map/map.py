@@ -378,13 +378,15 @@ class Map:
 
     def _learn_process_noise(self) -> None:
         """Learn the noise of odometry from what the solution leaves of motions."""
-        smoother, motions = self.smoother, len(self.smoother.stamps) - 1
-        since = smoother.newest - self._learnt_at
-        if since < LEARNS_EVERY or not smoother.settled or not self.landmarks.mapped:
+        noise, smoother = self._process_noise, self.smoother
+        motions, since = len(smoother.stamps) - 1, smoother.newest - self._learnt_at
+        if since < LEARNS_EVERY or not (
+            noise.learns and smoother.settled and self.landmarks.mapped
+        ):
             return
         self._learnt_at = smoother.newest
         left = smoother.odometry_misfit()
-        smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
+        smoother.scale_odometry(noise.update(*left, motions, min(since, motions)))
 
     def _believe_expected(self) -> None:
         """Let surveyed landmarks that entered where they were expected hold the map for now.
@@ -403,7 +405,7 @@ class Map:
         smoother, before = self.smoother, self.smoother.known
         came = {**self.landmarks.mapped, **self.landmarks.former}  # where they stood first
         numbers = {name: landmark.number for name, landmark in came.items()}
-        free = smoother.without_known(self.survey.size)
+        free = self.measured()
         try:
             now = self.survey.judge(free, numbers, smoother.ids)
         except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now

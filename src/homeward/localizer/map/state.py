@@ -154,9 +154,14 @@ class Marginal:
         covariance = self.covariance - seen.correlated.T @ gain
         return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
+    @staticmethod
+    def columns(index: np.ndarray) -> np.ndarray:
+        """Return where the coordinates of landmarks (k,) are in the state, (k, 2)."""
+        return np.asarray(HEAD + 2 * index[:, None] + np.arange(2))
+
     def places(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where landmarks (k,) stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
-        columns = HEAD + 2 * index[:, None] + np.arange(2)
+        columns = self.columns(index)
         return self.mean[columns], self.covariance[columns[:, :, None], columns[:, None, :]]
 
     def with_landmark(self, position: np.ndarray, sigma: float) -> Marginal:

@@ -38,6 +38,11 @@ class ProcessNoise:
         self._squares, self._redundancies = np.zeros(2), np.zeros(2)
 
     @property
+    def learns(self) -> bool:
+        """Whether anything of it was not told."""
+        return bool(self._learns.any())
+
+    @property
     def rates(self) -> np.ndarray:
         """(3, 3), as of `noise_rates`."""
         return np.asarray(self._at_first * self.scales[[0, 0, 1], None])
