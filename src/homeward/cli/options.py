@@ -89,11 +89,13 @@ def day(text: str) -> float:
     InputError
         When `text` is none.
     """
+    from homeward.places.place import DAY_S
+
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
         raise InputError(f"{text!r} is no date like 2026-11-23") from None
-    return when.replace(tzinfo=when.tzinfo or UTC).timestamp() / 86400.0
+    return when.replace(tzinfo=when.tzinfo or UTC).timestamp() / DAY_S
 
 
 @contextmanager

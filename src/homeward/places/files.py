@@ -254,10 +254,8 @@ def _read(folder: Path) -> Place:
         raise InputError(
             f"of format {told.format}; this homeward reads {FORMAT}", folder / SETTINGS
         )
-    standing = {f.name: _parser(f) for f in fields(Standing)}
-    table = read_csv(
-        folder / LANDMARKS, {"landmark": identifiers, "x": numbers, "y": numbers, **standing}
-    )
+    place = {"landmark": identifiers, "x": numbers, "y": numbers}
+    table = read_csv(folder / LANDMARKS, place | _parsers(Standing))
     table.require_unique("landmark")
     table.require("stands", (table["stands"] >= 0) & (table["stands"] <= 1), "not a probability")
     for name in ("watched", "seen", "missed", "moved", "returned"):
@@ -279,18 +277,24 @@ def _read(folder: Path) -> Place:
         ]
     )
     held = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
-    visits = tuple(_rows(folder / VISITS, Visit))
-    if not visits:
-        raise InputError("no rows", folder / VISITS)
+    visits, events = (
+        read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
+    )
+    visits.require_rows()
     return Place(
         told.name,
         held,
-        {n: Standing(*row) for n, row in zip(names, _standings(table), strict=True)},
+        dict(zip(names, _records(table, Standing), strict=True)),
         _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
-        visits,
-        tuple(_rows(folder / EVENTS, Event)),
+        tuple(_records(visits, Visit)),
+        tuple(_records(events, Event)),
         (told.forgotten_changes, told.forgotten_days),
     )
+
+
+def _parsers(kind: Any) -> dict[str, Parser]:
+    """Return what reads the columns of records."""
+    return {f.name: _parser(f) for f in fields(kind)}
 
 
 def _parser(of: Field[Any]) -> Parser:
@@ -309,17 +313,8 @@ def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> n
     return values
 
 
-def _standings(table: Table) -> Iterable[tuple[Any, ...]]:
-    kinds = [int if f.type == "int" else float for f in fields(Standing)]
-    columns = [table[f.name].tolist() for f in fields(Standing)]
-    for row in zip(*columns, strict=True):
-        yield tuple(kind(value) for kind, value in zip(kinds, row, strict=True))
-
-
-def _rows(path: Path, kind: Any) -> Iterable[Any]:
-    """Yield the rows of a table whose columns are the fields of a record."""
-    parsers = {f.name: _parser(f) for f in fields(kind)}
-    table = read_csv(path, parsers)
+def _records(table: Table, kind: Any) -> Iterable[Any]:
+    """Yield the rows of a table as records, whose fields are columns of it."""
     kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
     columns = [table[f.name].tolist() for f in fields(kind)]
     for row in zip(*columns, strict=True):

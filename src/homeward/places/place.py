@@ -15,6 +15,7 @@ from homeward.frames import Pose
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
 
+DAY_S = 86400.0
 FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
 """Days since 1970 that have a date, of the years 1 to 9999 [days]."""
 NUDGED = 0.002
@@ -91,6 +92,11 @@ class Place:
     def usual_rate(self) -> float:
         """How often a landmark changes its place [1 / day]."""
         return usual_rate(*np.add(self.past, tally(self.standings.values())).tolist())
+
+    @property
+    def next_visit(self) -> int:
+        """The number of the visit that comes next, from 1."""
+        return self.visits[-1].number + 1 if self.visits else 1
 
     def stays(self, when: float) -> dict[str, float]:
         """Return the probability of each landmark to stand where it is mapped, at `when` [days]."""

@@ -77,8 +77,7 @@ def merged(place: Place, told: Told) -> Place:
     stays = place.stays(told.when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
     expected = sum(stays[n] for n in judged)
-    number = place.visits[-1].number + 1
-    apart = Visit(number, told.when, told.drive, told.evidence, "apart", of=len(stays))
+    apart = Visit(place.next_visit, told.when, told.drive, told.evidence, "apart", of=len(stays))
     kept_apart = replace(place, visits=_visits(place, apart))
     if len(stayed) < max(PROOF, LEAST_AGREEING * expected):
         return kept_apart
@@ -117,15 +116,18 @@ def merged_places(place: Place, other: Place) -> Place:
     told = Told(other.name, known, when, theirs)
     judged, before = _judged(place, told), place.aged(when)
     stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
-    few = len(stayed) < max(PROOF, LEAST_AGREEING * len(judged))
-    if few or fused(before, theirs, stayed)[1] > AGREES**2:
-        raise HomewardError(
-            f"of the {len(judged)} landmarks that both have too few stand alike: "
-            "these are two places, or most was rearranged"
-        )
+    differ = HomewardError(
+        f"of the {len(judged)} landmarks that both have too few stand alike: "
+        "these are two places, or most was rearranged"
+    )
+    if len(stayed) < max(PROOF, LEAST_AGREEING * len(judged)):
+        raise differ
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
-    now = fused(before, theirs, stayed)[0].at_home(place.origin)
+    both_say, disagreement = fused(before, theirs, stayed)
+    if disagreement > AGREES**2:
+        raise differ
+    now = both_say.at_home(place.origin)
     both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}
     both |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
     standings = {n: both[n] for n in now.names}
@@ -135,7 +137,7 @@ def merged_places(place: Place, other: Place) -> Place:
     moved = [n for n in judged if n not in stayed and n not in older]
     what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
     visit = Visit(
-        place.visits[-1].number + 1,
+        place.next_visit,
         when,
         other.name,
         known,
@@ -213,25 +215,30 @@ def _followed(
     )
     counts = {k: sum(w == k for w in what.values()) for k in ("moved", "gone", "new", "returned")}
     stayed = sum(wrong <= 0.5 for wrong in judged.values())
-    number = before.visits[-1].number + 1
     visit = Visit(
-        number, when, told.drive, told.evidence, "merged", stayed=stayed, of=len(kept), **counts
+        before.next_visit,
+        when,
+        told.drive,
+        told.evidence,
+        "merged",
+        stayed=stayed,
+        of=len(kept),
+        **counts,
     )
     return replace(place, visits=_visits(before, visit))
 
 
 def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
     """Return the events of a visit, in order of landmarks."""
-    number = before.visits[-1].number + 1
     at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
-    return [Event(number, name, word, *at[name]) for name, word in what.items()]
+    return [Event(before.next_visit, name, word, *at[name]) for name, word in what.items()]
 
 
 def _first_visit(place: Place, told: Told) -> Place:
     """Return a place with its first visit written down."""
-    at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
-    events = tuple(Event(1, name, "new", *where) for name, where in at.items())
-    visit = Visit(1, told.when, told.drive, told.evidence, "first", new=len(at), of=len(at))
+    events = tuple(_events(place, place, dict.fromkeys(place.map.names, "new")))
+    number, new = place.next_visit, len(events)
+    visit = Visit(number, told.when, told.drive, told.evidence, "first", new=new, of=new)
     return replace(place, visits=(visit,), events=events)
 
 

@@ -14,15 +14,13 @@ from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
-from homeward.places.place import FIRST_DAY, LAST_DAY, Place
+from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
 from homeward.places.telling import last_look, require_home_name, told_by
 from homeward.places.visiting import FIRST_HOME, first_place, merged
 from homeward.track import Track
 
 if TYPE_CHECKING:
     from homeward.studies.single_run import RunSettings
-
-DAY_S = 86400.0
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:

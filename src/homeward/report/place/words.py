@@ -5,10 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from homeward.places.persistence import GONE
-from homeward.places.place import Event, Place, Visit
+from homeward.places.place import DAY_S, Event, Place, Visit
 from homeward.report.words import count, listing, name, percent
-
-DAY_S = 86400.0
 
 
 def date(when: float) -> str:
