@@ -2,7 +2,11 @@
 
 import logging
 import multiprocessing
+import os
+import subprocess
+import sys
 from contextlib import closing, contextmanager
+from tempfile import TemporaryDirectory
 
 import psutil
 import pytest
@@ -13,20 +17,34 @@ from homeward.studies.blocks.cluster import on_cluster
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import BlockStore
 
+dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
 @contextmanager
 def cluster(workers):
-    """The address of a scheduler with so many workers."""
+    """The address of a scheduler with so many workers, which nobody restarts when they die."""
     local = distributed.LocalCluster(
-        n_workers=workers,
-        threads_per_worker=1,
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
+        n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
     )
-    with closing(local):
-        yield local.scheduler_address
+    command = (sys.executable, "-m", "distributed.cli.dask_worker", local.scheduler_address)
+    options = ("--no-nanny", "--no-dashboard", "--nthreads", "1", "--local-directory")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    with closing(local), TemporaryDirectory() as folder:
+        started = [
+            subprocess.Popen(
+                (*command, *options, folder), env=environment, stderr=subprocess.DEVNULL
+            )
+            for _ in range(workers)
+        ]
+        try:
+            with distributed.Client(local) as client:
+                client.wait_for_workers(workers, timeout=60)
+            yield local.scheduler_address
+        finally:
+            for worker in started:
+                worker.kill()
+                worker.wait()
 
 
 def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(tmp_path):
@@ -65,7 +83,11 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
 
 
 def test_a_block_that_kills_every_worker_is_told_of():
-    with cluster(1) as address, pytest.raises(HomewardError, match="KilledWorker"):
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        cluster(1) as address,
+        pytest.raises(HomewardError, match="KilledWorker"),
+    ):
         list(on_cluster(chores.die_always, {"0": 0}, address))
 
 
