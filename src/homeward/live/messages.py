@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from homeward.drives.drive import Finite, Positive, Strict
-from homeward.drives.text.complaints import complaint
+from homeward.drives.text.complaints import message
 from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
 from homeward.estimator import NO_TIME_S, Status
@@ -215,7 +215,6 @@ Input = (
     | Reset
 )
 Output = Hello | Answer | Command | Landmarks | Diagnostics | Event
-_WAY = "; homeward settings lists those that there are"
 Message = TypeVar("Message")
 _IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
 _OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="type")])
@@ -244,7 +243,4 @@ def schema() -> dict[str, Any]:
 def _parsed(adapter: TypeAdapter[Message], line: bytes | str) -> Message:
     if len(line) > LONGEST_LINE:
         raise InputError(f"a message of more than {LONGEST_LINE:,} bytes")
-    try:
-        return adapter.validate_json(line)
-    except ValidationError as error:
-        raise InputError(complaint(error, Hello, {}).replace(_WAY, "")) from None
+    return message(adapter, line)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from homeward.drives.drive import Strict
-from homeward.errors import InputError
+from homeward.drives.text.complaints import message
 from homeward.simulation.scenario import Scenario
 
 LONGEST = 2**20
@@ -145,9 +145,4 @@ def parse(text: str | bytes) -> Asked:
     InputError
         When it is none.
     """
-    try:
-        return _ASKED.validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{where or 'message'}: {first['msg']}") from error
+    return message(_ASKED, text)

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive, DriveSettings, Mount, Truth
 from homeward.drives.text.settings import settings_yaml, validated
 from homeward.errors import HomewardError, InputError
 from homeward.registry import ESTIMATORS, make_estimator
 from homeward.studies.single_run import with_start
 from homeward.studio.messages import Adjust, Asked, Estimators, Plain
-from homeward.studio.rival import NAMED, ellipse
+from homeward.studio.rival import NAMED, ellipse, scores
 from homeward.studio.undo import Undo
 from homeward.track import Track, run
 
@@ -217,11 +216,8 @@ def _rows(track: Track, t: np.ndarray, truth: Truth | None) -> dict[str, Any]:
     covariance, there = track.covariance[at], track.has_pose[at]
     error, nees = np.full(len(t), np.nan), np.full(len(t), np.nan)
     if truth is not None and there.any():
-        off = pose[there] - np.stack(truth.at(track.t[at[there]]), axis=1)
-        off[:, 2] = wrap(off[:, 2])
-        error[there] = np.hypot(off[:, 0], off[:, 1])
-        solved = np.linalg.pinv(covariance[there], hermitian=True) @ off[..., None]
-        nees[there] = np.einsum("ki,ki->k", off, solved[..., 0])
+        true = np.stack(truth.at(track.t[at[there]]), axis=1)
+        error[there], nees[there] = scores(pose[there], covariance[there], true)
     return {
         "pose": [row.tolist() if ok else None for row, ok in zip(pose, there, strict=True)],
         "ellipse": [

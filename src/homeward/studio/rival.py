@@ -88,9 +88,9 @@ class Rival:
         self.error = self.nees = math.nan
         if pose is None or covariance is None:
             return
-        off = np.array([pose.x - true.x, pose.y - true.y, wrap(pose.heading - true.heading)])
-        self.error = math.hypot(*off[:2])
-        self.nees = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
+        self.error, self.nees = (
+            float(one[0]) for one in scores(np.array([pose]), covariance[None], np.array([true]))
+        )
         self._scored += 1
         self._sum += self.nees
 
@@ -115,6 +115,16 @@ class Rival:
 def _placed(home: Pose, x: float, y: float) -> list[float]:
     there = compose(home, Pose(x, y, 0.0))
     return [float(there.x), float(there.y)]
+
+
+def scores(
+    pose: np.ndarray, covariance: np.ndarray, true: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances from the truth [m] and NEES of poses (m, 3), each of shape (m,)."""
+    off = pose - true
+    off[:, 2] = wrap(off[:, 2])
+    solved = np.linalg.pinv(covariance, hermitian=True) @ off[..., None]
+    return np.hypot(off[:, 0], off[:, 1]), np.einsum("ki,ki->k", off, solved[..., 0])
 
 
 def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:

@@ -13,7 +13,7 @@ from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
 from homeward.laws import LAWS
 from homeward.simulation.files import load_scenario
-from homeward.simulation.scenario import Homing, Listed, Moved, RoomPose, Scenario, StartPose
+from homeward.simulation.scenario import Homing, Listed, Moved, RoomPose, Scenario
 from homeward.simulation.world import World, build_world
 from homeward.studio.messages import LARGEST
 
@@ -83,16 +83,8 @@ def with_landmarks(scenario: Scenario, world: World) -> Scenario:
 def with_start(scenario: Scenario, robot: Pose) -> Scenario:
     """Return a scenario that begins where the robot is now, given in the home frame."""
     x, y, heading = map(float, compose(scenario.home.pose, robot))
-    told = scenario.start
-    start = StartPose(
-        x=x,
-        y=y,
-        heading=heading,
-        prior=told.prior,
-        sigma_R=told.sigma_R,
-        sigma_theta=told.sigma_theta,
-        sigma_alpha=told.sigma_alpha,
-    )
+    polar = dict.fromkeys(("R", "theta", "alpha"))
+    start = scenario.start.model_copy(update={"x": x, "y": y, "heading": heading, **polar})
     return scenario.model_copy(update={"start": start})
 
 

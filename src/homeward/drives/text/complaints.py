@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails, from_json
 
 from homeward.drives.drive import Strict
 from homeward.drives.text.keys import closest
 from homeward.drives.text.table import quoted
+from homeward.errors import InputError
 
+Message = TypeVar("Message")
 LONGEST = 60
 """Longer keys and values are cut [characters]."""
 _PLAIN = {
@@ -34,27 +36,46 @@ _PLAIN = {
     "too_short": "too few values: at least {min_length} needed",
     "too_long": "takes {max_length} values or fewer",
     "missing": "is needed",
+    "json_invalid": "not JSON: {error}",
     "union_tag_not_found": "needs the key {discriminator}",
     "value_error": "{error}",
 }
 """By pydantic's type of an error; `str.format` fills in its context."""
 _WITHOUT_VALUE = (
     *("missing", "too_short", "too_long", "value_error"),
-    *("union_tag_not_found", "union_tag_invalid"),
+    *("union_tag_not_found", "union_tag_invalid", "json_invalid"),
 )
 """The value itself would explain nothing."""
 
 
-def complaint(error: ValidationError, model: type[Strict], values: Any) -> str:
-    """Return in one line what is wrong first of all, with the key in front."""
+def message(adapter: TypeAdapter[Message], text: str | bytes) -> Message:
+    """Return a message from its JSON; `InputError` says in one line what is wrong with it."""
+    try:
+        return adapter.validate_json(text)
+    except ValidationError as error:
+        try:
+            values = from_json(text)
+        except ValueError:
+            values = {}
+        raise InputError(complaint(error, None, values)) from None
+
+
+def complaint(error: ValidationError, model: type[Strict] | None, values: Any) -> str:
+    """Return in one line what is wrong first of all, with the key in front.
+
+    Keys of `model` are suggested for one that is not known.
+    """
     details = error.errors(include_url=False)
     # A key that is not known explains another that is missing.
     first = next((e for e in details if e["type"] == "extra_forbidden"), details[0])
     key = _key(first, values)
     if first["type"] == "extra_forbidden":
+        refused = f"{_shown(key)}: there is no such key"
+        if model is None:
+            return refused
         meant = closest(key, model)
         way = f"did you mean {meant}?" if meant else "homeward settings lists those that there are"
-        return f"{_shown(key)}: there is no such key; {way}"
+        return f"{refused}; {way}"
     # A value that may be one thing or another is refused once for each: the nearest miss counts.
     first = next((e for e in details if _key(e, values).startswith(f"{key}.")), first)
     key = _key(first, values)
