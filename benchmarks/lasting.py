@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.consistency.trial import random_way
 from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
 from homeward.frames import Pose, bearing, compose
@@ -75,12 +76,7 @@ SLIP_M, TURN_SCALE, LAG_S = 0.09, 1.06, 0.2
 
 def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
     """Return a random way among landmarks, of white noise."""
-    rng = np.random.default_rng([seed, 7])
-    count = 260 if narrow else 80
-    far, way = rng.uniform(0.3, 2.5, count), rng.uniform(-math.pi, math.pi, count)
-    points = [
-        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
-    ]
+    points, direction = random_way([seed, 7], 260 if narrow else 80, 0.3, 2.5)
     return Scenario(
         name="lasting",
         seed=seed,
@@ -92,7 +88,7 @@ def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
         rates=Rates(odometry=20.0, bearings=5.0 if narrow else 10.0, truth=10.0),
         odometry=ODOMETRY,
         sensor=mount,
-        start=StartPose(x=points[0][0], y=points[0][1], heading=float(way[0]), prior=False),
+        start=StartPose(x=points[0][0], y=points[0][1], heading=direction, prior=False),
         trajectory=Waypoints(speed=0.25, duration=1800.0 if narrow else 460.0, points=points[1:]),
     )
 

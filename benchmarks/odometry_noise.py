@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from benchmarks.consistency.trial import Leg, Trial, scaled, trial, untold
+from benchmarks.consistency.trial import Leg, Trial, random_way, scaled, trial, untold
 from benchmarks.lasting import figures
 from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.localizer.localizer import Localizer
@@ -50,11 +50,7 @@ def noise(times: float, size: float) -> OdometryErrors:
 
 def drive_of(size: float, times: float, seed: int) -> tuple[Trial, Simulation]:
     """Return a random way among landmarks, and what it was made of."""
-    rng = np.random.default_rng([seed, 5])
-    far, way = rng.uniform(0.3, 2.0, 60), rng.uniform(-math.pi, math.pi, 60)
-    points = [
-        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
-    ]
+    points, direction = random_way([seed, 5], 60, 0.3, 2.0)
     whole = simulate(
         Scenario(
             name="odometry-noise",
@@ -64,7 +60,7 @@ def drive_of(size: float, times: float, seed: int) -> tuple[Trial, Simulation]:
             noise=Noise(bearing_sigma=0.01, home_sigma=0.01),
             rates=Rates(odometry=20.0, bearings=5.0, truth=10.0),
             odometry=noise(times, size),
-            start=StartPose(x=points[0][0], y=points[0][1], heading=float(way[0]), prior=False),
+            start=StartPose(x=points[0][0], y=points[0][1], heading=direction, prior=False),
             trajectory=Waypoints(speed=SPEED, duration=DRIVE_S, points=points[1:]),
         )
     )

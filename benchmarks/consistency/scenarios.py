@@ -22,7 +22,16 @@ from benchmarks.consistency.hardships import (
     with_swapped_ids,
     with_walkers,
 )
-from benchmarks.consistency.trial import Leg, Trial, lagging, scaled, slipping, trial, untold
+from benchmarks.consistency.trial import (
+    Leg,
+    Trial,
+    lagging,
+    random_way,
+    scaled,
+    slipping,
+    trial,
+    untold,
+)
 from homeward.drives.drive import Mount
 from homeward.frames import Pose
 from homeward.simulation.scenario import (
@@ -74,11 +83,7 @@ class Named:
 
 def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> Scenario:
     """Return a random way among landmarks all round home, told and white noise, no start prior."""
-    rng = np.random.default_rng([seed, 0])
-    far, way = rng.uniform(0.5, 2.0, 40), rng.uniform(-math.pi, math.pi, 40)
-    points = [
-        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
-    ]
+    points, direction = random_way([seed, 0], 40, 0.5, 2.0)
     given: dict[str, Any] = {
         "name": "consistency",
         "seed": seed,
@@ -87,7 +92,7 @@ def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> Scenario:
         "noise": Noise(bearing_sigma=0.01, home_sigma=0.01),
         "rates": Rates(odometry=20.0, bearings=5.0, truth=10.0),
         "odometry": OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
-        "start": StartPose(x=points[0][0], y=points[0][1], heading=way[0] / 2, prior=False),
+        "start": StartPose(x=points[0][0], y=points[0][1], heading=direction / 2, prior=False),
         "trajectory": Waypoints(speed=0.3, duration=seconds, points=points[1:]),
     }
     return Scenario(**(given | changes))

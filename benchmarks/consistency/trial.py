@@ -6,6 +6,7 @@ is carried; they are joined here.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -46,6 +47,22 @@ class Trial:
     bound: np.ndarray
     """(n, 3, 3): posterior Cramer-Rao bound of (x, y, heading), given everything up to then by one
     who is told the camera's place, the noise, what moved, and which sightings are wrong."""
+
+
+def random_way(
+    key: list[int], count: int, nearest: float, farthest: float
+) -> tuple[list[tuple[float, float]], float]:
+    """Return so many random points round home [m], and a random direction to begin with [rad].
+
+    `key` seeds them.
+    """
+    rng = np.random.default_rng(key)
+    far = rng.uniform(nearest, farthest, count)
+    way = rng.uniform(-math.pi, math.pi, count)
+    points = [
+        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
+    ]
+    return points, float(way[0])
 
 
 def trial(*legs: Leg) -> Trial:
