@@ -35,6 +35,22 @@ def data() -> Path:
     return Path(os.environ.get("HOMEWARD_DATA", beside))
 
 
+def surveyed_places() -> dict[str, np.ndarray]:
+    """Return where the landmarks of MRCLAM set 6 were surveyed [m]."""
+    table = np.loadtxt(data() / "MRCLAM_Dataset6" / "Landmark_Groundtruth.dat")
+    return {str(int(row[0])): row[1:3] for row in table}
+
+
+def map_scale(robust: Localizer) -> float:
+    """Return how many times too large a map is against the survey, by Procrustes [1]."""
+    known, places = robust.chart.map.landmarks, surveyed_places()
+    names = [n for n in known.mapped if n in places and n not in known.former]
+    p = known.places([known.mapped[n] for n in names])[0] @ [1.0, 1.0j]
+    q = np.array([places[n] for n in names]) @ [1.0, 1.0j]
+    p, q = p - p.mean(), q - q.mean()
+    return float(abs(np.vdot(q, p)) / np.vdot(q, q).real)
+
+
 def rmse_of(e: Errors, use: np.ndarray) -> float:
     """Return the time-weighted RMSE of position over some rows [m]."""
     return statistics(e.position[use], e.weight[use]).rmse if use.any() else math.nan

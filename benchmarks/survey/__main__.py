@@ -18,7 +18,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.mrclam import AFTER_S, HOME, data, rmse_of
+from benchmarks.mrclam import AFTER_S, HOME, data, map_scale, rmse_of, surveyed_places
 from benchmarks.survey.hall import DT, EVERY, SPEED_SIGMA, TURN_SIGMA, Hall, make_hall
 from benchmarks.survey.peers import ParticleFilter, Resection
 from homeward.drives.drive import Drive
@@ -134,7 +134,7 @@ def industry(seeds: int, gone: list[int], sigma: float, survey_sigma: float) -> 
 
 def surveyed(falsified: int, seed: int) -> tuple[dict[str, object], set[str]]:
     """Return the survey of MRCLAM set 6 in its own frame, and which places of it are false."""
-    places, rng = mrclam_places(), np.random.default_rng(seed)
+    places, rng = surveyed_places(), np.random.default_rng(seed)
     false = set(rng.choice(list(places), falsified, replace=False).tolist())
     told = {}
     for name, place in places.items():
@@ -145,15 +145,9 @@ def surveyed(falsified: int, seed: int) -> tuple[dict[str, object], set[str]]:
     return {"sigma": 0.01, "landmarks": told}, false
 
 
-def mrclam_places() -> dict[str, np.ndarray]:
-    """Return where the landmarks of MRCLAM set 6 were surveyed [m]."""
-    table = np.loadtxt(data() / "MRCLAM_Dataset6" / "Landmark_Groundtruth.dat")
-    return {str(int(row[0])): row[1:3] for row in table}
-
-
 def two_distances() -> dict[str, object]:
     """Return the two longest distances that share no landmark."""
-    places = mrclam_places()
+    places = surveyed_places()
     pairs = sorted(itertools.combinations(places, 2), key=lambda p: -_apart(places, *p))
     other = next(p for p in pairs if not {*p} & {*pairs[0]})
     two = [pairs[0], other]
@@ -162,16 +156,6 @@ def two_distances() -> dict[str, object]:
 
 def _apart(places: dict[str, np.ndarray], a: str, b: str) -> float:
     return float(np.hypot(*(places[a] - places[b])))
-
-
-def scale_of(robust: Localizer) -> float:
-    """Return how many times too large a map is against the survey, by Procrustes [1]."""
-    known, places = robust.chart.map.landmarks, mrclam_places()
-    names = [n for n in known.mapped if n in places and n not in known.former]
-    p = known.places([known.mapped[n] for n in names])[0] @ [1.0, 1.0j]
-    q = np.array([places[n] for n in names]) @ [1.0, 1.0j]
-    p, q = p - p.mean(), q - q.mean()
-    return float(abs(np.vdot(q, p)) / np.vdot(q, q).real)
 
 
 def mrclam(robots: list[int], only: list[str]) -> None:
@@ -199,7 +183,7 @@ def mrclam(robots: list[int], only: list[str]) -> None:
             for track in (run(drive, robust), smooth(drive)):
                 e = errors(track, drive.truth)
                 rmse.append(rmse_of(e, e.t > track.t[0] + AFTER_S))
-            scales.append(scale_of(robust))
+            scales.append(map_scale(robust))
             both.append(rmse)
             named = {n for n, p in robust.chart.map.survey.wrong.items() if p > 0.5}
             words = "exactly" if named == false else f"{sorted(named)} for {sorted(false)}"
