@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import griffe
+from mkdocs.structure.files import File, Files
+from notebooks import notebook  # beside this file
 from typer.testing import CliRunner
 
 import homeward
@@ -28,8 +30,19 @@ PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
 log = logging.getLogger("mkdocs.plugins.homeward")
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_files(files: Files, config: Any, **_: Any) -> Files:
+    """Put a notebook beside each lesson that has Python."""
+    for page in [one for one in files if _is_lesson(one)]:
+        name = page.src_uri.removesuffix("md") + "ipynb"
+        files.append(File.generated(config, name, content=notebook(page.content_string)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fill in the parts that are generated."""
+    if _is_lesson(page.file):
+        there = Path(page.file.src_uri).with_suffix(".ipynb").name
+        markdown += f"\n[This page as a notebook]({there}){{ download }}\n"
     filled = re.sub(r"<!-- (\w+) -->", lambda found: PARTS[found[1]](), markdown)
     words = (f"*[{word}]: {told}" for word, told in GLOSSARY.items() if word not in PLAIN)
     return "\n".join((filled, "", *words))
@@ -42,6 +55,10 @@ def on_post_build(config: Any, **_: Any) -> None:
         for found in fetched.finditer(page.read_text(encoding="utf-8")):
             if 'rel="canonical"' not in found[0]:
                 log.warning("%s fetches from the network: %s", page.name, found[0])
+
+
+def _is_lesson(page: File) -> bool:
+    return page.src_uri.startswith("learn/") and "```python" in page.content_string
 
 
 def commands() -> str:

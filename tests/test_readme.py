@@ -7,9 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
 
+from docs.notebooks import notebook
 from homeward.studies.single_run import sample_drive
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,10 +75,17 @@ def test_python_of_a_floor_runs(tmp_path):
 
 
 @pytest.mark.parametrize("page", LESSONS, ids=lambda page: page.stem)
-def test_python_of_a_lesson_runs(page, capsys):
-    names = {}
-    for text in blocks(page.read_text(encoding="utf-8"), "python"):
-        exec(compile(text, page.name, "exec"), names)
+def test_python_of_a_lesson_runs_as_its_notebook(page, capsys):
+    text, names = page.read_text(encoding="utf-8"), {}
+    made = nbformat.reads(notebook(text), as_version=4)
+    nbformat.validate(made)
+    code = [cell.source for cell in made.cells if cell.cell_type == "code"]
+    assert code == [block.rstrip() for block in blocks(text, "python")]
+    for source in code:
+        exec(compile(source, page.name, "exec"), names)
+    words = [cell.source for cell in made.cells if cell.cell_type == "markdown"]
+    assert words[0].startswith("# ")
+    assert not re.search(r"<(div|script)|\]\(", "".join(words))
 
 
 def test_python_of_places_runs(tmp_path, monkeypatch, capsys):
