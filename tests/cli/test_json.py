@@ -63,3 +63,11 @@ def test_a_plan(tmp_path):
     assert set(told) == documented("plan")
     assert 0 <= told["safe_share"] <= told["share"] <= 1
     assert all(m["share_without"] <= told["share"] for m in told["landmarks"])
+
+
+def test_settings():
+    told = said("settings", "ekf")
+    assert set(told) == documented("settings")
+    plain = call("settings", "ekf").output
+    assert all(f"{key['name']}={key['default']}" in plain for key in told["keys"])
+    assert {"robust", "ekf", "plan"} <= set(said("settings")["settings"])

@@ -1,5 +1,6 @@
 """`homeward run --place` and `homeward place` as docs show them, on the sample drive."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -170,3 +171,12 @@ def test_another_place_is_told_and_kept_apart(hall, tmp_path):
     assert "this is not the place, or most of it was rearranged" in said.output
     assert load_place(hall).visits[-1].verdict == "apart"
     assert load_place(hall).standings == load_place(hall, 2).standings
+
+
+def test_a_place_is_told_to_programs(visited):
+    told = json.loads(call("place", "info", visited / "hall", "--json").stdout)
+    assert [home["home"] for home in told["homes"]] == ["home", "dock 3"]
+    assert told["homes"][0]["x"] == told["homes"][0]["y"] == 0.0 < told["homes"][1]["sigma_m"]
+    assert [visit["stayed"] for visit in told["visits"]] == [0, 15]
+    assert len(told["landmarks"]) == 15
+    assert all(0.9 < mark["stays"] <= 1.0 for mark in told["landmarks"])

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson
+from homeward.cli.terminal import answer, say
+
+if TYPE_CHECKING:
+    from homeward.places.place import Place
 
 place = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the place.")]
@@ -19,13 +24,42 @@ def about() -> None:
 
 
 @place.command()
-def info(folder: Folder) -> None:
+def info(folder: Folder, json: AsJson = False) -> None:
     """Say what is known of a place and its homes."""
     from homeward.places.files import load_place
     from homeward.report.place.words import info_lines
 
-    for line in info_lines(load_place(folder)):
+    found = load_place(folder)
+    if json:
+        answer(_facts(found))
+        return
+    for line in info_lines(found):
         say(line)
+
+
+def _facts(place: Place) -> dict[str, Any]:
+    """Return for programs what is known of a place at its last visit."""
+    when = place.visits[-1].when
+    stays, usual = place.stays(when), place.usual_rate
+    return {
+        "name": place.name,
+        "when": when,
+        "moves_per_day": usual,
+        "landmarks": [
+            {"landmark": n, "x": x, "y": y, "stays": stays[n], "moved": place.standings[n].moved}
+            for n, (x, y) in zip(place.map.names, place.map.positions.tolist(), strict=True)
+        ],
+        "homes": [
+            {
+                "home": home,
+                **place.home_pose(home)._asdict(),
+                "sigma_m": place.home_sigma(home, when),
+                "stored": stored.stored,
+            }
+            for home, stored in place.homes.items()
+        ],
+        "visits": [asdict(visit) for visit in place.visits],
+    }
 
 
 @place.command()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson
+from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ def settings(
         str | None,
         typer.Argument(help="Whose: an estimator, a command that takes --set, or a YAML file."),
     ] = None,
+    json: AsJson = False,
 ) -> None:
     """List what can be set, its default and its meaning; without a name, where there is any.
 
@@ -28,6 +31,9 @@ def settings(
     from homeward.registry import estimator_names, settings_model
 
     models, estimators = other_models(), estimator_names()
+    if of is None and json:
+        answer({"settings": [*estimators, *models]})
+        return
     if of is None:
         for name in estimators:
             say(f"homeward settings {name}  # homeward run --estimator {name} --set ...", "    ")
@@ -41,6 +47,9 @@ def settings(
     else:
         there = ", ".join((*estimators, *models))
         raise InputError(f"nothing called {of!r} has settings: there are {there}")
+    if json:
+        answer({"keys": [asdict(key) for key in keys(model)]})
+        return
     for key in keys(model):
         say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
 
