@@ -8,6 +8,8 @@ import pytest
 import yaml
 
 from homeward.drives.opening import open_drive
+from homeward.drives.ros.info import log_info
+from homeward.drives.saving import save_drive
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -251,3 +253,15 @@ def test_a_drive_is_run_with_another_camera_and_back():
 
 def parse_adjust(values):
     return parse(json.dumps({"do": "adjust", **values}))
+
+
+def test_of_a_log_the_topics_file_is_saved(tmp_path):
+    log, topics = tmp_path / "sample.mcap", tmp_path / "topics.yaml"
+    save_drive(open_drive("sample"), log)
+    replay = Replay(open_drive(log), ("ekf",), log_info(log).plan)
+    assert replay.scene()["file"] == "topics.yaml"
+    replay.do(parse_adjust(replay.scene()["adjusted"] | {"x": -0.3}))
+    topics.write_text(say(replay, "save")["text"])
+    again = open_drive(log, topics=topics)
+    assert again.settings.sensor.x == -0.3
+    assert again.sightings.t.tolist() == open_drive(log).sightings.t.tolist()

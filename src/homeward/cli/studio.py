@@ -42,7 +42,9 @@ def studio(
     import webbrowser
     from pathlib import Path
 
-    from homeward.drives.opening import SAMPLE, open_drive
+    from homeward.drives.opening import SAMPLE, located, open_drive
+    from homeward.drives.ros.containers.bag_folder import is_log
+    from homeward.drives.ros.info import log_info
     from homeward.frames import Pose
     from homeward.registry import settings_model
     from homeward.simulation.presets import PRESETS
@@ -68,7 +70,8 @@ def studio(
                 topics=topics,
                 tell=tell,
             )
-            shown = Replay(drive, names)
+            there = located(source)
+            shown = Replay(drive, names, log_info(there, topics).plan if is_log(there) else None)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, Mount, Truth
+from homeward.drives.drive import Drive, DriveSettings, Mount, Strict, Truth
+from homeward.drives.ros.settings import LogSettings
 from homeward.drives.text.settings import settings_yaml, validated
 from homeward.errors import HomewardError, InputError
 from homeward.registry import ESTIMATORS, make_estimator
@@ -38,6 +39,8 @@ class Replay:
         As it was opened.
     estimators : sequence of str
         Who runs side by side; as `homeward.studio.session.Session`.
+    log : LogSettings, optional
+        What of a log it was read from: then its topics file is saved instead of drive.yaml.
 
     Raises
     ------
@@ -47,10 +50,13 @@ class Replay:
 
     now_s = math.inf
 
-    def __init__(self, drive: Drive, estimators: tuple[str, ...]) -> None:
+    def __init__(
+        self, drive: Drive, estimators: tuple[str, ...], log: LogSettings | None = None
+    ) -> None:
         if not drive.sightings.t.size or not drive.home:
             raise InputError(f"{drive.name}: no sightings in it, or no home bearings")
-        self._drive, self._names = drive, estimators
+        self._drive, self._names, self._log = drive, estimators, log
+        self._file = "drive.yaml" if log is None else "topics.yaml"
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
         sensor = drive.settings.sensor
         self._asked = AS_IT_IS.model_copy(
@@ -115,8 +121,10 @@ class Replay:
                 self._undo.back()
             case Plain(do="save"):
                 settings = self.adjusted().settings
-                told = settings.model_copy(update={"sensor": _set_only(settings)})
-                return {"type": "file", "name": "drive.yaml", "text": settings_yaml(told)}
+                told: Strict = settings.model_copy(update={"sensor": _set_only(settings)})
+                if self._log is not None:
+                    told = self._log.model_copy(update={"drive": told})
+                return {"type": "file", "name": self._file, "text": settings_yaml(told)}
             case _:
                 raise InputError("that is for a scene, not for a drive that was driven")
         return None
@@ -132,7 +140,7 @@ class Replay:
             "type": "scene",
             "mode": "drive",
             "begun": self._begun,
-            "file": "drive.yaml",
+            "file": self._file,
             "extent": self._extent(placed),
             "room": None,
             "home": [0.0, 0.0, 0.0],
@@ -173,10 +181,9 @@ class Replay:
     def _words(self, tracks: list[Track]) -> str:
         if self._asked == self._first:
             return f"{self._drive.name}, as it was driven."
-        lag = (
-            f" The lag of {self._asked.lag:g} s is no key of drive.yaml." if self._asked.lag else ""
-        )
-        return f"{self._drive.name}, with other settings; drive.yaml keeps them.{lag}"
+        words = f"{self._drive.name}, with other settings; {self._file} keeps them."
+        lag = f" The lag of {self._asked.lag:g} s is no key of it."
+        return words + lag * bool(self._asked.lag)
 
     def _places(self) -> dict[str, list[float]]:
         """Return where the first estimator that tells has the landmarks at the end."""

@@ -47,12 +47,17 @@ class LogInfo:
     kind: str
     topics: tuple[Topic, ...]
     """Of a log; of a folder, its files as if they were topics."""
-    settings: str
-    """The topics file that says what is used without one: YAML; empty when there is none."""
+    plan: LogSettings | None
+    """What of a log is used; None where it is none, or there is no way to use it."""
     remarks: tuple[str, ...]
     """What serves for what, what is in the way, and what a reader counted, each a line."""
     folder: bool = False
     """Whether it is a folder of CSV files or images."""
+
+    @property
+    def settings(self) -> str:
+        """The topics file that says what is used without one: YAML; empty when there is none."""
+        return "" if self.plan is None else settings_yaml(self.plan)
 
 
 def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
@@ -71,7 +76,7 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
     if is_mrclam(path):
         way = "homeward run reads it, given --robot N and --home X,Y,HEADING."
-        return LogInfo("MRCLAM folder", (), "", (way,), folder=True)
+        return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
@@ -80,10 +85,10 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     try:
         plan = choose(known, told)
     except InputError as error:
-        return LogInfo(log.kind, known.topics, "", (f"{error.what}.", *_candidates(known)))
+        return LogInfo(log.kind, known.topics, None, (f"{error.what}.", *_candidates(known)))
     missing = tuple(_missing(plan))
     remarks = (*missing, *(_candidates(known) if missing else ()), *_clock_refused(known, plan))
-    return LogInfo(log.kind, known.topics, settings_yaml(plan), remarks)
+    return LogInfo(log.kind, known.topics, plan, remarks)
 
 
 _Remarks = dict[str, int]
@@ -117,7 +122,7 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
     elif needed == REQUIRED:
         remarks += _judged(read_folder(path), path)
-    return LogInfo(kind, topics, "", tuple(remarks), folder=True)
+    return LogInfo(kind, topics, None, tuple(remarks), folder=True)
 
 
 def _judged(drive: Drive, path: Path) -> Iterator[str]:
