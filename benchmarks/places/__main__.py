@@ -3,9 +3,9 @@
 `python -m benchmarks.places [--days 30] [--seeds 3] [--quick] [--save FILE]` drives each day
 through a warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % go and
 as many come; beside the place: no memory (home's bearings stored anew each morning), home's
-bearings of the first day alone, and resection of each look on all that was seen last. `--real` is
-MRCLAM set 6: the place that one robot made serves the others. Nothing is tuned to it; data as in
-`benchmarks.mrclam`.
+bearings of the first day alone, resection of each look on all that was seen last, and on what of it
+a persistence filter believes. `--real` is MRCLAM set 6: the place that one robot made serves the
+others. Nothing is tuned to it; data as in `benchmarks.mrclam`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import argparse
 import dataclasses
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,8 @@ import numpy as np
 
 from benchmarks.mrclam import HOME as MRCLAM_HOME
 from benchmarks.mrclam import data
-from benchmarks.places.warehouse import HOME, Warehouse
+from benchmarks.places.persistence_filter import PersistentResection
+from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from benchmarks.survey.peers import Resection
 from homeward.drives.drive import Drive, KnownLandmarks
 from homeward.drives.mrclam import read_mrclam
@@ -36,7 +37,9 @@ from homeward.track import Track, run
 
 OUTSIDE = 20.0
 """A pose farther off than the hall is long counts as so far off [m]."""
-HOW = ("place", "no memory", "first day's home", "believes all")
+Look = Callable[[float, dict[str, float]], np.ndarray | None]
+"""Returns the pose (3,) by what is seen at a time [s] of a drive."""
+HOW = ("place", "no memory", "first day's home", "believes all", "persistence filter")
 
 
 @dataclass
@@ -67,13 +70,19 @@ def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]
     return track, after
 
 
-def believer(drive: Drive, known: KnownLandmarks) -> Day:
-    """Return what a memory is worth that believes all: each look resected on what was seen last."""
-    peer = Resection({n: (m.x, m.y) for n, m in known.landmarks.items()})
+def memories(known: KnownLandmarks, changes: float) -> dict[str, Look]:
+    """Return how looks are resected on what was seen last, `changes` going in a day."""
+    survey = {n: (m.x, m.y) for n, m in known.landmarks.items()}
+    naive, filtered = Resection(survey), PersistentResection(survey, changes, BEARING_SIGMA)
+    return {"believes all": lambda _, seen: naive.look(seen), "persistence filter": filtered.look}
+
+
+def resected(drive: Drive, look: Look) -> Day:
+    """Return what a memory is worth by which each look, at its time, is resected alone."""
     first, off, looks = math.inf, [], 0
     for t, seen, _ in drive.sightings.stamps():
         looks += 1
-        if (found := peer.look(seen)) is not None:
+        if (found := look(t - drive.span[0], seen)) is not None:
             first = min(first, t - drive.span[0])
             truth = drive.truth.at(np.array([t]))
             off.append(min(math.dist(found[:2], (truth.x[0], truth.y[0])), OUTSIDE))
@@ -99,8 +108,9 @@ def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
             old = run(drive, Localizer(first_home, **drive.settings.robot)) if day else track
             row["first day's home"] = dataclasses.asdict(judged(old, drive))
             if before is not None:
-                naive = believer(drive, before.known(float(day)))
-                row["believes all"] = dataclasses.asdict(naive)
+                changes = hall.moved_share + hall.gone_share
+                for how, look in memories(before.known(float(day)), changes).items():
+                    row[how] = dataclasses.asdict(resected(drive, look))
         if before is not None:
             number_of = place.visits[-1].number
             named = {e.landmark for e in place.events if e.visit == number_of and e.what == "moved"}
