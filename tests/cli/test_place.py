@@ -143,6 +143,7 @@ def test_view_writes_a_page(hall, tmp_path):
         ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' already"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
         (["place", "info", "{hall}/.."], "holds no place"),
+        (["info", "{hall}"], "a place, not a drive"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
         (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),
     ],

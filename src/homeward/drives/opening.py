@@ -120,6 +120,9 @@ def reader_of(place: Path) -> Reader:
     for reader in READERS:
         if reader.recognises(place):
             return reader
+    if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
+        ways = "homeward place tells of it, homeward run DRIVE --place uses it"
+        raise InputError(f"a place, not a drive: {ways}", place)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
