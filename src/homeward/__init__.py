@@ -123,4 +123,8 @@ def __getattr__(name: str) -> Any:
         return import_module("importlib.metadata").version("homeward")
     if name not in _HOMES:
         raise AttributeError(f"module 'homeward' has no attribute {name!r}")
-    return getattr(import_module(f"homeward.{_HOMES[name]}"), name)
+    try:
+        return getattr(import_module(f"homeward.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        told = import_module("homeward.errors").without(error)
+        raise (told or error) from None

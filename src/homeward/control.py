@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from homeward.frames import Polar, Pose
 
 STOP_RADIUS = 0.05
 """Home counts as reached within this distance [m]; the paper does not say."""
+
+Integration = Literal["rk4", "euler"]
+"""How a motion is integrated where symbols are."""
 
 
 class Twist(NamedTuple):

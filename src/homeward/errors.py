@@ -40,6 +40,20 @@ class InputError(HomewardError):
         self.what, self.file, self.row = what, file, row
 
 
+_OF_EXTRAS = {
+    **dict.fromkeys(("casadi", "mpmath"), ("the paper's filters, and symbolic models,", "filters")),
+    **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
+    "rerun": ("views of a run", "view"),
+}
+"""What a package serves for, as a plural, and the extra that brings it."""
+
+
+def without(error: ModuleNotFoundError) -> InputError | None:
+    """Return what to say of a package that is not there; None where no extra brings it."""
+    known = _OF_EXTRAS.get((error.name or "").partition(".")[0])
+    return None if known is None else needs_extra(*known)
+
+
 def needs_extra(what: str, extra: str) -> InputError:
     """Return the error that says what lacks which extra, and how it is installed from a checkout.
 

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from homeward.angles import apply, guarded_inverse, wrap
+from homeward.control import Integration
 from homeward.frames import Pose, bearing
 
 POLAR = 3
 """Entries of the state in front of the bearings: R, theta, alpha."""
 INPUTS = 2
 """Entries of the input: v, omega."""
-
-Integration = Literal["rk4", "euler"]
 
 
 def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) -> Any:

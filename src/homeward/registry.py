@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
-from homeward.drives.drive import Drive, DriveSettings, Strict
+from homeward.drives.drive import Drive, Strict
 from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
-from homeward.engine.estimators.online import OnlineFilter
-from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
-from homeward.engine.estimators.peers import adaptive, invariant, particle, schmidt, ukf
-from homeward.engine.estimators.told import Seen
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
@@ -43,19 +40,28 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
 
 
-def _filter(make: Callable[..., OnlineFilter]) -> _Maker:
+def _filter(name: str) -> _Maker:
     """Return what makes one of the paper's filters for a drive."""
 
-    def for_drive(drive: Drive, settings: NoiseSettings) -> OnlineFilter:
+    def for_drive(drive: Drive, settings: NoiseSettings) -> Estimator:
+        # Imported here alone, as peers are: whoever uses the localiser needs nothing symbolic.
+        make = getattr(import_module("homeward.engine.estimators.paper"), name)
         robot = drive.settings.robot
-        return make(drive.home, settings=settings, samples=_samples(drive), **robot)
+        made: Estimator = make(drive.home, settings=settings, samples=_samples(drive), **robot)
+        return made
 
     return for_drive
 
 
-def _peer(make: Callable[[Seen, DriveSettings, Any, int], OnlineFilter]) -> _Maker:
+def _peer(name: str) -> _Maker:
     """Return what makes one of their peers for a drive."""
-    return lambda drive, told: make(known_home(drive.home), drive.settings, told, _samples(drive))
+
+    def for_drive(drive: Drive, told: Strict) -> Estimator:
+        make = getattr(import_module("homeward.engine.estimators.peers"), name)
+        made: Estimator = make(known_home(drive.home), drive.settings, told, _samples(drive))
+        return made
+
+    return for_drive
 
 
 def _samples(drive: Drive) -> int:
@@ -65,14 +71,14 @@ def _samples(drive: Drive) -> int:
 
 ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
     "robust": (LocalizerSettings, _robust),
-    "ekf": (FilterSettings, _filter(ekf)),
-    "a-ekf": (AugmentedSettings, _filter(a_ekf)),
-    "pi-ekf": (ProportionalIntegralSettings, _filter(pi_ekf)),
-    "adaptive": (FilterSettings, _peer(adaptive)),
-    "invariant": (CartesianSettings, _peer(invariant)),
-    "particle": (ParticleSettings, _peer(particle)),
-    "schmidt": (SchmidtSettings, _peer(schmidt)),
-    "ukf": (FilterSettings, _peer(ukf)),
+    "ekf": (FilterSettings, _filter("ekf")),
+    "a-ekf": (AugmentedSettings, _filter("a_ekf")),
+    "pi-ekf": (ProportionalIntegralSettings, _filter("pi_ekf")),
+    "adaptive": (FilterSettings, _peer("adaptive")),
+    "invariant": (CartesianSettings, _peer("invariant")),
+    "particle": (ParticleSettings, _peer("particle")),
+    "schmidt": (SchmidtSettings, _peer("schmidt")),
+    "ukf": (FilterSettings, _peer("ukf")),
 }
 """Each name with the model of its settings and what makes it."""
 DEFAULT = "robust"

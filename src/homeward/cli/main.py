@@ -29,7 +29,7 @@ from homeward.cli.studies.reproduce import reproduce
 from homeward.cli.studies.study import study
 from homeward.cli.studio import studio
 from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, without
 
 
 class OneLineErrors(TyperGroup):
@@ -39,6 +39,11 @@ class OneLineErrors(TyperGroup):
         """Run the command."""
         try:
             return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            if (told := without(error)) is None:
+                raise
+            refuse(str(told))
+            raise typer.Exit(BAD_INPUT) from None
         except HomewardError as error:
             refuse(str(error))
             bad = isinstance(error, InputError)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from homeward.control import Integration
 from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.model import Integration, PolarModel
+from homeward.model import PolarModel
 
 
 def augmented_ekf(

@@ -8,8 +8,9 @@ from typing import ClassVar
 import casadi as ca
 
 from homeward.angles import wrap
+from homeward.control import Integration
 from homeward.filters.belief import Belief, Measurement, Prediction, Updated
-from homeward.model import POLAR, Integration, PolarModel, Step, discretise
+from homeward.model import POLAR, PolarModel, Step, discretise
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import typer
 from homeward.cli.drives.run import run_settings
 from homeward.cli.options import progress
 from homeward.cli.terminal import say, warn
-from homeward.errors import needs_extra
 
 
 def view(
@@ -26,14 +25,9 @@ def view(
 
     The run is repeated from its run.yaml, on its drive. Needs the extra view.
     """
-    try:
-        from homeward.report.viewer import recording as viewer
-    except ModuleNotFoundError as error:
-        if error.name != "rerun":
-            raise
-        raise needs_extra("views of a run", "view") from None
     from homeward.drives.images import read_images
     from homeward.report.run.folder import SETTINGS_FILE, is_written_as
+    from homeward.report.viewer import recording as viewer
     from homeward.studies.single_run import drive_path, finish, prepare
 
     written = (Path(run) / SETTINGS_FILE).is_file()

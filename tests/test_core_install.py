@@ -1,0 +1,83 @@
+"""What runs on a robot that has the core alone, and what is said of the rest."""
+
+import subprocess
+import sys
+
+import pytest
+
+CORE = """
+import sys
+
+
+class Absent:
+    NAMES = "bokeh casadi cv2 dask jinja2 matplotlib mpmath pandas rerun websockets xarray".split()
+
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in self.NAMES:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+sys.meta_path.insert(0, Absent())
+"""
+LIBRARY = """
+from homeward import Localizer, open_drive, run, save_drive
+from homeward.drives.drive import Sightings
+from homeward.errors import InputError
+from homeward.live.messages import BearingsIn, OdometryIn
+from homeward.live.session import Session
+
+drive = open_drive("sample")
+session = Session(homes={"home": drive.home}, robot=drive.settings)
+for t, v, omega in zip(*(x[:400].tolist() for x in vars(drive.odometry).values()), strict=True):
+    session.receive(OdometryIn(t=t, v=v, omega=omega), t)
+    list(session.process())
+for t, seen, _ in list(drive.sightings.stamps())[:80]:
+    session.receive(BearingsIn(t=t, bearings=seen), t)
+list(session.process())
+print(session.localisation.fix.estimate.status.value)
+try:
+    from homeward import ekf
+except InputError as error:
+    print(error)
+"""
+COMMAND = """
+from homeward.__main__ import main
+
+main()
+"""
+
+
+def alone(code, *words, cwd=None):
+    """Run Python as where nothing but the core is installed."""
+    done = [sys.executable, "-c", CORE + code, *words]
+    return subprocess.run(done, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+def test_the_localiser_and_live_sessions_need_the_core_alone():
+    done = alone(LIBRARY)
+    assert done.returncode == 0, done.stderr
+    status, told = done.stdout.splitlines()
+    assert status in ("mapping", "localised", "unverified")
+    assert "the extra filters" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        (("run", "sample", "--out", "out"), "report"),
+        (("observe", "--landmarks", "3"), "filters"),
+        (("export", "ekf", "--landmarks", "3", "--out", "out"), "filters"),
+    ],
+)
+def test_a_command_says_in_one_line_which_extra_it_needs(words, extra, tmp_path):
+    done = alone(COMMAND, *words, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert f"need the extra {extra}" in line
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [("info", "sample"), ("convert", "sample", "sample.mcap")])
+def test_logs_need_the_core_alone(words, tmp_path):
+    done = alone(COMMAND, *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
