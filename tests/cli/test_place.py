@@ -98,7 +98,7 @@ def test_a_first_drive_that_shows_little_makes_no_place_but_has_its_answer(tmp_p
 def test_forget_and_undo(hall):
     before = load_place(hall)
     said = call("place", "forget", hall, "L03", "--home", "dock 3").output
-    assert "14 landmarks and 1 homes are left" in said
+    assert "14 landmarks and one home are left" in said
     assert "L03" not in load_place(hall).standings
     assert "version 2 again" in call("place", "undo", hall).output
     assert load_place(hall).standings == before.standings

@@ -101,14 +101,18 @@ def forget(
     home: Annotated[
         list[str] | None, typer.Option(help="A home to forget; may be repeated.")
     ] = None,
+    route: Annotated[
+        list[str] | None, typer.Option(help="A route to forget; may be repeated.")
+    ] = None,
 ) -> None:
-    """Forget landmarks, or homes, of a place."""
+    """Forget landmarks, homes or routes of a place."""
     from homeward.places.files import load_place, newest, save_place
+    from homeward.report.place.words import forget_words
 
     version = newest(folder)
-    now = load_place(folder, version).without(landmarks or [], home or [])
+    now = load_place(folder, version).without(landmarks or [], home or [], route or [])
     save_place(now, folder, version)
-    say(f"{now.name}: {len(now.standings):,} landmarks and {len(now.homes):,} homes are left.")
+    say(forget_words(now))
 
 
 @place.command()

@@ -34,6 +34,7 @@ from homeward.errors import InputError
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
 from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit
+from homeward.places.route import Node, Route
 
 FORMAT = 1
 KEPT = 10
@@ -45,6 +46,7 @@ SETTINGS, LANDMARKS, HOMES, BEARINGS = (
     "home_bearings.csv",
 )
 VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
+ROUTES = "routes.csv"
 DAYS = ("when", "since", "last")
 """Fields of records that are days since 1970."""
 SCRATCH = ".being-written-"
@@ -64,6 +66,8 @@ class PlaceSettings(Strict):
     """How often landmarks that are forgotten had changed their places ..."""
     forgotten_days: NonNegative
     """... and how long they had been watched [days]."""
+    nodes: int = 0
+    """Of all routes together; places of old have none."""
 
 
 def is_place(folder: Path) -> bool:
@@ -212,6 +216,7 @@ def _write(place: Place, folder: Path) -> None:
         visits=len(place.visits),
         forgotten_changes=place.past[0],
         forgotten_days=place.past[1],
+        nodes=sum(len(route.nodes) for route in place.routes.values()),
     )
     text = yaml.safe_dump(told.model_dump(), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
@@ -243,6 +248,11 @@ def _write(place: Place, folder: Path) -> None:
     )
     for file, kind, rows in ((VISITS, Visit, place.visits), (EVENTS, Event, place.events)):
         write_csv(folder / file, [f.name for f in fields(kind)], map(astuple, rows))
+    write_csv(
+        folder / ROUTES,
+        ["route", "taught", *(f.name for f in fields(Node))],
+        ([n, repr(r.taught), *astuple(node)] for n, r in place.routes.items() for node in r.nodes),
+    )
     with (folder / COVARIANCE).open("wb") as out:
         np.savez_compressed(out, covariance=held.covariance)
 
@@ -289,6 +299,7 @@ def _read(folder: Path) -> Place:
         tuple(_records(visits, Visit)),
         tuple(_records(events, Event)),
         (told.forgotten_changes, told.forgotten_days),
+        _routes(folder / ROUTES, told.nodes) if told.nodes else {},
     )
 
 
@@ -301,7 +312,19 @@ def _parser(of: Field[Any]) -> Parser:
     """Return what reads the column of a record's field."""
     if of.name in DAYS:
         return _days
+    if of.default == "":
+        return _identifiers_or_nothing
     return identifiers if of.type == "str" else numbers
+
+
+def _identifiers_or_nothing(
+    name: str, cells: Sequence[str], rows: Sequence[int], path: Path
+) -> np.ndarray:
+    """Parse ids; an empty cell gives an empty one."""
+    given = [i for i, cell in enumerate(cells) if cell.strip()]
+    values = np.full(len(cells), "", object)
+    values[given] = identifiers(name, [cells[i] for i in given], [rows[i] for i in given], path)
+    return values
 
 
 def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
@@ -319,6 +342,21 @@ def _records(table: Table, kind: Any) -> Iterable[Any]:
     columns = [table[f.name].tolist() for f in fields(kind)]
     for row in zip(*columns, strict=True):
         yield kind(*(cast(value) for cast, value in zip(kinds, row, strict=True)))
+
+
+def _routes(path: Path, nodes: int) -> dict[str, Route]:
+    """Return the routes, of so many nodes together."""
+    table = read_csv(path, {"route": identifiers, "taught": _days, **_parsers(Node)})
+    if len(table) != nodes:
+        raise InputError(f"{len(table)} rows where {nodes} are due", path)
+    table.require_angle("heading")
+    for name in ("sigma", "dwell"):
+        table.require(name, table[name] >= 0, "less than nothing")
+    columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
+    routes = dict[str, tuple[float, list[Node]]]()
+    for name, when, node in zip(*columns, strict=True):
+        routes.setdefault(name, (when, []))[1].append(node)
+    return {name: Route(when, tuple(nodes)) for name, (when, nodes) in routes.items()}
 
 
 def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
+from homeward.places.route import Route
 
 DAY_S = 86400.0
 FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
@@ -82,6 +83,8 @@ class Place:
     events: tuple[Event, ...] = ()
     past: tuple[float, float] = (0.0, 0.0)
     """The `tally` of landmarks that are forgotten."""
+    routes: dict[str, Route] = field(default_factory=dict)
+    """By name."""
 
     @property
     def origin(self) -> str:
@@ -140,8 +143,13 @@ class Place:
         known = self.known(when, home)
         return replace(drive, home={}, known=known, settings=settings, truth=truth)
 
-    def without(self, landmarks: Collection[str], homes: Collection[str] = ()) -> Place:
-        """Return it without some landmarks and homes, never its first home.
+    def without(
+        self,
+        landmarks: Collection[str],
+        homes: Collection[str] = (),
+        routes: Collection[str] = (),
+    ) -> Place:
+        """Return it without some landmarks, homes and routes, never its first home.
 
         Raises
         ------
@@ -154,10 +162,21 @@ class Place:
         for home in homes:
             if self.required(home) == self.origin:
                 raise InputError(f"{quoted(home)} is the home in whose frame the place is")
+        for route in routes:
+            self.route(route)
         kept = [n for n in self.map.names if n not in landmarks]
         stay = {h: s for h, s in self.homes.items() if h not in homes}
         standings = {n: self.standings[n] for n in kept}
-        return replace(self, map=self.map.only(kept, stay), standings=standings, homes=stay)
+        ways = {n: r for n, r in self.routes.items() if n not in routes}
+        there = self.map.only(kept, stay)
+        return replace(self, map=there, standings=standings, homes=stay, routes=ways)
+
+    def route(self, name: str) -> Route:
+        """Return a route by its name, else raise `InputError`."""
+        if name not in self.routes:
+            there = f"there are {', '.join(self.routes)}" if self.routes else "there is none"
+            raise InputError(f"no route {quoted(name)}; {there}")
+        return self.routes[name]
 
     def required(self, home: str | None) -> str:
         """Return the name of a home, the first one's for None; else raise `InputError`."""

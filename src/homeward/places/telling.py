@@ -19,6 +19,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.places.evidence import fingerprint
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome
+from homeward.places.route import Route, seen_along, taught
 from homeward.track import Track
 
 IN_REACH = 0.9
@@ -67,6 +68,8 @@ class Told:
     """The home in whose frame it was answered; None: the first."""
     homes: dict[str, tuple[StoredHome, Estimate]] = field(default_factory=dict)
     """Stored on the way, with what was answered there."""
+    routes: dict[str, tuple[Route, JointMap]] = field(default_factory=dict)
+    """Taught by it, with where landmarks are in the same frame."""
 
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> Told:
         """Return it with a home where an answer has a pose, and what the camera saw there.
@@ -76,19 +79,32 @@ class Told:
         InputError
             When the answer has no pose, or the name cannot stand in a file.
         """
-        require_home_name(name, self.homes)
+        require_name("home", name, self.homes)
         if answer.pose is None:
             raise InputError(f"home {quoted(name)} cannot be stored without a pose")
         stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
         return replace(self, homes={**self.homes, name: (stored, answer)})
 
+    def store_route(self, name: str, track: Track) -> Told:
+        """Return it with a route, the way of a track of the same drive, best a smoothed one.
 
-def require_home_name(name: str, homes: Collection[str]) -> None:
-    """Raise `InputError` where no home can be stored by a name, beside those that are there."""
+        Raises
+        ------
+        HomewardError
+            When the name cannot stand in a file, or `homeward.places.route.taught` raises.
+        """
+        require_name("route", name, self.routes)
+        return replace(
+            self, routes={**self.routes, name: (taught(track, self.when), seen_along(track))}
+        )
+
+
+def require_name(what: str, name: str, there: Collection[str]) -> None:
+    """Raise `InputError` where no home or route can be stored by a name, beside those there are."""
     if not is_identifier(name):
-        raise InputError(f"{quoted(name)} is no name for a home: printable text, trimmed")
-    if name in homes:
-        raise InputError(f"there is a home {quoted(name)} already; forget that one first")
+        raise InputError(f"{quoted(name)} is no name for a {what}: printable text, trimmed")
+    if name in there:
+        raise InputError(f"there is a {what} {quoted(name)} already; forget that one first")
 
 
 def last_look(drive: Drive, track: Track) -> tuple[Estimate, dict[str, float]]:

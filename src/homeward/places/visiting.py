@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import chain, count
 
@@ -19,7 +20,7 @@ from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
 from homeward.places.place import Event, Place, StoredHome, Visit
-from homeward.places.telling import Told, require_home_name
+from homeward.places.telling import Told, require_name
 
 MOST_JUDGED = 48
 """So many landmarks are judged together: it takes the cube of their number."""
@@ -59,7 +60,7 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
     place = Place(name, there, standings, {home: StoredHome(when, dict(observed))})
-    return _with_homes(_first_visit(place, told), told)
+    return _with_stored(_first_visit(place, told), told)
 
 
 def merged(place: Place, told: Told) -> Place:
@@ -89,16 +90,18 @@ def merged(place: Place, told: Told) -> Place:
     now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
     if disagreement > AGREES**2:
         return kept_apart
-    there = replace(place, map=now.at_home(place.origin))
-    return _with_homes(_followed(place, there, told, judged, moved, new), told)
+    after = now.at_home(place.origin)
+    routes = {n: r.carried(place.map, after, stayed) for n, r in place.routes.items()}
+    there = replace(place, map=after, routes=routes)
+    return _with_stored(_followed(place, there, told, judged, moved, new), told)
 
 
 def merged_places(place: Place, other: Place) -> Place:
     """Return a place with what another robot's place of the same room adds to it.
 
     Where a landmark stands elsewhere in the two, the one that saw it last is right; what the other
-    holds to be gone adds nothing. Homes of the other that have a name of the place get the other's
-    name, too.
+    holds to be gone adds nothing. Homes and routes of the other that have a name of the place get
+    the other's name, too.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def merged_places(place: Place, other: Place) -> Place:
     """
     known = evidence(other)
     require_new(place, other.name, known)
-    names = _free_names(place, other)
+    names = _free_names(place.homes, other.homes, other.name)
     when = max(place.visits[-1].when, other.visits[-1].when)
     theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
     theirs = theirs.only({n for n, stays in other.stays(when).items() if stays >= GONE})
@@ -132,7 +135,10 @@ def merged_places(place: Place, other: Place) -> Place:
     both |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
     standings = {n: both[n] for n in now.names}
     homes = {**place.homes, **{names[h]: s for h, s in other.homes.items()}}
-    there = replace(place, map=now, standings=standings, homes=homes)
+    routes = {n: r.carried(place.map, now, stayed) for n, r in place.routes.items()}
+    ways = _free_names(routes, other.routes, other.name)
+    routes |= {ways[n]: r.carried(other.map, now, stayed) for n, r in other.routes.items()}
+    there = replace(place, map=now, standings=standings, homes=homes, routes=routes)
     new = [n for n in now.names if n not in place.standings]
     moved = [n for n in judged if n not in stayed and n not in older]
     what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
@@ -151,14 +157,14 @@ def merged_places(place: Place, other: Place) -> Place:
     return replace(there, visits=_visits(place, visit), events=events)
 
 
-def _free_names(place: Place, other: Place) -> dict[str, str]:
-    """Return the names that the homes of another place get in a place."""
+def _free_names(here: Collection[str], theirs: Collection[str], of: str) -> dict[str, str]:
+    """Return the names that homes or routes of another place, called `of`, get in a place."""
     names = dict[str, str]()
-    for home in other.homes:
-        longer = f"{home} of {other.name}"
-        tries = chain((home, longer), (f"{longer}, {number}" for number in count(2)))
-        taken = {*place.homes, *names.values()}
-        names[home] = next(name for name in tries if name not in taken)
+    for one in theirs:
+        longer = f"{one} of {of}"
+        tries = chain((one, longer), (f"{longer}, {number}" for number in count(2)))
+        taken = {*here, *names.values()}
+        names[one] = next(name for name in tries if name not in taken)
     return names
 
 
@@ -284,10 +290,16 @@ def _well_placed(some: JointMap) -> set[str]:
     return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
 
 
-def _with_homes(place: Place, told: Told) -> Place:
-    """Return a place with the homes that were stored on a visit."""
+def _with_stored(place: Place, told: Told) -> Place:
+    """Return a place with the homes and routes that were stored on a visit."""
+    for name, (route, seen) in told.routes.items():
+        require_name("route", name, place.routes)
+        both = [n for n in seen.names if n in place.standings]
+        if len(both) >= PROOF:
+            route = route.carried(seen, place.map, both)
+            place = replace(place, routes={**place.routes, name: route})
     for name, (stored, answer) in told.homes.items():
-        require_home_name(name, place.homes)
+        require_name("home", name, place.homes)
         if answer.pose is None or answer.covariance is None:
             continue
         pose = np.array(_in_place(place, told.home, answer.pose))

@@ -20,9 +20,9 @@ from homeward.drives.drive import (
     Sightings,
     Start,
 )
-from homeward.frames import Polar, Pose, from_polar, to_polar
+from homeward.frames import Polar, Pose, compose, from_polar, to_polar
 from homeward.simulation.log import Log, stamps, within
-from homeward.simulation.scenario import Course
+from homeward.simulation.scenario import Course, Repeat
 from homeward.simulation.sensing import Wheels
 from homeward.simulation.trajectories import make_control
 from homeward.simulation.world import Stream, generator, quantise
@@ -36,6 +36,8 @@ class Ending(enum.Enum):
 
     DONE = "done"
     """The control law was done, as far as the robot knew."""
+    GAVE_UP = "gave up"
+    """It got nowhere."""
     TIME_UP = "time up"
     """The longest duration was reached."""
 
@@ -73,6 +75,7 @@ def drive_course(
     pose = course.start.in_home_frame(course.home.pose)
     control, wheels = make_control(course, pose, home), Wheels(course)
     odometry, bearings, truth = stamps(course)
+    push = course.trajectory.push if isinstance(course.trajectory, Repeat) else None
     for step, (t, until) in enumerate(zip_longest(odometry, odometry[1:])):
         if progress is not None and step % STEPS_PER_TELLING == 0:
             progress(t / course.trajectory.duration)
@@ -87,10 +90,14 @@ def drive_course(
         for stamp in within(truth, t, until):
             log.truth(stamp, advance(pose, twist, stamp - t))
         pose = advance(pose, twist, until - t)
+        if push is not None and t <= push.at < until:
+            pose = compose(pose, Pose(push.x, push.y, push.turn))
     # Every drive ends standing still, with a last word of odometry and truth.
     log.odometry(t, wheels.measure(Twist(0.0, 0.0)))
     log.truth(t, pose)
-    return Ending.DONE if twist is None else Ending.TIME_UP, pose
+    log.last_words = control.gave_up
+    ended = Ending.GAVE_UP if control.gave_up else Ending.DONE
+    return ended if twist is None else Ending.TIME_UP, pose
 
 
 def before(

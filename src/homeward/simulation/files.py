@@ -31,7 +31,7 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
         A key of `PRESETS`, or the path of a file.
     changes : mapping of str to value, optional
         Keys in dots ("noise.bearing_sigma") to what they become. Another `trajectory.kind` keeps
-        the speed and duration of the old one.
+        the speed and duration of the old one, and to teach its points, too.
 
     Raises
     ------
@@ -92,7 +92,8 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> None:
             raise InputError(f"{key}: {section} has no keys")
         branch = inner
     if key == "trajectory.kind" and branch.get("kind") != value:
-        for other in branch.keys() - {"speed", "duration"}:
+        points = {"points", "end_at_home"} if value == "teach" else set()
+        for other in branch.keys() - {"speed", "duration"} - points:
             del branch[other]
     branch[last] = value
 

@@ -54,6 +54,8 @@ class Log:
         self.seen: dict[str, float] = {}
         """Id to direction in the home frame [rad], of what was seen last, as far as is known."""
         self._latest: Mapping[str, float] = {}
+        self.last_words = ""
+        """Why the robot gave up."""
 
     def believed(self, t: float, true: Pose) -> tuple[Pose | None, bool]:
         """Return the pose that steers, the estimator's or the truth, and whether it is sure."""

@@ -255,18 +255,67 @@ class Circle(Trajectory):
     """[rad/s]"""
 
 
-class Waypoints(Trajectory):
-    """Drive along the line through some points, cutting its corners smoothly."""
+class ByPoints(Trajectory):
+    """What ways through given points share."""
 
-    kind: Literal["waypoints"] = "waypoints"
+    kind: Literal["waypoints", "teach"]
     points: Annotated[tuple[Point, ...], Field(min_length=1)]
     """In room coordinates [m]."""
     max_turn_rate: Positive = 1.0
     """[rad/s]"""
     end_at_home: bool = False
     """Whether home is the last point."""
+
+
+class Waypoints(ByPoints):
+    """Drive along the line through some points, cutting its corners smoothly."""
+
+    kind: Literal["waypoints"] = "waypoints"
     stop_radius: Positive = STOP_RADIUS
     """The drive ends within this distance of the last point [m]."""
+
+
+class Teach(ByPoints):
+    """Drive from point to point by hand, and wait at each, so that it can be kept as a way point.
+
+    The hand is `homeward.following`.
+    """
+
+    kind: Literal["teach"] = "teach"
+    dwell: NonNegative = 3.0
+    """How long to wait [s]."""
+
+
+class Push(Strict):
+    """Somebody carries the robot off, which its odometry does not notice."""
+
+    at: NonNegative
+    """When [s]."""
+    x: Finite = 0.0
+    """Ahead [m]."""
+    y: Finite = 0.0
+    """To the left [m]."""
+    turn: Finite = 0.0
+    """Anti-clockwise [rad]."""
+
+
+class Repeat(Trajectory):
+    """Drive along a route of a place, from the closest point of entry."""
+
+    kind: Literal["repeat"] = "repeat"
+    place: str
+    """Its folder; its first home must be the scenario's."""
+    version: Annotated[int, Field(ge=1)] | None = None
+    """Of the place; None: the newest."""
+    when: Finite | None = None
+    """The day [days since 1970]; None: the one after the place's last visit."""
+    route: str
+    """Its name."""
+    max_turn_rate: Positive = 1.0
+    """[rad/s]"""
+    push: Push | None = None
+    blocked: Interval | None = None
+    """When something is in the way, and the robot is told so [s]."""
 
 
 class Course(Strict):
@@ -281,7 +330,7 @@ class Course(Strict):
     home_sensor: Mount | None = None
     """The camera when home was stored; None: as `sensor`."""
     start: StartPose
-    trajectory: Annotated[Homing | Circle | Waypoints, Field(discriminator="kind")]
+    trajectory: Annotated[Homing | Circle | Waypoints | Teach | Repeat, Field(discriminator="kind")]
     estimator: str = "truth"
     """Whose pose steers the robot: the word for an estimator, or the truth."""
 
@@ -309,7 +358,7 @@ class Scenario(Course):
         if self.room is not None:
             if not self.room.free(self.home.x, self.home.y):
                 raise ValueError("home: outside the room or in a shelf")
-            points = self.trajectory.points if self.trajectory.kind == "waypoints" else ()
+            points = self.trajectory.points if isinstance(self.trajectory, ByPoints) else ()
             for i, (x, y) in enumerate(points):
                 if not self.room.free(x, y):
                     raise ValueError(f"trajectory.points.{i}: outside the room or in a shelf")

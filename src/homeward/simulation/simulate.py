@@ -18,6 +18,7 @@ from homeward.estimator import Estimate, Estimator
 from homeward.frames import Pose
 from homeward.simulation.course import Ending, before, drive_course
 from homeward.simulation.log import Log
+from homeward.simulation.repeating import as_visitor
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera
 from homeward.simulation.world import World, build_world, home_bearings
@@ -36,6 +37,8 @@ class Simulation:
     """True pose in the home frame where the drive ended."""
     estimates: list[Estimate] = field(default_factory=list)
     """What the estimator in the loop answered to each stamp of bearings; empty without one."""
+    reason: str = ""
+    """Why the robot gave up, if it did."""
 
     @property
     def final_distance(self) -> float:
@@ -46,14 +49,15 @@ class Simulation:
 def prepare(scenario: Scenario) -> Drive:
     """Return the drive of a scenario before it begins: home and settings, no samples.
 
-    An estimator for the closed loop is made from this.
+    An estimator for the closed loop is made from this; where a route is repeated, it knows the
+    place instead of home.
 
     Raises
     ------
     InputError
         When the scenario cannot be built.
     """
-    return _prepare(scenario, build_world(scenario))
+    return as_visitor(scenario, _prepare(scenario, build_world(scenario)))
 
 
 def simulate(
@@ -89,7 +93,7 @@ def simulate(
 
     ending, pose = drive_course(scenario, log, look, before.home_bearings(), progress)
     drive = log.fill(before)
-    return Simulation(scenario, drive, world, ending, pose, log.estimates)
+    return Simulation(scenario, drive, world, ending, pose, log.estimates, log.last_words)
 
 
 def _prepare(scenario: Scenario, world: World) -> Drive:

@@ -11,9 +11,11 @@ import numpy as np
 
 from homeward.control import Twist, arrived, homing
 from homeward.errors import InputError
+from homeward.following import COAST_S, Follower, Path, State
 from homeward.frames import Polar, Pose, bearing, between, to_polar
 from homeward.laws import Slope, law_named, steer, way_home
-from homeward.simulation.scenario import Circle, Course, Homing, Waypoints
+from homeward.simulation.repeating import place_of
+from homeward.simulation.scenario import ByPoints, Circle, Course, Homing, Repeat, Teach, Waypoints
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 """Seen."""
@@ -25,6 +27,8 @@ PAST_NEAREST = 0.005
 """So much farther from home than at its nearest, an estimated pose has passed it [m]."""
 SLOWEST = 0.03
 """Near home the speed falls to no less than this share of it."""
+LOOKS_S = 2.0
+"""One that stands without a pose looks round for so long before it searches [s]."""
 LOOKAHEAD = 0.4
 """The point on the line that the robot steers at is so far ahead [m]."""
 TURN_ACCELERATION = 1.0
@@ -37,6 +41,9 @@ LONGEST_LINE = 1e5
 
 class Control(Protocol):
     """Steers one drive."""
+
+    gave_up: str = ""
+    """Why, where it gave up."""
 
     def twist(
         self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
@@ -70,6 +77,13 @@ def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None
             return CircleControl(trajectory)
         case Waypoints() as trajectory:
             return WaypointControl(trajectory, _line(trajectory, scenario.home.pose, start))
+        case Teach() as trajectory:
+            corners = _corners(trajectory, scenario.home.pose, start)
+            stops = [(i, None, trajectory.dwell, str(i)) for i in range(1, len(corners))]
+            return PathControl(trajectory, Path(corners, stops), exact=True)
+        case Repeat() as trajectory:
+            path = place_of(trajectory).route(trajectory.route).path
+            return PathControl(trajectory, path, exact=scenario.estimator == "truth")
         case other:
             assert_never(other)
 
@@ -94,7 +108,7 @@ class Search:
         self._since = None
 
 
-class HomingControl:
+class HomingControl(Control):
     """The paper's homing law, until the robot believes itself at home.
 
     A pose that is estimated is off by something like the stop radius: with one the robot goes on
@@ -137,7 +151,7 @@ class HomingControl:
         return max(min(speed, float(polar.R) / slowing), SLOWEST * speed)
 
 
-class BearingControl:
+class BearingControl(Control):
     """A homing law by bearings and a compass alone, until the way home is short; no memory.
 
     Parameters
@@ -168,7 +182,7 @@ class BearingControl:
         return steer(*way, pose.heading, drive.speed, drive.max_turn_rate)
 
 
-class CircleControl:
+class CircleControl(Control):
     """Constant speed and turn rate."""
 
     def __init__(self, trajectory: Circle) -> None:
@@ -181,7 +195,7 @@ class CircleControl:
         return self._twist
 
 
-class WaypointControl:
+class WaypointControl(Control):
     """Pure pursuit of a line: the arc through a point on it that runs ahead of the robot.
 
     References
@@ -236,6 +250,44 @@ class WaypointControl:
         return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
 
 
+class PathControl(Control):
+    """Follows a path; where the pose is lost for long it is looked for on circles.
+
+    Parameters
+    ----------
+    trajectory : Teach or Repeat
+        Speed, turn rate, and when something is in the way.
+    path : Path
+        In the home frame.
+    exact : bool
+        Whether the pose is the truth, which needs no landmark in sight.
+    """
+
+    def __init__(self, trajectory: Teach | Repeat, path: Path, exact: bool) -> None:
+        self._follower = Follower(path, trajectory.speed, trajectory.max_turn_rate)
+        self._blocked = trajectory.blocked if isinstance(trajectory, Repeat) else None
+        self._exact, self._sure_at = exact, -math.inf
+        self._search = Search(trajectory.speed)
+
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
+        """Return the command; see `Control`."""
+        begin, end = self._blocked or (math.inf, math.inf)
+        blocked, sure = begin <= t < end, sure and (self._exact or bool(seen))
+        twist = self._follower.twist(t, pose, sure, blocked)
+        if self._follower.over:
+            failed = self._follower.state is State.FAILED
+            self.gave_up = self._follower.reason if failed else ""
+            return None
+        if sure or self._sure_at == -math.inf:
+            self._sure_at = t
+        if blocked or t - self._sure_at < COAST_S + LOOKS_S:
+            self._search.end()
+            return twist
+        return self._search.twist(t)
+
+
 def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
     """Return the line from `start` through the way points, shape (n, 2), in the home frame [m].
 
@@ -244,16 +296,21 @@ def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
     InputError
         When it is too long to be held.
     """
-    corners = [(start.x, start.y)]
-    for x, y in trajectory.points:
-        local = between(home, Pose(x, y, 0.0))
-        corners.append((local.x, local.y))
-    if trajectory.end_at_home:
-        corners.append((0.0, 0.0))
-    knots = np.array(corners, float)
+    knots = _corners(trajectory, home, start)
     lengths = np.hypot(*np.diff(knots, axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     if not along[-1] <= LONGEST_LINE:
         raise InputError(f"trajectory.points: {along[-1]:.3g} m to drive, {LONGEST_LINE:g} at most")
     fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
     return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)
+
+
+def _corners(trajectory: ByPoints, home: Pose, start: Pose) -> np.ndarray:
+    """Return the start and the way points, shape (n, 2), in the home frame [m]."""
+    corners = [(start.x, start.y)]
+    for x, y in trajectory.points:
+        local = between(home, Pose(x, y, 0.0))
+        corners.append((local.x, local.y))
+    if trajectory.end_at_home:
+        corners.append((0.0, 0.0))
+    return np.array(corners, float)

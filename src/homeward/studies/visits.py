@@ -12,10 +12,11 @@ from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.smoothing import smooth
 from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
 from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
-from homeward.places.telling import last_look, require_home_name, told_by
+from homeward.places.telling import last_look, require_name, told_by
 from homeward.places.visiting import FIRST_HOME, first_place, merged
 from homeward.track import Track
 
@@ -49,26 +50,31 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
     return {"place_version": version, "when": day_of(run, drive)}
 
 
-def check_update(run: RunSettings, drive: Drive, store_home: str | None = None) -> None:
+def check_update(
+    run: RunSettings, drive: Drive, store_home: str | None = None, store_route: str | None = None
+) -> None:
     """Refuse before a run of minutes what `after_visit` would refuse after it.
 
     Raises
     ------
     InputError
-        When the place knows the drive, or has a home of the name that is to be stored, or is new
-        and has not the home that is asked for.
+        When the place knows the drive, or has a home or route of the name that is to be stored, or
+        is new and has not the home that is asked for.
     """
     homes: Collection[str] = (FIRST_HOME,)
+    routes: Collection[str] = ()
     if run.place is not None and run.place_version:
         place = load_place(run.place, run.place_version)
         require_new(place, drive.name, fingerprint(drive))
-        homes = place.homes
+        homes, routes = place.homes, place.routes
     elif run.place_home not in (None, FIRST_HOME):
         raise InputError(
             f"no home {quoted(str(run.place_home))}: the place is new, and its home {FIRST_HOME}"
         )
     if store_home is not None:
-        require_home_name(store_home, homes)
+        require_name("home", store_home, homes)
+    if store_route is not None:
+        require_name("route", store_route, routes)
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
@@ -87,10 +93,11 @@ def after_visit(
     estimator: Estimator,
     track: Track,
     store_home: str | None = None,
+    store_route: str | None = None,
 ) -> Place:
     """Return the place of a run as it is afterwards, all of it from `prepare` and `finish`.
 
-    A home of that name is stored where the drive ended.
+    A home of that name is stored where the drive ended, and its way, smoothed, as a route.
 
     Raises
     ------
@@ -102,6 +109,8 @@ def after_visit(
     told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
     if store_home is not None:
         told = told.store_home(store_home, *last_look(drive, track))
+    if store_route is not None:
+        told = told.store_route(store_route, smooth(drive, estimator.settings))
     if not run.place_version:
         return first_place(Path(run.place).name, estimator, told)
     return merged(load_place(run.place, run.place_version), told)

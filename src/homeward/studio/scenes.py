@@ -13,7 +13,7 @@ from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
 from homeward.laws import LAWS
 from homeward.simulation.files import load_scenario
-from homeward.simulation.scenario import Homing, Listed, Moved, RoomPose, Scenario
+from homeward.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
 from homeward.simulation.world import World, build_world
 from homeward.studio.messages import LARGEST
 
@@ -43,6 +43,8 @@ def as_scene(scenario: Scenario) -> Scenario:
     trajectory = scenario.trajectory
     if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
         raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
+    if isinstance(trajectory, Repeat):
+        raise InputError("trajectory.kind: the studio knows no places, and repeats no route")
     if scenario.landmarks.count > MOST_LANDMARKS:
         raise InputError(f"landmarks: the studio plays {MOST_LANDMARKS} at most")
     if max(scenario.rates.odometry, scenario.rates.bearings) > FASTEST_HZ:

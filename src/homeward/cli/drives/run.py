@@ -78,6 +78,10 @@ def run(
         str | None,
         typer.Option(help="With --update: a new home of this name where the drive ends."),
     ] = None,
+    store_route: Annotated[
+        str | None,
+        typer.Option(help="With --update: the way of the drive as a route of this name."),
+    ] = None,
     place_home: Annotated[
         str | None, typer.Option(help="Answer in the frame of this home of the place [the first].")
     ] = None,
@@ -129,8 +133,9 @@ def run(
         check_place(place)  # before a run of minutes
     elif place is not None:
         newest(place)
-    if store_home is not None and not update:
-        raise InputError("--store-home needs --update")
+    for option, name in (("--store-home", store_home), ("--store-route", store_route)):
+        if name is not None and not update:
+            raise InputError(f"{option} needs --update")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when are for a --place")
     if estimator is not None and "," in estimator:
@@ -139,7 +144,7 @@ def run(
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in COMPILED:
         raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out, update, store_home, json)
+    _run(settings, out, update, (store_home, store_route), json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -194,7 +199,11 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
 
 
 def _run(
-    settings: RunSettings, out: Path | None, update: bool, store_home: str | None, json: bool
+    settings: RunSettings,
+    out: Path | None,
+    update: bool,
+    store: tuple[str | None, str | None],
+    json: bool,
 ) -> None:
     from homeward.places.files import save_place
     from homeward.report.place.words import visit_words
@@ -208,19 +217,20 @@ def _run(
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
         if update:
-            check_update(complete, drive, store_home)
+            check_update(complete, drive, *store)
         folder = _output_folder(out, drive.name, settings.drive)
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
             try:
-                after = after_visit(complete, drive, estimator, track, store_home)
+                after = after_visit(complete, drive, estimator, track, *store)
                 save_place(after, settings.place, complete.place_version or 0)
             except HomewardError as error:  # told below the answer, which is there nevertheless
                 after, lost = None, error
     words = [summary, *([] if after is None else [visit_words(after)])]
-    if after is not None and store_home is not None and store_home not in after.homes:
-        lost = HomewardError(f"home {quoted(store_home)} was not stored")
+    for what, name in zip(("home", "route"), store, strict=True):
+        if after is not None and name is not None and name not in getattr(after, f"{what}s"):
+            lost = HomewardError(f"{what} {quoted(name)} was not stored")
     if json:
         told = {"summary": "\n".join(words), "folder": str(folder)}
         told["report"] = str(folder / "report.html")

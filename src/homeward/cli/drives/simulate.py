@@ -25,7 +25,7 @@ def simulate(
     out: Annotated[Path | None, typer.Option(help="The drive folder to write.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
     trajectory: Annotated[
-        Literal["homing", "circle", "waypoints"] | None,
+        Literal["homing", "circle", "waypoints", "teach", "repeat"] | None,
         typer.Option(help="Another trajectory than the scenario's."),
     ] = None,
     estimator: Annotated[
@@ -39,6 +39,10 @@ def simulate(
             "tron, or package.module:function."
         ),
     ] = None,
+    place: Annotated[
+        str | None, typer.Option(help="To repeat: the place whose route it drives along.")
+    ] = None,
+    route: Annotated[str | None, typer.Option(help="To repeat: the name of the route.")] = None,
     live: Annotated[
         str | None,
         typer.Option(
@@ -59,6 +63,7 @@ def simulate(
     from homeward.registry import make_estimator
     from homeward.report.output import check_output, whole_folder
     from homeward.simulation.files import SCENARIO, load_scenario, write_simulation
+    from homeward.simulation.repeating import settled
     from homeward.simulation.simulate import prepare
     from homeward.simulation.simulate import simulate as run_simulation
 
@@ -67,11 +72,15 @@ def simulate(
         "trajectory.kind": trajectory,
         "estimator": estimator,
         "trajectory.law": law,
+        "trajectory.place": place,
+        "trajectory.route": route,
     }
     given = {key: value for key, value in options.items() if value is not None}
-    chosen = load_scenario(scenario, given | key_values(changes or []))
+    chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
     if (out is None) == (live is None):
         raise InputError("give one of --out and --live")
+    if out is None and chosen.trajectory.kind == "repeat":
+        raise InputError("--live repeats no route: what drives the robot is homeward live")
     if out is None:
         _play(chosen, live or "", pace)
         return
@@ -105,9 +114,10 @@ def _summary(simulation: Simulation, out: Path) -> str:
     """Say in one line what was made."""
     drive, world = simulation.drive, simulation.world
     sightings, stamps = drive.sightings.t.size, len(set(drive.sightings.t.tolist()))
+    ending = simulation.ending.value + (f": {simulation.reason}" if simulation.reason else "")
     return (
         f"{simulation.scenario.name}: {drive.span[1]:.1f} s, {drive.odometry.t.size} twists,"
         f" {sightings} sightings of {len(world.ids)} landmarks at {stamps} stamps,"
-        f" {len(world.moved)} moved; ended ({simulation.ending.value})"
+        f" {len(world.moved)} moved; ended ({ending})"
         f" {simulation.final_distance:.3f} m from home; written to {out}"
     )

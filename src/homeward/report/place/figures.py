@@ -37,6 +37,12 @@ def draw_map(place: Place) -> Figure:
                 axes.annotate(
                     plain(name[:8]), (x, y), (4, 3), textcoords="offset points", fontsize=7
                 )
+        for route, way in place.routes.items():
+            x, y, _ = way.poses.T
+            axes.plot(x, y, color=MUTED, lw=1.6, zorder=1)
+            axes.annotate(plain(route), (x[0], y[0]), (5, 4), textcoords="offset points")
+            for node in way.waypoints:
+                axes.plot(node.x, node.y, "D", color=MUTED, ms=5, zorder=2)
         size = 0.025 * max(place.map.size, 1e-3)
         for home in place.homes:
             pose = place.home_pose(home)
@@ -51,6 +57,8 @@ def draw_map(place: Place) -> Figure:
             Line2D([], [], marker=".", color=ORANGE, label="where it stood before"),
             Line2D([], [], marker="x", ls="", color=MUTED, label="forgotten"),
         ]
+        if place.routes:
+            marks.append(Line2D([], [], marker="D", color=MUTED, label="route, with way points"))
         legend_below(figure, marks)
     return figure
 

@@ -32,6 +32,13 @@ def visit_words(place: Place) -> str:
     return f"{place.name}: of its landmarks {listing(parts)}; it has {visit.of:,} now."
 
 
+def forget_words(place: Place) -> str:
+    """Say what is left of a place."""
+    left = [count(len(place.standings), "landmark"), count(len(place.homes), "home")]
+    left += [count(len(place.routes), "route")] if place.routes else []
+    return f"{place.name}: {listing(left)} are left."
+
+
 def events(place: Place, visit: Visit, what: str) -> list[Event]:
     """Return the events of one kind in one visit."""
     return [e for e in place.events if e.visit == visit.number and e.what == what]
@@ -58,6 +65,13 @@ def info_lines(place: Place) -> list[str]:
             f" is known to {place.home_sigma(home, when):.3f} m; of the"
             f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} still stand where they"
             " did."
+        )
+    for route, way in place.routes.items():
+        points = [name(n.waypoint) for n in way.waypoints]
+        by = f" by {count(len(points), 'way point')} ({listing(points, 8)})" if points else ""
+        lines.append(
+            f"Route {name(route)}, taught {date(way.taught)}: {way.length:.1f} m{by}; its poses"
+            f" were known to {max(n.sigma for n in way.nodes):.3f} m."
         )
     restless = sorted(
         (n for n, s in place.standings.items() if s.moved + s.returned),

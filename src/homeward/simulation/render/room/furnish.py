@@ -76,7 +76,7 @@ class _Room:
         self.inward = np.stack([-self.along[:, 1], self.along[:, 0]], axis=1)
         home = scenario.home.pose
         start = compose(home, scenario.start.in_home_frame(home))
-        points = scenario.trajectory.points if scenario.trajectory.kind == "waypoints" else ()
+        points = getattr(scenario.trajectory, "points", ())
         self.way = LineString([(start.x, start.y), *points, (home.x, home.y)])
         self.arc = compose(start, Pose(0.0, SEARCH_RADIUS, 0.0))
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.simulation.scenario import Course, Interval, Point, Rates
+from homeward.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
 TextureName = Literal[
     "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
@@ -200,7 +200,9 @@ class RenderScenario(Course):
             raise ValueError("home: outside the room")
         if self.camera.above_floor >= self.room.height:
             raise ValueError("camera.above_floor: through the ceiling")
-        points = self.trajectory.points if self.trajectory.kind == "waypoints" else ()
+        if self.trajectory.kind == "repeat":
+            raise ValueError("trajectory.kind: a rendered drive repeats no route")
+        points = self.trajectory.points if isinstance(self.trajectory, ByPoints) else ()
         for i, (x, y) in enumerate(points):
             if not contains_xy(floor, x, y):
                 raise ValueError(f"trajectory.points.{i}: outside the room")
