@@ -13,10 +13,12 @@ from homeward.simulation.scenario import (
     Noise,
     OdometryErrors,
     Rates,
+    Repeat,
     Room,
     RoomPose,
     Scenario,
     StartPose,
+    Teach,
     Visibility,
     Waypoints,
 )
@@ -81,9 +83,20 @@ class Warehouse:
         first, way = int(rng.integers(len(ROUND))), int(rng.choice([-1, 1]))
         points = [ROUND[(first + way * i) % len(ROUND)] for i in range(len(ROUND) + 1)]
         start = np.array(points[0]) + rng.uniform(-0.3, 0.3, 2)
-        scenario = Scenario(
+        scenario = self.scenario(
+            StartPose(x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False),
+            Waypoints(speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0),
+            1000 * self.seed + self.day,
+        )
+        return simulate(scenario).drive
+
+    def scenario(
+        self, start: StartPose, trajectory: Waypoints | Teach | Repeat, seed: int
+    ) -> Scenario:
+        """Return what is driven on this day; its home bearings are of this day, too."""
+        return Scenario(
             name=f"day {self.day}",
-            seed=1000 * self.seed + self.day,
+            seed=seed,
             room=ROOM,
             home=HOME,
             landmarks=Listed(at=self.places),
@@ -99,14 +112,9 @@ class Warehouse:
                 turn_scale_sigma=0.01,
                 turn_bias_sigma=0.001,
             ),
-            start=StartPose(
-                x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False
-            ),
-            trajectory=Waypoints(
-                speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0
-            ),
+            start=start,
+            trajectory=trajectory,
         )
-        return simulate(scenario).drive
 
     def _put_new(self) -> None:
         self.places[f"P{self._next}"] = self._free()

@@ -37,15 +37,15 @@ and less than an aisle is wide, so that corners are cut by a decimetre."""
 FACING = 0.7
 """An aim within this of straight ahead is driven to; else the robot turns on the spot [rad]. The
 arc then bulges by less than a fifth of the look-ahead."""
-REACHED = 0.05
-"""A stop counts as reached within this distance [m]: twice what a good pose is off."""
+REACHED = 0.03
+"""A stop counts as reached within this distance [m]: about what a good pose is off."""
 ALIGNED = 0.05
 """At a stop the robot turns until its heading is so near the taught one [rad]."""
 SETTLING_S = 1.0
 """Near a stop the speed is at most the distance over this; headings settle likewise [s]."""
 COAST_S = 3.0
 """So long the robot drives on where its pose is not sure [s]: for about a metre, on which odometry
-that is wrong by 5 % is off by a stop's radius."""
+that is wrong by 5 % is off by 5 cm."""
 STUCK_M = 0.5
 """A robot that was told to drive so far and did not get a fifth of it is stuck [m]."""
 RETRY_S, PATIENCE_S = 5.0, 30.0

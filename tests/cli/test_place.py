@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from commands import call, first_seconds, refused
+from commands import call, done, first_seconds, refused
 
 from homeward import open_drive, save_drive
 from homeward.places.files import load_place, newest, save_place
@@ -25,13 +25,13 @@ def another_day(folder):
 
 @pytest.fixture(scope="module")
 def visited(tmp_path_factory):
-    """A folder with a place after two drives, the second of which stored a home at its end."""
+    """A folder with a place after two drives; the second stored a home at its end, and its way."""
     folder = tmp_path_factory.mktemp("places")
     hall, out = folder / "hall", folder / "out"
     first = call("run", "sample", "--place", hall, "--update", "--when", "2026-11-01", "--out", out)
     assert first.exit_code == 0, first.output
     assert "hall: a new place, with 15 landmarks." in first.output
-    more = "--update", "--store-home", "dock 3", "--when", "2026-11-02"
+    more = "--update", "--store-home", "dock 3", "--store-route", "round", "--when", "2026-11-02"
     again = another_day(folder / "another-day")
     second = call("run", again, "--place", hall, *more, "--out", folder / "second")
     assert second.exit_code == 0, second.output
@@ -52,6 +52,7 @@ def test_info_says_what_is_known(hall):
     assert "two visits from 2026-11-01 to 2026-11-02" in said
     assert "Home home, stored 2026-11-01, at (0.00, 0.00) m" in said
     assert "Home dock 3, stored 2026-11-02" in said
+    assert "Route round, taught 2026-11-02: 3" in said
 
 
 def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
@@ -95,10 +96,34 @@ def test_a_first_drive_that_shows_little_makes_no_place_but_has_its_answer(tmp_p
     assert not (tmp_path / "hall").exists()
 
 
+def test_a_route_is_where_the_robot_drove(hall):
+    truth = open_drive("sample").truth
+    way = load_place(hall).routes["round"].poses
+    near = [np.hypot(truth.x - x, truth.y - y).min() for x, y, _ in way.tolist()]
+    assert max(near) < 0.12
+    assert 0.9 < load_place(hall).routes["round"].length / 35.0 < 1.1
+
+
+def test_a_route_is_repeated_to_the_last_bit(hall, tmp_path):
+    repeat = "warehouse", "--trajectory", "repeat", "--place", hall, "--route", "round"
+    short = "--estimator", "robust", "--set", "trajectory.duration=6"
+    said = done(call("simulate", *repeat, *short, "--out", tmp_path / "one"))
+    assert "ended (time up)" in said.output
+    file = tmp_path / "one" / "scenario.yaml"
+    assert "version: 2" in file.read_text()
+    assert call("place", "forget", hall, "--route", "round").exit_code == 0
+    done(call("simulate", file, "--out", tmp_path / "other"))
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "other" / path.name).read_bytes()
+    no_more = call("simulate", *repeat, "--out", tmp_path / "third")
+    assert "no route 'round'; there is none" in refused(no_more)
+    assert not (tmp_path / "third").exists()
+
+
 def test_forget_and_undo(hall):
     before = load_place(hall)
     said = call("place", "forget", hall, "L03", "--home", "dock 3").output
-    assert "14 landmarks and one home are left" in said
+    assert "14 landmarks, one home and one route are left" in said
     assert "L03" not in load_place(hall).standings
     assert "version 2 again" in call("place", "undo", hall).output
     assert load_place(hall).standings == before.standings
@@ -122,6 +147,7 @@ def test_view_writes_a_page(hall, tmp_path):
     assert "<svg" in text
     assert "L03" in text
     assert "dock 3" in text
+    assert "round" in text
 
 
 @pytest.mark.parametrize(
@@ -130,6 +156,7 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--update"], "--update needs a --place"),
         (["run", "sample", "--place", "{hall}", "--update", "--smooth"], "no --smooth"),
         (["run", "sample", "--place", "{hall}", "--store-home", "x"], "needs --update"),
+        (["run", "sample", "--place", "{hall}", "--store-route", "x"], "needs --update"),
         (["run", "sample", "--place-home", "x"], "for a --place"),
         (["run", "sample", "--place", "{hall}", "--place-home", "x"], "there are home, dock 3"),
         (["run", "sample", "--place", "{hall}", "--when", "noon"], "no date"),
@@ -140,12 +167,16 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--place", "{hall}", "--update"], "would count twice"),
         ([*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 3"], "'dock 3' already"),
         ([*SHORT, "--place", "{hall}", "--update", "--store-home", " x"], "no name for a home"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' already"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' already"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
         (["place", "info", "{hall}/.."], "holds no place"),
         (["info", "{hall}"], "a place, not a drive"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
         (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),
+        (["place", "forget", "{hall}", "--route", "square"], "no route 'square'; there are round"),
+        (["simulate", "warehouse", "--route", "round", "--out", "{hall}-d"], "trajectory"),
+        (["simulate", "warehouse", "--trajectory", "repeat", "--out", "{hall}-d"], "place"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(hall, words, refusal, tmp_path):

@@ -136,7 +136,7 @@ def taught(track: Track, when: float) -> Route:
     """
     rows = np.flatnonzero(track.has_pose)
     t, poses = track.t[rows], np.column_stack([track.x, track.y, track.heading])[rows]
-    stood = _stands(t, poses)
+    stood = stands(t, poses)
     sigmas = np.sqrt(np.linalg.eigvalsh(track.covariance[rows][:, :2, :2])[:, -1])
     picked = _picked(poses, [row for row, _ in stood])
     if len(picked) < 2:
@@ -172,15 +172,22 @@ def _picked(poses: np.ndarray, stops: Sequence[int]) -> list[int]:
     return [*(picked[:-1] if near else picked), end]
 
 
-def _stands(t: np.ndarray, poses: np.ndarray) -> list[tuple[int, float]]:
-    """Return the rows at which the robot came to a stand on the way, and for how long [s].
+def stands(t: np.ndarray, poses: np.ndarray) -> list[tuple[int, float]]:
+    """Return the last rows of stands on the way, and how long they were [s].
 
-    Where it stood before it set out, and at its end, nobody made it wait.
+    Where the robot stood before it set out, and at its end, nobody made it wait.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        [s]
+    poses : ndarray, shape (n, 3)
+        x, y [m], heading [rad].
     """
     later = np.minimum(np.searchsorted(t, t + STILL_S), t.size - 1)
     moved = np.hypot(*(poses[later] - poses)[:, :2].T)
     still = (moved < STILL_M) & (np.abs(wrap(poses[later, 2] - poses[:, 2])) < STILL_TURN)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still, [0]])))
     spells = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if a > 0 and b < t.size]
-    long = [(a, float(t[later[b - 1]] - t[a])) for a, b in spells]
-    return [(a, dwell) for a, dwell in long if dwell >= LEAST_DWELL]
+    long = [(b - 1, float(t[later[b - 1]] - t[a])) for a, b in spells]
+    return [(row, dwell) for row, dwell in long if dwell >= LEAST_DWELL]

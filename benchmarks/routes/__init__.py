@@ -1,0 +1,1 @@
+"""Routes: taught once, and driven again after goods were moved."""
