@@ -95,6 +95,12 @@ def test_python_of_places_runs(tmp_path, monkeypatch, capsys):
     assert "verdict='first', stayed=0" in capsys.readouterr().out
 
 
+def test_python_of_routes_runs(capsys):
+    (text,) = blocks(doc("do/routes.md"), "python")
+    exec(compile(text, "routes.md", "exec"), {})
+    assert "State.DRIVING" in capsys.readouterr().out
+
+
 def test_python_on_a_robot_runs(capsys):
     (text,) = blocks(doc("do/online.md"), "python")
     exec(compile(text, "online.md", "exec"), {})

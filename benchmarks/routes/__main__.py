@@ -129,10 +129,9 @@ def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) ->
     went = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way[:, 1:3], axis=0).T))])
     stays = np.array([(off[(went >= m) & (went < m + STAYS_M)] < STAYS).all() for m in went])
     on = np.flatnonzero((off < NEAR) & stays)
-    again = on[t[on] > since]
-    entered = int(again[0]) if again.size else len(way)
-    number = np.arange(len(way))
-    counted = off[(number >= entered) | ((t < since) & (number >= on[:1].sum()))]
+    first, again = (some[0] if some.size else len(way) for some in (on, on[t[on] > since]))
+    row = np.arange(len(way))
+    counted = off[(row >= again) | ((row >= first) & (t < since))]
     stood = way[[*(row for row, _ in stands(t, way[:, 1:])), -1], 1:3]
     # From the end backwards: one that began elsewhere has left out the first ones.
     both = min(len(stood), len(lesson.stops)) if done == 1.0 else 0
@@ -142,7 +141,7 @@ def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) ->
         float(counted.max()) if counted.size else math.nan,
         np.hypot(*misses.T).tolist(),
         done,
-        float(t[entered]) - since if again.size else math.inf,
+        float(t[again]) - since if again < len(way) else math.inf,
     )
 
 

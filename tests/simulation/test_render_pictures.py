@@ -223,6 +223,8 @@ def test_furnishing_twice_changes_nothing():
         ({"furnish": {"boxes": 100}}, "no place"),
         ({"furnish": {"moved": 1}}, "moved"),
         ({"trajectory": {"kind": "waypoints", "points": [[7, 7]]}}, "points.0: outside"),
+        ({"trajectory": {"kind": "teach", "points": [[7, 7]]}}, "points.0: outside"),
+        ({"trajectory": {"kind": "repeat", "place": "p", "route": "r"}}, "repeats no route"),
         ({"spam": 1}, "spam"),
     ],
 )

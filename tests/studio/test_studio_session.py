@@ -105,6 +105,9 @@ def test_what_is_saved_plays_as_what_was_seen(session):
 
 def test_a_scene_from_anywhere_names_no_code(session):
     scene = session.scene()["scenario"]
+    scene["trajectory"] = {"kind": "repeat", "place": "/etc", "route": "round"}
+    with pytest.raises(InputError, match="repeats no route"):
+        say(session, "open", scene=scene)
     scene["trajectory"] = {"kind": "homing", "law": "os:system"}
     with pytest.raises(InputError, match="law"):
         say(session, "open", scene=scene)

@@ -30,6 +30,9 @@ GLOSSARY = {
     "carries the pose on.",
     "start prior": "What is known beforehand of where the robot is when a drive begins. The "
     "paper's filters need one; the localiser does not.",
+    "route": "A way through a place that was taught once, by driving it, to be driven again.",
+    "way point": "A place on a route where the robot stood when it was taught; there it stands "
+    "again as long.",
     "speed scale": "By what factor the odometry's speed is wrong. Bearings cannot tell it: a map "
     "twice as large shows the same bearings.",
 }

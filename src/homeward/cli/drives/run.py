@@ -206,7 +206,7 @@ def _run(
     json: bool,
 ) -> None:
     from homeward.places.files import save_place
-    from homeward.report.place.words import visit_words
+    from homeward.report.place.words import route_words, visit_words
     from homeward.report.run.folder import write_run
     from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
@@ -231,6 +231,8 @@ def _run(
     for what, name in zip(("home", "route"), store, strict=True):
         if after is not None and name is not None and name not in getattr(after, f"{what}s"):
             lost = HomewardError(f"{what} {quoted(name)} was not stored")
+    if after is not None and store[1] in after.routes:
+        words.append(route_words(after, str(store[1])))
     if json:
         told = {"summary": "\n".join(words), "folder": str(folder)}
         told["report"] = str(folder / "report.html")

@@ -37,10 +37,11 @@ def draw_map(place: Place) -> Figure:
                 axes.annotate(
                     plain(name[:8]), (x, y), (4, 3), textcoords="offset points", fontsize=7
                 )
-        for route, way in place.routes.items():
+        for number, (route, way) in enumerate(place.routes.items(), 1):
             x, y, _ = way.poses.T
+            named = number * len(x) // (len(place.routes) + 1)  # each elsewhere: ways overlap
             axes.plot(x, y, color=MUTED, lw=1.6, zorder=1)
-            axes.annotate(plain(route), (x[0], y[0]), (5, 4), textcoords="offset points")
+            axes.annotate(plain(route), (x[named], y[named]), (5, 4), textcoords="offset points")
             for node in way.waypoints:
                 axes.plot(node.x, node.y, "D", color=MUTED, ms=5, zorder=2)
         size = 0.025 * max(place.map.size, 1e-3)

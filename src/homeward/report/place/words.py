@@ -32,6 +32,17 @@ def visit_words(place: Place) -> str:
     return f"{place.name}: of its landmarks {listing(parts)}; it has {visit.of:,} now."
 
 
+def route_words(place: Place, route: str) -> str:
+    """Say what is known of a route."""
+    way = place.route(route)
+    points = [name(n.waypoint) for n in way.waypoints]
+    by = f" by {count(len(points), 'way point')} ({listing(points, 8)})" if points else ""
+    return (
+        f"Route {name(route)}, taught {date(way.taught)}: {way.length:.1f} m{by}; its poses were"
+        f" known to {max(n.sigma for n in way.nodes):.3f} m."
+    )
+
+
 def forget_words(place: Place) -> str:
     """Say what is left of a place."""
     left = [count(len(place.standings), "landmark"), count(len(place.homes), "home")]
@@ -66,13 +77,7 @@ def info_lines(place: Place) -> list[str]:
             f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} still stand where they"
             " did."
         )
-    for route, way in place.routes.items():
-        points = [name(n.waypoint) for n in way.waypoints]
-        by = f" by {count(len(points), 'way point')} ({listing(points, 8)})" if points else ""
-        lines.append(
-            f"Route {name(route)}, taught {date(way.taught)}: {way.length:.1f} m{by}; its poses"
-            f" were known to {max(n.sigma for n in way.nodes):.3f} m."
-        )
+    lines += [route_words(place, route) for route in place.routes]
     restless = sorted(
         (n for n, s in place.standings.items() if s.moved + s.returned),
         key=lambda n: -place.standings[n].rate(place.usual_rate),
