@@ -15,7 +15,7 @@ import argparse
 import json
 import math
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +45,9 @@ PUSH = Push(at=84.0, y=1.5, turn=0.5)
 """Half way, in the middle aisle."""
 NEAR, STAYS, STAYS_M = 0.1, 0.25, 2.0
 """One is on the route once so near to it, and within so much for the next metres [m]."""
-HOW = ("place", "odometry", "a-ekf", "tron")
+FOLLOW = ("place", "odometry")
+"""They follow the route; the others drive from home to home."""
+HOW = (*FOLLOW, "a-ekf", "tron")
 
 
 @dataclass
@@ -56,7 +58,8 @@ class Figures:
     """Beside the way that was taught, by the truth [m]."""
     worst: float
     at_stops: list[float]
-    """From where it stood at the way points when it was taught [m]."""
+    """From where it stood at the way points when it was taught [m]; empty if it makes no stops, or
+    did not come to the end."""
     done: float
     """Share of the way that was driven; 1: the robot came to its end, as it thinks."""
     entered_s: float = 0.0
@@ -169,7 +172,7 @@ def drive_again(lesson: Lesson, scenario: Scenario, how: str) -> tuple[Figures, 
     """Repeat it in one way; return how far off it was, and the true way."""
     push = scenario.trajectory.push
     since = push.at if push else 0.0
-    if how in ("place", "odometry"):
+    if how in FOLLOW:
         prepared = prepare(scenario)
         start = scenario.start.in_home_frame(scenario.home.pose)
         place = how == "place"
@@ -180,7 +183,9 @@ def drive_again(lesson: Lesson, scenario: Scenario, how: str) -> tuple[Figures, 
     else:
         homes = homes_on_the_way(lesson.scenario, lesson.truth[:, 1:])
         way, done = from_home_to_home(scenario, homes, how)
-    return figures(lesson, way, done, since), way
+    found = figures(lesson, way, done, since)
+    # Who drives from home to home makes no stops.
+    return (found if how in FOLLOW else replace(found, at_stops=[])), way
 
 
 def one_seed(seed: int, shares: tuple[float, ...], others: bool) -> list[dict[str, object]]:
@@ -227,7 +232,7 @@ def table(rows: list[dict[str, object]]) -> None:
         rms, worst = ([r[what] for r in some] for what in ("rms", "worst"))
         stops = [m for r in some for m in r["at_stops"]]
         after = [r["entered_s"] for r in some]
-        at = f"{np.median(stops):.3f}, {max(stops):.3f}" if stops else "never there"
+        at = f"{np.median(stops):.3f}, {max(stops):.3f}" if stops else "-"
         print(
             f"| {case} | {how} | {np.nanmedian(rms):.3f}, {np.nanmax(rms):.3f}, "
             f"{np.nanmax(worst):.2f} | {at} | {np.median(after):.1f}, {max(after):.1f} "
