@@ -187,6 +187,7 @@ def swapped(file, column, value):
             "are due",
         ),
         (lambda f: swapped(f, "x", "nan"), "not a finite number"),
+        (lambda f: swapped(f, "y", "-1e300"), "too far to drive there"),
         (lambda f: swapped(f, "heading", "1e9"), "too large for an angle"),
         (lambda f: swapped(f, "dwell", "-1"), "less than nothing"),
         (lambda f: swapped(f, "sigma", "-1"), "less than nothing"),

@@ -50,6 +50,8 @@ ROUTES = "routes.csv"
 DAYS = ("when", "since", "last")
 """Fields of records that are days since 1970."""
 SCRATCH = ".being-written-"
+FARTHEST = 1e6
+"""No route leads farther [m]."""
 MOST_LANDMARKS = 5000
 """A covariance of more takes more than a gigabyte."""
 
@@ -352,6 +354,8 @@ def _routes(path: Path, nodes: int) -> dict[str, Route]:
     table.require_angle("heading")
     for name in ("sigma", "dwell"):
         table.require(name, table[name] >= 0, "less than nothing")
+    for name in ("x", "y"):
+        table.require(name, np.abs(table[name]) <= FARTHEST, "too far to drive there")
     columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
     routes = dict[str, tuple[float, list[Node]]]()
     for name, when, node in zip(*columns, strict=True):

@@ -26,7 +26,11 @@ def simulate(
     seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
     trajectory: Annotated[
         Literal["homing", "circle", "waypoints", "teach", "repeat"] | None,
-        typer.Option(help="Another trajectory than the scenario's."),
+        typer.Option(
+            metavar="KIND",
+            help="Another trajectory than the scenario's: homing, circle, waypoints, teach or "
+            "repeat.",
+        ),
     ] = None,
     estimator: Annotated[
         str | None,
