@@ -146,6 +146,16 @@ def test_one_that_is_pushed_off_comes_back_and_skips_no_way_point(by):
     assert back[rows[:, 0] > 15.0].max() < 0.25
 
 
+def test_waiting_at_a_way_point_takes_no_pose():
+    follower = Follower(Path(CORNERS, [(1, None, 3 * PATIENCE_S, "dock")]), 0.4, 1.0)
+    there = Pose(3.0, 0.0, 0.0)
+    for t in np.arange(0.0, 3 * PATIENCE_S, 0.5).tolist():
+        assert follower.twist(t, there if t < 1.0 else None, sure=t < 1.0) == STAND
+        assert follower.state is State.STOPPED
+    assert follower.twist(3 * PATIENCE_S + 1.0, there) == STAND
+    assert follower.twist(3 * PATIENCE_S + 1.5, there) != STAND
+
+
 def test_without_a_sure_pose_it_coasts_for_so_long_then_stands_and_goes_on():
     follower = Follower(Path(CORNERS), 0.4, 1.0)
     assert follower.twist(0.0, None, sure=False) == STAND  # never knew where it is

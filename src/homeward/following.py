@@ -188,6 +188,8 @@ class Follower:
             return STAND
         if sure:
             self._sure = t
+        if self.state is State.STOPPED and t < self._leave < math.inf:
+            return STAND  # to wait it takes no pose
         if blocked:
             return self._hold("blocked", t)
         if pose is None or t - self._sure > COAST_S:

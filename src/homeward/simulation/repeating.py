@@ -24,8 +24,8 @@ def settled(scenario: Scenario) -> Scenario:
     version = told.version or newest(told.place)
     place = load_place(told.place, version)
     place.route(told.route)
-    when = place.visits[-1].when + 1.0 if told.when is None else told.when
-    now = {"place": os.path.realpath(told.place), "version": version, "when": when}
+    where = os.path.realpath(told.place)
+    now = {"place": where, "version": version, "when": _day(told, place)}
     return scenario.model_copy(update={"trajectory": told.model_copy(update=now)})
 
 
@@ -46,4 +46,9 @@ def as_visitor(scenario: Scenario, drive: Drive) -> Drive:
     if not isinstance(told, Repeat):
         return drive
     place = place_of(told)
-    return place.visited_by(drive, place.visits[-1].when + 1.0 if told.when is None else told.when)
+    return place.visited_by(drive, _day(told, place))
+
+
+def _day(told: Repeat, place: Place) -> float:
+    """Return the day of a repeat [days since 1970]."""
+    return place.visits[-1].when + 1.0 if told.when is None else told.when

@@ -290,7 +290,7 @@ class Push(Strict):
     """Somebody carries the robot off, which its odometry does not notice."""
 
     at: NonNegative
-    """When [s]."""
+    """When that happens [s]."""
     x: Finite = 0.0
     """Ahead [m]."""
     y: Finite = 0.0
@@ -304,13 +304,13 @@ class Repeat(Trajectory):
 
     kind: Literal["repeat"] = "repeat"
     place: str
-    """Its folder; its first home must be the scenario's."""
+    """The place's folder; its first home must be the scenario's."""
     version: Annotated[int, Field(ge=1)] | None = None
     """Of the place; None: the newest."""
     when: Finite | None = None
-    """The day [days since 1970]; None: the one after the place's last visit."""
+    """The day of the repeat [days since 1970]; None: the one after the place's last visit."""
     route: str
-    """Its name."""
+    """The route's name."""
     max_turn_rate: Positive = 1.0
     """[rad/s]"""
     push: Push | None = None
