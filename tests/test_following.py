@@ -76,6 +76,12 @@ def test_along_a_circle_there_is_no_lasting_error():
     assert off(path, rows[:, 1:3]).max() < 2e-3
 
 
+def test_a_corner_without_a_stop_is_cut_by_a_decimetre():
+    path = Path(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]))
+    rows, _ = drive(Follower(path, 0.4, 1.0), Pose(0.0, 0.0, 0.0), 60.0)
+    assert 0.05 < off(path, rows[:, 1:3]).max() < 0.12
+
+
 def test_on_the_path_on_a_stop_and_on_a_path_of_one_point_nothing_is_divided_by_zero():
     for path, start in [
         (Path(CORNERS), Pose(0.0, 0.0, 0.0)),
