@@ -58,6 +58,10 @@ def _facts(place: Place) -> dict[str, Any]:
             }
             for home, stored in place.homes.items()
         ],
+        "routes": [
+            {"route": name, "length_m": route.length, "waypoints": len(route.waypoints)}
+            for name, route in place.routes.items()
+        ],
         "visits": [asdict(visit) for visit in place.visits],
     }
 
