@@ -211,7 +211,7 @@ def stage(ros, tmp_path):
 def test_the_robot_comes_home_though_a_landmark_is_moved_and_all_topics_tell(stage):
     stage.node.end()
     stage.node = stage.start(record=stage.tmp_path / "drive")
-    distances, before = [], 0
+    distances = []
     for homing in range(HOMINGS):
         stage.look_round()
         if homing == 0:
@@ -220,6 +220,7 @@ def test_the_robot_comes_home_though_a_landmark_is_moved_and_all_topics_tell(sta
                 stage.hear("/tf", lambda v: v[:2] == ["map", "odom"])
             stage.hear("/diagnostics", lambda text: text.startswith("localised"), since=0)
             stage.hear("/homeward/landmarks", lambda number: number >= 8, since=0)
+            before = stage.memory()
         stage.go()
         if homing == 0:
             stage.robot.say("move")

@@ -51,7 +51,12 @@ class Player:
         """The last command, "arrived" or "failed"."""
         self._search = Search(CIRCLES)
         self._status = Status.WAITING
-        self._asked = False
+        self._asked, self._began = False, 0.0
+
+    def again(self) -> None:
+        """Drive in circles again, from where it ended."""
+        self.ending, self._asked, self._began = None, False, self.robot.t
+        self._search.end()
 
     def home(self) -> SetHome:
         """Return what the robot's camera saw at home."""
@@ -69,7 +74,8 @@ class Player:
         yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
         if sensed.seen is not None:
             yield BearingsIn(t=sensed.t, bearings=sensed.seen)
-        if not self._asked and self._status is Status.LOCALISED and sensed.t > LOOKS_ROUND_S:
+        looked = sensed.t - self._began > LOOKS_ROUND_S
+        if looked and not self._asked and self._status is Status.LOCALISED:
             self._asked = True
             yield GoHome()
 

@@ -1,0 +1,189 @@
+"""A session for long: a robot drives in circles and home, over and over; memory and latency.
+
+`python -m benchmarks.soak [--minutes 10] [--record FOLDER]` starts `homeward live` and talks to it
+over TCP in real time, odometry at 50 Hz and bearings at 30 Hz; with `--ros`, run by a Python that
+has rclpy (`make test-ros` makes .venv-ros), it is the node of ROS 2, and topics. The memory is that
+of the other process, once a second; the latency is from before bearings are sent until after their
+answer was heard and understood here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Input,
+    OdometryIn,
+    line_of,
+    parse_output,
+)
+from homeward.live.player import Player, play
+from homeward.live.server import Address
+from homeward.simulation.files import load_scenario
+from homeward.simulation.live_robot import LiveRobot
+
+WARM_S = 150.0
+"""Until the map's window of open keyframes is full memory may grow [s]."""
+SCENARIO = {
+    "rates.odometry": 50.0,
+    "rates.bearings": 30.0,
+    "start.prior": False,
+    "noise.bearing_sigma": 0.01,
+    "moved.count": 0,
+    "landmarks.count": 12,
+}
+
+
+class Shuttle(Player):
+    """Drives in circles and home until its time is over, and takes the time of answers."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(LiveRobot(load_scenario("paper-homing", SCENARIO)), seconds)
+        self.latencies: list[float] = []
+        """[s]"""
+        self.endings: list[tuple[str, float]] = []
+        """Of each homing: "arrived" or "failed", and how far from home that was [m]."""
+        self._sent: dict[float, float] = {}
+
+    def step(self) -> Iterator[Input]:
+        """Drive; see `Player`."""
+        for message in super().step():
+            if isinstance(message, BearingsIn):
+                self._sent[message.t] = time.perf_counter()
+            yield message
+
+    def hear(self, said: object) -> None:
+        """Take what the session said, and when it did."""
+        super().hear(said)
+        if isinstance(said, Answer) and said.t in self._sent:
+            self.latencies.append(time.perf_counter() - self._sent.pop(said.t))
+        if self.ending is not None:
+            self.endings.append((self.ending.state, self.robot.distance))
+            self.again()
+
+
+def by_tcp(shuttle: Shuttle, record: Path | None) -> np.ndarray:
+    """Play against `homeward live`; return its memory once a second [MB]."""
+    command = [sys.executable, "-m", "homeward", "live", "--tcp", "0"]
+    command += ["--record", str(record)] if record else []
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as live:
+        assert live.stderr is not None
+        port = int(live.stderr.readline().split()[-1])
+        with Watch(live.pid) as memory:
+            asyncio.run(play(shuttle, Address("127.0.0.1", port), 1.0, None, print))
+        live.terminate()
+    return np.array(memory.megabytes)
+
+
+def by_ros(shuttle: Shuttle, record: Path | None) -> np.ndarray:
+    """Play against the node of ROS 2; return its memory once a second [MB]."""
+    import rclpy
+    from nav_msgs.msg import Odometry
+    from rclpy.node import Node
+    from std_msgs.msg import String
+
+    told = {"bearings_type": "std_msgs/msg/String", **({"record": record} if record else {})}
+    options = [word for key, value in told.items() for word in ("-p", f"{key}:={value}")]
+    rclpy.init()
+    node = Node("soak")
+    odometry = node.create_publisher(Odometry, "odom", 10)
+    lines = {
+        kind: node.create_publisher(String, topic, 10)
+        for kind, topic in (("bearings", "bearings"), ("", "homeward/request"))
+    }
+
+    def say(message: Input) -> None:
+        if isinstance(message, OdometryIn):
+            twist = Odometry()
+            stamp = round(message.t * 1e9)
+            twist.header.stamp.sec, twist.header.stamp.nanosec = divmod(stamp, 10**9)
+            twist.twist.twist.linear.x, twist.twist.twist.angular.z = message.v, message.omega
+            twist.pose.pose.position.x = float("nan")  # it has no frame of its own
+            odometry.publish(twist)
+        else:
+            lines.get(message.type, lines[""]).publish(String(data=line_of(message)))
+
+    node.create_subscription(String, "homeward/said", lambda m: shuttle.hear(_said(m)), 100)
+    command = [sys.executable, "-m", "homeward.ros", "--ros-args", *options]
+    with subprocess.Popen(command) as live:
+        while lines[""].get_subscription_count() == 0:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        say(shuttle.home())
+        with Watch(live.pid) as memory:
+            began = time.monotonic()
+            while not shuttle.done:
+                for message in shuttle.step():
+                    say(message)
+                while (left := began + shuttle.robot.t - time.monotonic()) > 0:
+                    rclpy.spin_once(node, timeout_sec=left)
+        live.terminate()
+    return np.array(memory.megabytes)
+
+
+def _said(message: Any) -> object:
+    return parse_output(message.data)
+
+
+class Watch:
+    """The memory of a process, once a second [MB]."""
+
+    def __init__(self, process: int) -> None:
+        self.megabytes: list[float] = []
+        self._file, self._end = Path(f"/proc/{process}/statm"), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def _watch(self) -> None:
+        while not self._end.wait(1.0):
+            pages = int(self._file.read_text().split()[1])
+            self.megabytes.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+
+    def __enter__(self) -> Watch:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join()
+
+
+def main() -> None:
+    """Soak, and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--ros", action="store_true")
+    parser.add_argument("--record", type=Path)
+    told = parser.parse_args()
+    shuttle = Shuttle(60.0 * told.minutes)
+    memory = (by_ros if told.ros else by_tcp)(shuttle, told.record)
+    each = memory[29::30] if memory.size > 60 else memory
+    print("memory [MB], each half minute:" if memory.size > 60 else "memory [MB], each second:")
+    print(" ".join(f"{m:.1f}" for m in each))
+    warm = memory[int(min(WARM_S, memory.size / 2)) :]
+    per_minute = 60.0 * float(np.polyfit(np.arange(warm.size), warm, 1)[0])
+    print(f"growth after warming up: {per_minute:+.3f} MB/min, {warm[-1] - warm[0]:+.1f} MB in all")
+    ms = 1e3 * np.array(shuttle.latencies)
+    print(
+        f"latency of {ms.size:,} answers: median {np.median(ms):.1f} ms, "
+        f"99 % {np.quantile(ms, 0.99):.1f} ms, worst {ms.max():.1f} ms"
+    )
+    arrived = [far for state, far in shuttle.endings if state == "arrived"]
+    far = f", at most {100 * max(arrived):.1f} cm off" if arrived else ""
+    print(f"homings: {len(arrived)} of {len(shuttle.endings)} arrived{far}")
+    print(f"load average: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+
+
+if __name__ == "__main__":
+    main()
