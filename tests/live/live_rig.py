@@ -20,11 +20,12 @@ SCENARIO = {
 class Rig:
     """Steps a player and its session; what each test does to the samples is `spoil`."""
 
-    def __init__(self, seed=0, keep=None, settings=None, **changes):
+    def __init__(self, seed=0, keep=None, settings=None, place=None, **changes):
         scenario = load_scenario("paper-homing", SCENARIO | {"seed": seed} | changes)
         self.player = Player(LiveRobot(scenario), 120.0)
         self.robot = self.player.robot
-        self.session = Session(settings or LiveSettings(), self.robot.drive.settings, {}, keep)
+        robot = self.robot.drive.settings
+        self.session = Session(settings or LiveSettings(), robot, {}, keep, place)
         self.session.receive(self.player.home(), 0.0)
         self.spoil = lambda message: [message]
         self.commands, self.answers = [], []

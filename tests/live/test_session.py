@@ -263,6 +263,15 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
     assert session.localisation.home == "dock"
 
 
+def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():
+    rig = Rig(0).until(driving)
+    rig.session.receive(GoHome(name="attic"), rig.robot.t)
+    assert rig.session.tick(rig.robot.t).v == 0.0  # until it is known where that is
+    rig.step()
+    assert rig.standing()
+    assert (rig.state, rig.commands[-1][1].reason) == ("failed", "no home attic; there is home")
+
+
 def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
     rig = Rig(0)
     pose = rig.robot.pose

@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.frames import Pose, compose, inverse
 from homeward.laws import steer
 from homeward.live.settings import Limits
 
@@ -38,7 +38,7 @@ class Belief(NamedTuple):
 
     status: Status
     pose: Pose | None
-    """In the home frame."""
+    """In the frame of home, or of the place's first one."""
     covariance: np.ndarray | None
     """(3, 3)"""
 
@@ -52,6 +52,8 @@ class Homing:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.state, self.reason = State.IDLE, ""
+        self.goal = Pose(0.0, 0.0, 0.0)
+        """Home, in the frame of the belief."""
         self._twist, self._last = STAND, -math.inf
         self._since = -math.inf
         """When the state began."""
@@ -94,7 +96,7 @@ class Homing:
         hindrance = faults[0] if faults else self._doubt(now, belief)
         if hindrance is not None or belief.pose is None:
             return self._hold(hindrance or "", now)
-        x, y, heading = belief.pose
+        x, y, heading = compose(inverse(self.goal), belief.pose)
         if math.hypot(x, y) < self._limits.radius:
             if belief.status is Status.LOCALISED:
                 return self._stand(State.ARRIVED, f"{math.hypot(x, y):.3f} m from home", now)

@@ -19,7 +19,7 @@ from homeward.drives.drive import (
     Sightings,
 )
 from homeward.drives.drive import Start as StartPrior
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.messages import (
@@ -33,10 +33,13 @@ from homeward.live.messages import (
     OdometryIn,
     Output,
     Reset,
+    SavePlace,
     SetHome,
     Start,
     StoreHome,
 )
+from homeward.live.visiting import Visiting
+from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
 
 Homes = dict[str, dict[str, HomeBearing]]
@@ -49,6 +52,7 @@ AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.
 """Of a robot that stores home where it stands."""
 NO_HOME = "no home yet: store_home while the robot stands there, or send one"
 ANEW = "the map was begun anew"
+NO_PLACE = "there is no place: homeward live --place, or place of the node"
 
 
 class Fix(NamedTuple):
@@ -69,12 +73,23 @@ class Localisation:
     robot : DriveSettings
         What is known of the robot.
     homes : Homes
-        To begin with, and added to.
+        To begin with, and added to; in a place that has homes they are not looked at.
+    place : Visiting, optional
+        The place.
     """
 
-    def __init__(self, estimator: str | None, robot: DriveSettings, homes: Homes) -> None:
-        self._name, self._robot, self.homes = estimator, robot, homes
+    def __init__(
+        self,
+        estimator: str | None,
+        robot: DriveSettings,
+        homes: Homes,
+        place: Visiting | None = None,
+    ) -> None:
+        self._name, self._robot, self.homes, self.place = estimator, robot, homes, place
         self.home = FIRST
+        """In whose frame answers are; in a place its first one."""
+        self.goal = Pose(0.0, 0.0, 0.0)
+        """Where ``go_home`` goes, in that frame."""
         self.drive: Drive | None = None
         """Home and settings of the map; another one whenever the map is begun anew."""
         self.estimator: Estimator | None = None
@@ -82,8 +97,15 @@ class Localisation:
         """The last one."""
         self._lately: deque[BearingsIn] = deque(maxlen=400)
         self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
-        if FIRST in homes:
+        if place is not None and place.place is not None:
+            self.homes, self.home = {}, place.place.origin
+        if self.in_place or FIRST in homes:
             self._begin(None)
+
+    @property
+    def in_place(self) -> bool:
+        """Whether homes are those of a place that is known."""
+        return self.place is not None and self.place.place is not None
 
     def do(self, message: Input, odom: Pose | None) -> Output | None:
         """Do what a message says, and return what is to be said of it.
@@ -102,14 +124,23 @@ class Localisation:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case BearingsIn():
                 return self._answer(message, odom)
+            case SetHome(name=name) if self.in_place:
+                text = f"home {name} is not looked at: the place knows its homes"
+                return Event(type="event", text=text)
             case SetHome(name=name):
                 sigmas = message.sigmas
                 seen = message.bearings.items()
                 return self._new(
                     name, {i: HomeBearing(b, sigmas.get(i, math.nan)) for i, b in seen}
                 )
+            case StoreHome(name=name) if self._adds_home(name):
+                return self._store(name)
             case StoreHome(name=name):
                 return self._new(name, self._view(), AT_HOME)
+            case SavePlace():
+                return Event(type="event", text=self._merge())
+            case GoHome(name=str(name)) if self.place is not None:
+                self.goal = self.place.home_pose(name, self.home)
             case GoHome(name=str(name)) if name != self.home:
                 if name not in self.homes:
                     raise InputError(f"no home {name}; there is {', '.join(self.homes) or 'none'}")
@@ -130,6 +161,26 @@ class Localisation:
             case Reset():
                 self._begin(None)
         return None
+
+    def conclude(self) -> str | None:
+        """Merge the last visit into the place, where visits are; return what it told, in words.
+
+        Raises
+        ------
+        HomewardError
+            When nothing of the whole session was merged.
+        """
+        if self.place is None or not self.place.update:
+            return None
+        try:
+            if not self.place.has_poses:
+                raise HomewardError("the robot did not know where it was")
+            return self._merge()
+        except HomewardError as error:
+            text = f"the last visit was not merged into the place: {error}"
+            if self.place.saved:
+                return text
+            raise type(error)(text) from error
 
     def landmarks(self) -> Landmarks:
         """Return what is known of all landmarks."""
@@ -155,7 +206,30 @@ class Localisation:
         if estimate.pose is not None and odom is not None:
             frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))
         self.fix = Fix(estimate, frame)
+        if self.place is not None:
+            self.place.see(message, estimate)
         return _said(estimate)
+
+    def _merge(self) -> str:
+        """Merge the visit into the place; return what it told."""
+        if self.place is None:
+            raise InputError(NO_PLACE)
+        if self.drive is None or not isinstance(self.estimator, Localizer):
+            raise InputError(NO_HOME)
+        return self.place.merge(self.estimator, self.drive, self.home)
+
+    def _adds_home(self, name: str) -> bool:
+        """Return whether a home that is stored is one more of the place."""
+        begun = self.estimator is not None and name != self.home
+        return self.place is not None and (self.in_place or begun)
+
+    def _store(self, name: str) -> Event:
+        """Store one more home of the place, where the robot is."""
+        assert self.place is not None
+        if not self._lately:
+            raise InputError("home cannot be stored: nothing is seen")
+        now = self._lately[-1], self.fix.estimate
+        return Event(type="event", text=self.place.store_home(name, self.home, *now))
 
     def _view(self) -> dict[str, HomeBearing]:
         """Return what is seen from where the robot stands: the mean of some views."""
@@ -186,15 +260,22 @@ class Localisation:
 
     def _begin(self, start: StartPrior | None) -> None:
         """Begin the map anew."""
-        if self.home not in self.homes:
+        if self.place is not None:
+            self.place.begin()
+        if not self.in_place and self.home not in self.homes:
             raise InputError(NO_HOME)
         none = np.empty(0)
         sightings = Sightings(none, np.empty(0, object), none, none)
         told = self._robot if start is None else self._robot.model_copy(update={"start": start})
-        odometry, home = Odometry(none, none, none), self.homes[self.home]
-        self.drive = Drive("live", odometry, sightings, home, told)
+        odometry = Odometry(none, none, none)
+        home = {} if self.in_place else self.homes[self.home]
+        self.drive = drive = Drive("live", odometry, sightings, home, told)
+        if self.place is not None:
+            drive = self.place.known_by(drive)
+            self._robot = self._robot.model_copy(update={"start": None})  # it was there but once
         if self._name is not None:
-            self.estimator = make_estimator(self._name, self.drive)
+            self.estimator = make_estimator(self._name, drive)
+        self.goal = Pose(0.0, 0.0, 0.0)
         self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
 
 

@@ -25,14 +25,14 @@ MOST_LANDMARKS = 500
 
 def _identifier(text: str) -> str:
     if not is_identifier(text):
-        raise ValueError("cannot be a landmark's id")
+        raise ValueError("cannot be a name: printable text, trimmed")
     return text
 
 
 Time = Annotated[float, Field(gt=-NO_TIME_S, lt=NO_TIME_S, allow_inf_nan=False)]
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-"""Of a home; it may become a file's name."""
+Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
+"""Of a home."""
 Bearings = Annotated[dict[Id, Finite], Field(max_length=MOST_LANDMARKS)]
 Sigmas = Annotated[dict[Id, Positive], Field(max_length=MOST_LANDMARKS)]
 
@@ -80,17 +80,26 @@ class SetHome(Strict):
 
 
 class StoreHome(Strict):
-    """Home is here: what is seen now, standing, is stored; the map begins anew."""
+    """Home is here: what is seen now, standing, is stored; the map begins anew.
+
+    In a place it is one home more, stored without standing, and the map goes on.
+    """
 
     type: Literal["store_home"] = "store_home"
     name: Name = "home"
 
 
 class GoHome(Strict):
-    """Drive home; to one of another name, the map begins anew."""
+    """Drive home; to one of another name, the map begins anew, but in a place."""
 
     type: Literal["go_home"] = "go_home"
     name: Name | None = None
+
+
+class SavePlace(Strict):
+    """Merge what came since the map was begun into the place, now and not at the end only."""
+
+    type: Literal["save_place"] = "save_place"
 
 
 class Cancel(Strict):
@@ -208,6 +217,7 @@ Input = (
     | SetHome
     | StoreHome
     | GoHome
+    | SavePlace
     | Cancel
     | EStop
     | Obstacle

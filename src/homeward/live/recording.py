@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +15,7 @@ from homeward.drives.drive import (
     DriveSettings,
     Finite,
     HomeBearing,
-    Odometry,
     Positive,
-    Sightings,
     Strict,
 )
 from homeward.drives.folder import write_folder
@@ -36,15 +33,28 @@ from homeward.live.messages import (
     line_of,
     parse,
 )
+from homeward.live.samples import Samples
 from homeward.live.settings import LiveSettings
+from homeward.live.visiting import Visiting
 from homeward.one_thread import one_thread
+from homeward.places.files import load_place, save_place
 
-SESSION = "session.jsonl"
+SESSION, PLACE = "session.jsonl", "place"
 FLUSH_EVERY = 50
 """So many lines at most are lost when the process is killed."""
 LONGEST_HEAD = 2**22
 """Of the first line [characters]."""
 _ANSWER = '{"type":"estimate"'
+
+
+class _Visit(Strict):
+    """The place of a session."""
+
+    name: str
+    when: Finite
+    update: bool
+    known: bool
+    """Whether it was known; then it lies beside the session, as it was."""
 
 
 class _Head(Strict):
@@ -53,6 +63,7 @@ class _Head(Strict):
     settings: LiveSettings
     robot: DriveSettings
     homes: dict[str, dict[str, tuple[Finite, Positive | None]]]
+    place: _Visit | None = None
 
 
 class Recorder:
@@ -65,10 +76,16 @@ class Recorder:
     """
 
     def __init__(
-        self, folder: Path, settings: LiveSettings, robot: DriveSettings, homes: Homes
+        self,
+        folder: Path,
+        settings: LiveSettings,
+        robot: DriveSettings,
+        homes: Homes,
+        place: Visiting | None = None,
     ) -> None:
         if is_there(folder):
             raise InputError("exists already; choose another name", folder)
+        known = None if place is None else place.place
         head = {
             "settings": settings.model_dump(mode="json"),
             "robot": robot.model_dump(mode="json", exclude_unset=True, exclude_none=True),
@@ -76,12 +93,22 @@ class Recorder:
                 name: {i: [h.bearing, h.sigma if h.sigma > 0 else None] for i, h in home.items()}
                 for name, home in homes.items()
             },
+            "place": None
+            if place is None
+            else {
+                "name": place.name,
+                "when": place.when,
+                "update": place.update,
+                "known": known is not None,
+            },
         }
         with naming(folder, "cannot be written"):
             folder.mkdir(parents=True)
             self._file: TextIO = (folder / SESSION).open("w", encoding="utf-8")
             self._file.write(json.dumps(head) + "\n")
             self._file.flush()
+        if known is not None:
+            save_place(known, folder / PLACE)
         self._folder, self._lines = folder, 0
 
     def keep(self, message: Input | Output) -> None:
@@ -134,33 +161,20 @@ def read_drive(file: Path) -> Drive | None:
         When the file is no session.
     """
     localisation, lines = _opened(file, whole=False)
-    odometry: dict[float, tuple[float, float]] = {}
-    seen: list[tuple[float, str, float, float]] = []
+    samples = Samples()
     for line in lines:
         if line.startswith(_ANSWER):
             continue
         message, before = parse(line), localisation.drive
         _done(localisation, message)
         if localisation.drive is not before:
-            odometry.clear()
-            seen.clear()
-        elif isinstance(message, OdometryIn):
-            odometry[message.t] = message.v, message.omega
-        elif isinstance(message, BearingsIn):
-            t, sigmas = message.t, message.sigmas
-            seen += [
-                (t, i, math.remainder(b, math.tau), sigmas.get(i, np.nan))
-                for i, b in message.bearings.items()
-            ]
-    if localisation.drive is None or not odometry:
+            samples = Samples()
+        elif isinstance(message, OdometryIn | BearingsIn):
+            samples.add(message)
+    drive, odometry = localisation.drive, samples.odometry()
+    if drive is None or not odometry.t.size:
         return None
-    twists = np.array([(t, *odometry[t]) for t in sorted(odometry)], float)
-    seen.sort(key=lambda row: row[0])
-    return replace(
-        localisation.drive,
-        odometry=Odometry(*twists.T.copy()),
-        sightings=Sightings.of_rows(seen),
-    )
+    return replace(drive, odometry=odometry, sightings=samples.sightings())
 
 
 def _done(localisation: Localisation, message: Input) -> Output | None:
@@ -181,8 +195,11 @@ def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
         name: {i: HomeBearing(b, np.nan if s is None else s) for i, (b, s) in home.items()}
         for name, home in head.homes.items()
     }
-    estimator = head.settings.estimator if whole else None
-    return Localisation(estimator, head.robot, homes), _lines(file)
+    estimator, place = head.settings.estimator if whole else None, None
+    if (visit := head.place) is not None:
+        known = load_place(file.parent / PLACE) if visit.known else visit.name
+        place = Visiting(known, visit.when, visit.update)
+    return Localisation(estimator, head.robot, homes, place), _lines(file)
 
 
 def _lines(file: Path) -> Iterator[str]:

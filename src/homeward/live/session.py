@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError
+from homeward.estimator import Status
 from homeward.frames import Pose, compose
 from homeward.live.homing import Belief, Homing
 from homeward.live.localisation import Homes, Localisation
@@ -35,6 +36,7 @@ from homeward.live.messages import (
     Output,
 )
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
+from homeward.live.visiting import Visiting
 from homeward.live.watchdog import StampGate, Watchdog
 from homeward.live.way import Way
 
@@ -52,6 +54,8 @@ class Session:
         Home bearings by name; that named home is the first.
     keep : callable, optional
         Told each message in the order in which it is processed, and each answer: a recording.
+    place : Visiting, optional
+        The place that the robot is in.
     """
 
     def __init__(
@@ -60,9 +64,11 @@ class Session:
         robot: DriveSettings | None = None,
         homes: Homes | None = None,
         keep: Callable[[Input | Output], None] | None = None,
+        place: Visiting | None = None,
     ) -> None:
         self.settings = told = settings or LiveSettings()
-        self.localisation = Localisation(told.estimator, robot or DriveSettings(), homes or {})
+        known = robot or DriveSettings(), homes or {}, place
+        self.localisation = Localisation(told.estimator, *known)
         self.homing = Homing(told.limits)
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
@@ -78,6 +84,10 @@ class Session:
         self._lock = threading.Lock()
         self._answered = -math.inf
         self._work_s = 0.0
+        self._sent: GoHome | None = None
+        """Where to the robot is sent, until that is processed: it stands as long ..."""
+        self._refused = ""
+        """... and why it cannot go there."""
 
     @property
     def waiting(self) -> int:
@@ -104,6 +114,7 @@ class Session:
                 self._obstacle = distance, now
                 return
             case GoHome():
+                self._sent = message
                 self.homing.go(now)
         with self._lock:
             self._queue.append((message, odom, t))
@@ -121,7 +132,11 @@ class Session:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
                 out = Event(type="error", text=str(error))
+                if isinstance(message, GoHome):
+                    self._refused = str(error)
             self._work_s = max(self._work_s, time.perf_counter() - began)
+            if message is self._sent:
+                self._sent = None
             if isinstance(out, Answer):
                 self._answered = t
                 self._keep(out)
@@ -130,7 +145,15 @@ class Session:
 
     def tick(self, now: float) -> Command | None:
         """Return the command at `now` [s]; None where the robot is left to others. Quick."""
-        twist = self.homing.command(now, self.belief(now), self.faults(now))
+        if self._refused:
+            self.homing.fail(self._refused, now)
+            self._refused = ""
+        if self._sent is None:
+            self.homing.goal = self.localisation.goal
+            belief = self.belief(now)
+        else:
+            belief = Belief(Status.WAITING, None, None)
+        twist = self.homing.command(now, belief, self.faults(now))
         if twist is None:
             return None
         return Command(

@@ -136,13 +136,26 @@ def told_by(
     home : str, optional
         In whose frame the answers are; the place's first by default.
     """
-    stamps, seen = [], []
-    for t, now, _ in drive.sightings.stamps():
-        stamps.append(t)
-        seen.append(list(now))
-    row = np.searchsorted(track.t, stamps)
-    good = track.has_pose[row]
-    poses = np.column_stack([track.x, track.y, track.heading])[row[good]]
+    row = np.searchsorted(track.t, np.unique(drive.sightings.t))
+    poses = np.column_stack([track.x, track.y, track.heading])[row]
+    return told_along(localizer, drive, poses, when, home)
+
+
+def told_along(
+    localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
+) -> Told:
+    """Return what a drive tells, by its answers; parameters as of `told_by`.
+
+    Parameters
+    ----------
+    localizer, drive, when, home
+        As `told_by` takes them.
+    poses : ndarray, shape (m, 3)
+        Answered to each stamp of its m; NaN where there was none.
+    """
+    seen = [list(now) for _, now, _ in drive.sightings.stamps()]
+    good = np.isfinite(poses[:, 0])
+    poses = poses[good]
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
     looks = Looks(cameras, known, drive.settings.sensor.field_of_view)

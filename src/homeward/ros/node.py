@@ -36,6 +36,7 @@ from homeward.live.messages import (
     Obstacle,
     Output,
     Reset,
+    SavePlace,
     StoreHome,
     line_of,
     parse,
@@ -43,6 +44,7 @@ from homeward.live.messages import (
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
+from homeward.live.visiting import visiting
 from homeward.one_thread import one_thread
 from homeward.ros import conversions as convert
 
@@ -63,6 +65,8 @@ PARAMETERS: dict[str, Any] = {
     "map_frame": "map",
     "odom_frame": "odom",
     "home": "",
+    "place": "",
+    "place_update": False,
     "robot": "",
     "session": "",
     "record": "",
@@ -113,10 +117,13 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                     "rectified": told("rectified"),
                 },
             )
+            place = None
+            if told("place"):
+                place = visiting(Path(told("place")), told("place_update"), settings.estimator)
             if told("record"):
-                self._recorder = Recorder(Path(told("record")), settings, robot, homes)
+                self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)
             keep = self._recorder.keep if self._recorder else None
-            self._session = Session(settings, robot, homes, keep)
+            self._session = Session(settings, robot, homes, keep, place)
             self._publish()
         except (HomewardError, ImportError) as error:
             self.get_logger().error(str(error))
@@ -189,6 +196,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             (kind, told("bearings_topic"), self._line if kind == JSON else self._bearings),
             ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
             (JSON, "~/request", self._line),
+            (JSON, "~/store_home", lambda m: self._take(validated(StoreHome, {"name": m.data}))),
+            (JSON, "~/go_home", lambda m: self._take(validated(GoHome, {"name": m.data}))),
         ]
         if told("camera_info_topic"):
             topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), self._info))
@@ -206,7 +215,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except ImportError:
             self.get_logger().warning("no std_srvs here: ask on ~/request")
             return
-        asked = {"store_home": StoreHome, "go_home": GoHome, "cancel": Cancel, "reset": Reset}
+        asked = {"store_home": StoreHome, "go_home": GoHome, "save_place": SavePlace}
+        asked |= {"cancel": Cancel, "reset": Reset}
         services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
         stop = self._service(lambda request: EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):
@@ -353,8 +363,14 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         for publisher in self._out.values():
             self.destroy_publisher(publisher)
         self._out = {}
-        self._session, self._map_to_odom = None, None
+        session, self._session, self._map_to_odom = self._session, None, None
         self._stamps = convert.Clock()
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             recorder.close()
+        try:
+            words = None if session is None else session.localisation.conclude()
+        except HomewardError as error:
+            words = str(error)
+        if words is not None:
+            self.get_logger().info(words)

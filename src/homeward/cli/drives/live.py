@@ -12,6 +12,7 @@ import typer
 
 from homeward.cli.options import Changes, key_values
 from homeward.cli.terminal import no_answer, refuse, say
+from homeward.errors import InputError
 
 TOKEN = "HOMEWARD_TOKEN"
 
@@ -29,6 +30,13 @@ def live(
     robot: Annotated[
         Path | None, typer.Option(help="A drive.yaml: camera, noise of odometry, start.")
     ] = None,
+    place: Annotated[
+        Path | None,
+        typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
+    ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Merge what is driven into the place.")
+    ] = False,
     record: Annotated[
         Path | None, typer.Option(help="Keep the session in this folder, which ends as a drive.")
     ] = None,
@@ -56,6 +64,7 @@ def live(
     from homeward.live.server import Server, address
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
+    from homeward.live.visiting import visiting
 
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
@@ -71,8 +80,11 @@ def live(
     known = DriveSettings() if robot is None else read_settings(robot, DriveSettings)
     homes = {} if home is None else {"home": read_home(home, {})}
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
-    recorder = None if record is None else Recorder(record, told, known, homes)
-    session = Session(told, known, homes, None if recorder is None else recorder.keep)
+    if update and place is None:
+        raise InputError("--update needs a --place")
+    visited = None if place is None else visiting(place, update, told.estimator)
+    recorder = None if record is None else Recorder(record, told, known, homes, visited)
+    session = Session(told, known, homes, None if recorder is None else recorder.keep, visited)
     server = Server(session, os.environ.get(TOKEN) or None)
 
     def opened(ports: list[int]) -> None:
@@ -84,3 +96,5 @@ def live(
     finally:
         if recorder is not None:
             recorder.close()
+        if (words := session.localisation.conclude()) is not None:
+            typer.echo(words, err=True)

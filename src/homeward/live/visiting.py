@@ -1,0 +1,193 @@
+"""The place of a session: what is known of it, and what each visit tells it.
+
+A visit is what came since the map was begun last: by a reset, a start, or when the session began.
+Whenever it is merged, it is merged whole into the place as it was before it, so that nothing counts
+twice however often it is saved.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.drives.text.table import quoted
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Estimate, Status
+from homeward.frames import Pose
+from homeward.live.messages import BearingsIn
+from homeward.live.samples import Samples, last_of_equal, table
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.tunables import PROOF
+from homeward.places.files import check_place, is_place, load_place, newest, save_place
+from homeward.places.place import DAY_S, Place
+from homeward.places.telling import require_name, told_along
+from homeward.places.visiting import first_place, merged
+from homeward.registry import DEFAULT
+from homeward.report.place.words import visit_words
+from homeward.report.words import count
+
+READ_ONLY = "the place is left as it is: homeward live --update, or place_update of the node"
+
+
+class Visiting:
+    """A place that a session visits.
+
+    Parameters
+    ----------
+    place : Place or str
+        What is known of it; of a new one, which the first visit makes, its name.
+    when : float
+        The day of the session, and so of all its visits [days since 1970].
+    update : bool
+        Whether visits are merged.
+    folder : Path, optional
+        Where it is written after each visit; None: nowhere.
+    version : int
+        The newest one in the folder; 0: none.
+    """
+
+    def __init__(
+        self,
+        place: Place | str,
+        when: float,
+        update: bool,
+        folder: Path | None = None,
+        version: int = 0,
+    ) -> None:
+        self.place = place if isinstance(place, Place) else None
+        self.name = place if isinstance(place, str) else place.name
+        self.when, self.update = when, update
+        self.saved = False
+        """Whether any visit was merged."""
+        self._folder, self._version = folder, version
+        self._after = self.place
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a visit: nothing was seen on it yet, and what was merged before stays."""
+        self.place = self._after
+        self._samples, self._poses = Samples(), array("d")
+        self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether the robot knew on this visit where it was."""
+        return bool(self._poses)
+
+    @property
+    def homes(self) -> tuple[str, ...]:
+        """The homes that there are, and will be after this visit."""
+        return (*(self.place.homes if self.place is not None else ()), *self._stored)
+
+    def known_by(self, drive: Drive) -> Drive:
+        """Return a drive as it knows the place, in the frame of its first home."""
+        return drive if self.place is None else self.place.visited_by(drive, self.when)
+
+    def home_pose(self, name: str, first: str) -> Pose:
+        """Return where a home is in the frame of the first, of which that is the name.
+
+        Raises
+        ------
+        InputError
+            When there is none of that name.
+        """
+        if name == first:
+            return Pose(0.0, 0.0, 0.0)
+        if name in self._stored and (pose := self._stored[name][0].pose) is not None:
+            return pose
+        if self.place is None or name not in self.place.homes:
+            there = ", ".join((first, *(n for n in self.homes if n != first)))
+            raise InputError(f"no home {quoted(name)} in the place; there are {there}")
+        return self.place.home_pose(name)
+
+    def see(self, message: BearingsIn, estimate: Estimate) -> None:
+        """Take what was seen, and the answer to it."""
+        if not self.update:
+            return
+        self._samples.add(message)
+        if estimate.pose is not None:
+            self._poses.extend((message.t, *estimate.pose))
+
+    def store_home(self, name: str, first: str, seen: BearingsIn, estimate: Estimate) -> str:
+        """Store a home where the robot is, and say so; it is one of the place after this visit.
+
+        Raises
+        ------
+        InputError
+            When the robot does not know where it is, or the name is taken, or nothing is merged.
+        """
+        if not self.update:
+            raise InputError(READ_ONLY)
+        require_name("home", name, (first, *self.homes))
+        if estimate.status is not Status.LOCALISED:
+            words = f"{estimate.status.value}: {estimate.reason}"
+            raise InputError(f"home {quoted(name)} cannot be stored by a robot that is {words}")
+        self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
+        return f"home {name} is here, {len(seen.bearings)} landmarks in sight"
+
+    def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
+        """Merge the visit, as far as it came, and write that; return what it told, in words.
+
+        Parameters
+        ----------
+        localizer : Localizer
+            That was fed the visit.
+        drive : Drive
+            Its home and settings.
+        home : str
+            In whose frame its answers are.
+
+        Raises
+        ------
+        HomewardError
+            When there is too little to be kept, or it cannot be written: nothing is changed then.
+        """
+        if not self.update:
+            raise InputError(READ_ONLY)
+        drive = replace(drive, sightings=self._samples.sightings())
+        stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, 4))
+        poses = np.full((stamps.size, 3), np.nan)
+        poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:]
+        told = told_along(localizer, drive, poses, self.when, home)
+        if len(told.map.names) < PROOF:
+            raise HomewardError(
+                f"{count(len(told.map.names), 'landmark')} mapped on this visit, and it takes "
+                f"{PROOF} to know a place: drive further"
+            )
+        for name, (answer, seen) in self._stored.items():
+            told = told.store_home(name, answer, seen)
+        if self.place is None:
+            after = first_place(self.name, localizer, told, home)
+        else:
+            after = merged(self.place, told)
+        if self._folder is not None:
+            self._version = save_place(after, self._folder, self._version)
+        lost = [name for name in self._stored if name not in after.homes]
+        self._after, self.saved = after, True
+        return visit_words(after) + "".join(f" Home {name} was not stored." for name in lost)
+
+
+def visiting(folder: Path, update: bool, estimator: str = DEFAULT) -> Visiting:
+    """Return the place in a folder for a session of today, or, to be updated, perhaps a new one.
+
+    Raises
+    ------
+    InputError
+        When there is none, or it is damaged, or the folder holds something else, or the estimator
+        of that name cannot be told of places.
+    """
+    if estimator != DEFAULT:
+        raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")
+    when = time.time() / DAY_S
+    if update:
+        check_place(folder)
+        if not is_place(folder):
+            return Visiting(folder.resolve().name, when, update, folder)
+    version = newest(folder)
+    return Visiting(load_place(folder, version), when, update, folder, version)

@@ -1,0 +1,266 @@
+"""A session in a place that lasts: it knows where it is, and tells the place what it saw."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from live_rig import Rig, driving
+from typer.testing import CliRunner
+
+from homeward import make_estimator, open_drive, run
+from homeward.cli.main import app
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Status
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Event,
+    GoHome,
+    Reset,
+    SavePlace,
+    StoreHome,
+    line_of,
+)
+from homeward.live.recording import SESSION, Recorder, replay
+from homeward.live.settings import LiveSettings
+from homeward.live.visiting import visiting
+from homeward.places.evidence import fingerprint
+from homeward.places.files import load_place, newest
+
+LANDMARKS = {"landmarks.count": 12}
+
+
+@pytest.fixture(scope="session")
+def hall(tmp_path_factory):
+    """A place that a first session made; do not write into it."""
+    folder = tmp_path_factory.mktemp("places") / "hall"
+    rig = Rig(0, place=visiting(folder, update=True), **LANDMARKS)
+    rig.until(lambda r: r.player.ending)
+    assert "a new place, with 12 landmarks" in rig.session.localisation.conclude()
+    return folder
+
+
+@pytest.fixture
+def place(hall, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(hall, tmp_path / "hall")
+
+
+def texts(rig):
+    return [said.text for said in rig.answers if isinstance(said, Event)]
+
+
+def asked(rig, *messages):
+    """What is said to messages, in words."""
+    before = len(texts(rig))
+    for message in messages:
+        rig.session.receive(message, rig.robot.t)
+    rig.step()
+    return "; ".join(texts(rig)[before:])
+
+
+def localised(rig):
+    return rig.session.localisation.fix.estimate.status is Status.LOCALISED
+
+
+def in_place(folder, update=False, seed=0, keep=None, place=None):
+    """A robot that was put into the place by night, and its session."""
+    changes = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, **LANDMARKS}
+    return Rig(seed, keep, place=place or visiting(folder, update), **changes)
+
+
+def error(rig):
+    """How far the answer is from the truth, in the frame of the simulator's home [m]."""
+    pose = rig.session.belief(rig.robot.t).pose
+    return np.hypot(pose.x - rig.robot.pose.x, pose.y - rig.robot.pose.y)
+
+
+def test_the_robot_knows_at_once_where_it_is_and_a_place_that_is_only_read_stays_as_it_is(place):
+    rig = in_place(place).until(localised, 1.5)
+    assert error(rig) < 0.05
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+    assert rig.robot.distance < 0.05
+    assert "is not looked at" in texts(rig)[0]
+    for message in (SavePlace(), StoreHome(name="dock 3")):
+        assert "left as it is" in asked(rig, message)
+    assert "no home 'attic' in the place; there are home" in asked(rig, GoHome(name="attic"))
+    assert rig.session.localisation.conclude() is None
+    assert newest(place) == 1
+
+
+def commuted(folder, keep=None, place=None):
+    """A session that stores a dock on its way, drives home, and back to the dock."""
+    rig = in_place(folder, update=True, keep=keep, place=place).until(localised)
+    rig.until(driving)
+    dock = rig.robot.pose
+    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "already" in asked(rig, StoreHome(name="dock 3"))
+    rig.until(lambda r: r.player.ending)
+    assert rig.robot.distance < 0.05
+    assert asked(rig, GoHome(name="dock 3")) == ""
+    rig.player.ending = None
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+    far = np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y)
+    assert far < 0.08
+    return rig
+
+
+def test_a_home_that_is_stored_on_the_way_is_one_of_the_place_and_can_be_driven_to(place):
+    rig = commuted(place)
+    for version in (2, 3):  # it counts once, however often it is saved
+        assert "12 stayed" in asked(rig, SavePlace())
+        assert newest(place) == version
+        saved = load_place(place)
+        assert list(saved.homes) == ["home", "dock 3"]
+        assert [v.verdict for v in saved.visits] == ["first", "merged"]
+    assert localised(rig)
+    dock = load_place(place).home_pose("dock 3")
+    assert np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y) < 0.05
+    later = in_place(place).until(localised)
+    asked(later, GoHome(name="dock 3"))
+    later.until(lambda r: r.player.ending)
+    assert np.hypot(later.robot.pose.x - dock.x, later.robot.pose.y - dock.y) < 0.05
+
+
+def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_place(
+    place, tmp_path
+):
+    visited, robot = visiting(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
+    folder = tmp_path / "drive"
+    recorder = Recorder(folder, LiveSettings(), robot, {}, visited)
+    rig = commuted(place, recorder.keep, visited)
+    rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
+    recorder.close()
+    answers = [a for a in rig.answers if isinstance(a, Answer)]
+    assert "stayed" in rig.session.localisation.conclude()
+    shutil.rmtree(place / "0001")
+    before = sorted(p.name for p in folder.glob("**/*"))
+    assert replay(folder / SESSION) == (len(answers), None)
+    assert before == sorted(p.name for p in folder.glob("**/*"))  # a replay writes nothing
+    drive = open_drive(folder)
+    assert load_place(place).visits[-1].evidence == fingerprint(drive)
+    visit = load_place(folder / "place").visited_by(drive, visited.when)
+    track = run(visit, make_estimator("robust", visit))
+    rows = {t: k for k, t in enumerate(track.t.tolist())}
+    same = [a for a in answers if a.pose is not None]
+    assert len(same) > 500
+    for answer in same:
+        row = rows[answer.t]
+        assert (track.x[row], track.y[row], track.heading[row]) == answer.pose
+
+
+def test_another_place_is_kept_apart(place):
+    rig = in_place(place, update=True)
+
+    def renamed(message):
+        """Landmarks of the same names, that stand elsewhere."""
+        if not isinstance(message, BearingsIn):
+            return [message]
+        names = {f"L{k:02}": f"L{7 * k % 13:02}" for k in range(1, 13)}
+        return [
+            message.model_copy(
+                update={"bearings": {names[i]: b for i, b in message.bearings.items()}}
+            )
+        ]
+
+    rig.spoil = renamed
+    rig.until(lambda r: r.robot.t > 12.0)
+    assert not localised(rig)
+    assert "not the place" in asked(rig, SavePlace())
+    with pytest.raises(HomewardError, match="did not know where it was"):
+        in_place(place, update=True).session.localisation.conclude()
+    now = load_place(place)
+    assert now.visits[-1].verdict == "apart"
+    assert (now.map.mean == load_place(place, 1).map.mean).all()
+
+
+def test_a_reset_throws_a_visit_away_and_one_that_is_too_short_is_not_merged(place):
+    rig = in_place(place, update=True).until(localised)
+    rig.until(lambda r: r.robot.t > 5.0)
+    asked(rig, StoreHome(name="dock 3"), Reset())
+    assert "drive further" in asked(rig, SavePlace())
+    assert "no home 'dock 3'" in asked(rig, GoHome(name="dock 3"))
+    assert newest(place) == 1
+
+
+def test_where_the_place_cannot_be_written_the_visit_goes_on(place, monkeypatch):
+    rig = in_place(place, update=True).until(localised)
+    rig.until(lambda r: r.robot.t > 12.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(28, "No space left")))
+        assert "No space left" in asked(rig, SavePlace())
+    assert [p.name for p in place.iterdir()] == ["0001"]
+    assert localised(rig)
+    assert "12 stayed" in asked(rig, SavePlace())
+    assert newest(place) == 2
+
+
+def test_who_was_not_quick_enough_overwrites_nothing(place):
+    rigs = [in_place(place, update=True, seed=0).until(localised) for _ in range(2)]
+    for rig in rigs:
+        rig.until(lambda r: r.robot.t > 10.0)
+    assert "stayed" in asked(rigs[0], SavePlace())
+    assert "changed meanwhile" in asked(rigs[1], SavePlace())
+    assert newest(place) == 2
+
+
+def lines_of_a_drive():
+    """What a client says that drives in circles for a while."""
+    rig = Rig(0, **LANDMARKS)
+    lines = [line_of(rig.player.home())]
+    while rig.robot.t < 20.0:
+        lines += [line_of(message) for message in rig.player.step()]
+    return "".join(line for line in lines if "go_home" not in line)
+
+
+KILLED = (
+    "import os\n"
+    "os.fsync = lambda file: os.kill(os.getpid(), 9)\n"
+    "from homeward.cli.main import app\n"
+    "app()\n"
+)
+
+
+def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path):
+    place, lines = tmp_path / "hall", lines_of_a_drive()
+    told = ["live", "--place", str(place), "--update"]
+    first = [sys.executable, "-m", "homeward", *told]
+    made = subprocess.run(first, input=lines, capture_output=True, text=True, check=True)
+    assert made.stderr.startswith("hall: a new place, with ")
+    assert '"estimate"' in made.stdout
+    again = lines.replace('"t":', '"t":1000')  # another drive
+    killed = [sys.executable, "-c", KILLED, *told]
+    assert subprocess.run(killed, input=again, capture_output=True, text=True).returncode == -9
+    assert any(p.name.startswith(".") for p in place.iterdir())  # it was cut short in the midst
+    assert newest(place) == 1
+    load_place(place)
+    twice = subprocess.run(first, input=lines, capture_output=True, text=True)
+    assert (twice.returncode, "would count twice" in twice.stderr) == (2, True)
+    assert newest(place) == 1
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (["--update"], "needs a --place"),
+        (["--place", "nowhere"], "nowhere"),
+        (["--place", "{place}", "--set", "estimator=ekf"], "for the estimator robust"),
+        (["--place", "{place}", "--home", "{place}/0001/homes.csv"], "bearing"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_begins(place, told, words, tmp_path):
+    told = [word.format(place=place) for word in told]
+    out = CliRunner().invoke(app, ["live", "--record", str(tmp_path / "r"), *told])
+    assert (out.exit_code, words in out.stderr) == (2, True), out.stderr
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_damaged_place_is_refused(place):
+    (place / "0001" / "covariance.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match="damaged"):
+        visiting(place, update=True)
