@@ -14,6 +14,7 @@ from homeward.live.messages import (
     EStop,
     Event,
     GoHome,
+    MountIs,
     Obstacle,
     OdometryIn,
     Reset,
@@ -282,6 +283,16 @@ def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
     rig.session.receive(Reset(), rig.robot.t)
     list(rig.session.process())
     assert rig.session.belief(rig.robot.t).pose is None
+
+
+def test_where_the_camera_sits_can_be_told_on_the_way():
+    rig = Rig(0).until(lambda r: r.robot.t > 2.0)
+    localisation, before = rig.session.localisation, rig.session.localisation.drive.settings
+    rig.session.receive(MountIs(x=0.2, y=-0.1, yaw=0.5), rig.robot.t)
+    list(rig.session.process())
+    now = localisation.drive.settings.sensor
+    assert now == before.sensor.model_copy(update={"x": 0.2, "y": -0.1, "yaw": 0.5})
+    assert localisation.fix.estimate.status is Status.WAITING  # the map was begun anew
 
 
 def test_the_belief_is_carried_on_by_odometry():

@@ -11,10 +11,11 @@ import threading
 import time
 
 import rclpy
-from geometry_msgs.msg import Pose, PoseArray, Twist
+from geometry_msgs.msg import Pose, PoseArray, TransformStamped, Twist
 from live_rig import SCENARIO
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from homeward.control import Twist as Command
 from homeward.control import advance
@@ -34,8 +35,24 @@ class RobotNode(Node):
         self.odometry = self.create_publisher(Odometry, "odom", 10)
         self.bearings = self.create_publisher(PoseArray, "bearings", 10)
         self.create_subscription(Twist, "cmd_vel", self.command, 1)  # the newest alone counts
+        self.say_where_the_camera_sits()
         self.create_timer(self.robot.period, self.step)
         threading.Thread(target=self.listen, daemon=True).start()
+
+    def say_where_the_camera_sits(self):
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            return
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.static = self.create_publisher(TFMessage, "/tf_static", latched)
+        there = TransformStamped()
+        there.header.frame_id, there.child_frame_id = "base_link", "camera"
+        sits = self.robot.drive.settings.sensor
+        there.transform.translation.x, there.transform.translation.y = sits.x, sits.y
+        there.transform.rotation.z = math.sin(sits.yaw / 2)
+        there.transform.rotation.w = math.cos(sits.yaw / 2)
+        self.static.publish(TFMessage(transforms=[there]))
 
     def listen(self):
         for line in sys.stdin:

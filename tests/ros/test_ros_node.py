@@ -20,6 +20,7 @@ from live_rig import SCENARIO
 
 from homeward.drives.folder import read_folder
 from homeward.live.recording import replay
+from homeward.places.files import load_place, newest
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
 
@@ -174,10 +175,10 @@ class Stage:
 
         return self.witness.until(fits, longest, since)[1]
 
-    def look_round(self):
-        """Drive in circles until localised, and eight seconds at least."""
+    def look_round(self, least=8.0):
+        """Drive in circles until localised, and so many seconds at least."""
         self.tell(twist=[0.15, 0.3])
-        time.sleep(8.0)
+        time.sleep(least)
         self.hear("/homeward/said", lambda s: s.get("status") == "localised")
         self.tell(twist=None)
 
@@ -271,6 +272,45 @@ def test_the_robot_stands_when_the_node_is_killed_or_hangs_and_the_node_says_so_
     stood = stage.hear("cmd_vel", lambda c: c == [0.0, 0.0], 5.0, since)["at"]
     assert stood - died <= 0.3
     stage.hear("/diagnostics", lambda text: "no odometry for" in text)
+
+
+def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
+    stage.node.end()
+    place = stage.tmp_path / "hall"
+    stage.node = stage.start(place=place, place_update="true")
+    stage.look_round(20.0)
+    stage.tell(name=["store_home", "dock 3"])
+    stage.hear("/homeward/said", lambda s: "home dock 3 is here" in s.get("text", ""))
+    stage.tell(call="save_place")
+    stage.hear("/homeward/said", lambda s: "hall: a new place, with" in s.get("text", ""))
+    stage.go()
+    stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 30.0)
+    stage.node.end(signal.SIGINT)
+    assert newest(place) == 2  # again at the end, whole
+    assert list(load_place(place).homes) == ["home", "dock 3"]
+    stage.node = stage.start(place=place)
+    stage.tell(twist=[0.15, 0.3])
+    stage.hear("/homeward/said", lambda s: s.get("status") == "localised", 10.0)
+    stage.tell(twist=None)
+    stage.tell(name=["go_home", "dock 3"])
+    stage.hear("cmd_vel", lambda c: c[0] > 0.1)
+    stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 30.0)
+    dock = load_place(place).home_pose("dock 3")
+    far = abs(math.hypot(dock.x, dock.y) - stage.robot.lines[-1][1]["distance"])
+    assert far < 0.06
+    stage.tell(call="save_place")
+    stage.hear("/homeward/said", lambda s: "left as it is" in s.get("text", ""))
+
+
+def test_the_node_waits_for_the_transform_that_tells_where_the_camera_sits(stage):
+    if not has_tf(stage.python):
+        pytest.skip("tf2_msgs could not be made")
+    for frame, words in (("lens", "no bearings yet"), ("camera", "localised")):
+        stage.node.end()
+        stage.node = stage.start(camera_frame=frame)
+        stage.tell(twist=[0.15, 0.3])
+        time.sleep(3.0)
+        stage.hear("/diagnostics", lambda text, words=words: words in text)
 
 
 def test_services_and_lifecycle(stage):

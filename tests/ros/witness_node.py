@@ -1,7 +1,7 @@
 """Hears everything that is said on ROS 2, a line of JSON each, and says what stdin tells it to.
 
 In: {"twist": [v, omega]} until the next one, {"twist": null}, {"call": "go_home"},
-{"estop": true}, {"transition": "deactivate"}.
+{"estop": true}, {"transition": "deactivate"}, {"name": ["store_home", "dock 3"]}.
 """
 
 import json
@@ -31,6 +31,10 @@ class Witness(Node):
         self.twist = None
         self.out = self.create_publisher(Twist, "cmd_vel", 10)
         self.create_timer(0.05, self.drive)
+        self.names = {
+            what: self.create_publisher(String, f"/homeward/{what}", 10)
+            for what in ("store_home", "go_home")
+        }
         topics = {
             "/homeward/said": (String, lambda m: json.loads(m.data)),
             "/homeward/pose": (PoseWithCovarianceStamped, self.pose),
@@ -86,6 +90,8 @@ class Witness(Node):
                     self.twist = value
                 elif what == "call":
                     self.call(Trigger, f"/homeward/{value}", Trigger.Request())
+                elif what == "name":
+                    self.names[value[0]].publish(String(data=value[1]))
                 elif what == "estop":
                     self.call(SetBool, "/homeward/estop", SetBool.Request(data=value))
                 else:

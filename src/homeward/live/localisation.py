@@ -30,6 +30,7 @@ from homeward.live.messages import (
     Input,
     LandmarkOut,
     Landmarks,
+    MountIs,
     OdometryIn,
     Output,
     Reset,
@@ -158,6 +159,11 @@ class Localisation:
                     sigma_alpha=message.sigma_heading,
                 )
                 self._begin(prior)
+            case MountIs(x=x, y=y, yaw=yaw):
+                sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
+                self._robot = self._robot.model_copy(update={"sensor": sensor})
+                if self.drive is not None:
+                    self._begin(None)
             case Reset():
                 self._begin(None)
         return None

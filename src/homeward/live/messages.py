@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from homeward.drives.drive import Finite, Positive, Strict
+from homeward.drives.drive import Finite, Mount, Positive, Strict
 from homeward.drives.text.complaints import message
 from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
@@ -136,6 +136,12 @@ class Start(Strict):
     """[rad]"""
 
 
+class MountIs(Mount):
+    """Where the camera sits on the robot; the map begins anew."""
+
+    type: Literal["mount"] = "mount"
+
+
 class Reset(Strict):
     """The map begins anew, anywhere."""
 
@@ -222,6 +228,7 @@ Input = (
     | EStop
     | Obstacle
     | Start
+    | MountIs
     | Reset
 )
 Output = Hello | Answer | Command | Landmarks | Diagnostics | Event

@@ -14,25 +14,28 @@ from typing import Any
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
 from homeward.drives.ros.measurements.bearings import READERS
 from homeward.drives.ros.measurements.camera import from_camera_info
+from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.drives.text.settings import read_settings, validated
 from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose
 from homeward.live.messages import (
     Answer,
+    BearingsIn,
     Cancel,
     Command,
     EStop,
     GoHome,
     Input,
+    MountIs,
     Obstacle,
     Output,
     Reset,
@@ -50,6 +53,9 @@ from homeward.ros import conversions as convert
 
 JSON = "std_msgs/msg/String"
 """The type of bearings as JSON."""
+TFS = "tf2_msgs/msg/TFMessage"
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of what was said once, before anybody listened."""
 PARAMETERS: dict[str, Any] = {
     "odometry_topic": "odom",
     "bearings_topic": "bearings",
@@ -58,6 +64,8 @@ PARAMETERS: dict[str, Any] = {
     "bearing_sigma": 0.0,
     "camera_info_topic": "",
     "rectified": False,
+    "camera_frame": "",
+    "base_frame": "base_link",
     "scan_topic": "",
     "scan_half_angle": 0.35,
     "cmd_vel_topic": "cmd_vel",
@@ -90,6 +98,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
         self._camera: Lens | None = None
+        self._transforms = Transforms()
+        self._awaited: MountFrames | None = None
+        """Whose transform is not there yet; until then bearings are left out."""
         self._stamps = convert.Clock()
         self._map_to_odom: Pose | None = None
         self._complained = ""
@@ -118,8 +129,14 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 },
             )
             place = None
+            if told("place_update") and not told("place"):
+                raise InputError("place_update needs a place")
             if told("place"):
                 place = visiting(Path(told("place")), told("place_update"), settings.estimator)
+            if told("camera_frame"):
+                frames = {"camera": told("camera_frame"), "base": told("base_frame")}
+                self._awaited = validated(MountFrames, frames)
+                convert.message_class(TFS)
             if told("record"):
                 self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)
             keep = self._recorder.keep if self._recorder else None
@@ -183,7 +200,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             for key, (kind, topic) in topics.items()
         }
         try:
-            self._out["tf"] = make(convert.message_class("tf2_msgs/msg/TFMessage"), "/tf", 10)
+            self._out["tf"] = make(convert.message_class(TFS), "/tf", 10)
         except ImportError:
             self.get_logger().warning("no tf2_msgs here: map to odom is on ~/map_to_odom alone")
 
@@ -203,11 +220,12 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), self._info))
         if told("scan_topic"):
             topics.append(("sensor_msgs/msg/LaserScan", told("scan_topic"), self._scan))
+        if self._awaited is not None:
+            topics.append((TFS, TF_STATIC, self._mount))
         for kind, topic, callback in topics:
             guarded = self._guarded(callback)
-            made = self.create_subscription(
-                convert.message_class(kind), topic, guarded, qos_profile_sensor_data
-            )
+            quality = LATCHED if topic == TF_STATIC else qos_profile_sensor_data
+            made = self.create_subscription(convert.message_class(kind), topic, guarded, quality)
             self._parts.append((self.destroy_subscription, made))
         try:
             trigger = convert.message_class("std_srvs/srv/Trigger")
@@ -256,12 +274,31 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _odometry(self, message: Any) -> None:
         self._take(convert.odometry_in(message, self._stamps.seconds(message.header.stamp)))
 
+    def _mount(self, message: Any) -> None:
+        """Hear where the camera sits."""
+        self._transforms.add(0.0, message)
+        if self._awaited is not None:
+            kind = self._told("bearings_type")
+            found = mount(self._transforms, self._awaited, kind, self._topic)
+            if found is not None:
+                sits, self._topic = found
+                self._take(MountIs(**dict(sits)))
+                self._awaited = None
+
     def _bearings(self, message: Any) -> None:
+        self._require_mount()
         t, kind = self._stamps.seconds(message.header.stamp), self._told("bearings_type")
         self._take(convert.bearings_in(message, t, kind, self._topic, self._camera))
 
+    def _require_mount(self) -> None:
+        if self._awaited is not None:
+            mount(self._transforms, self._awaited, self._told("bearings_type"), self._topic)
+            raise InputError(f"bearings are left out: {not_tied(self._awaited)} yet")
+
     def _line(self, message: Any) -> None:
         said = parse(message.data)
+        if isinstance(said, BearingsIn):
+            self._require_mount()
         if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
             said = said.model_copy(update={"t": said.t - (self._stamps.epoch or 0)})
         self._take(said)
@@ -326,7 +363,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             message = convert.transform(stamp, *frames, self._map_to_odom)
             self._out["transform"].publish(message)
             if "tf" in self._out:
-                tf = convert.message_class("tf2_msgs/msg/TFMessage")
+                tf = convert.message_class(TFS)
                 self._out["tf"].publish(tf(transforms=[message]))
 
     def _drive(self, command: Command) -> None:
@@ -364,7 +401,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self.destroy_publisher(publisher)
         self._out = {}
         session, self._session, self._map_to_odom = self._session, None, None
-        self._stamps = convert.Clock()
+        self._stamps, self._transforms = convert.Clock(), Transforms()
+        self._awaited = None
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             recorder.close()

@@ -16,10 +16,11 @@ from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.camera import CameraRows
 from homeward.drives.ros.measurements.home import home_during
+from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import PICTURES, Decoder
-from homeward.drives.ros.settings import BearingsTopic, LogSettings
+from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, survey
 from homeward.drives.ros.topics.times import Clock
@@ -107,6 +108,12 @@ class _Reading:
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
             self._at_home = self._take_sightings(BearingsTopic(topic=plan.home.topic))
+        self._transforms = Transforms()
+        if plan.mount is not None:
+            if not plan.bearings:
+                raise InputError(f"mount is for topics of bearings: {NAME_BEARINGS}")
+            known.topic(TF_STATIC)
+            self._take(TF_STATIC, self._transforms.add)
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
             self._take(plan.truth.topic, self._add_pose)
@@ -114,6 +121,7 @@ class _Reading:
     def drive(self, tell: Tell | None) -> Drive:
         """Walk, and put together what was met."""
         self._walk(tell)
+        self._mount()
         odometry = self._odometry.odometry(self._remarks)
         sightings = self._sightings()
         return Drive(
@@ -138,6 +146,19 @@ class _Reading:
         place = Path(f"{self._path}, {OUR_SETTINGS}")
         own = parse_settings(text.data, DriveSettings, place)
         return told or own, own.epoch or 0
+
+    def _mount(self) -> None:
+        """Let the camera sit where the transforms say, if they are asked."""
+        frames = self._plan.mount
+        if frames is None:
+            return
+        for rows in self._seen:
+            found = mount(self._transforms, frames, rows.kind, rows.told)
+            if found is None:
+                raise InputError(not_tied(frames))
+            sits, rows.told = found
+        sensor = self._settings.sensor.model_copy(update=dict(sits))
+        self._settings = self._settings.model_copy(update={"sensor": sensor})
 
     def _take(self, topic: str, taker: Taker) -> None:
         self._takers.setdefault(topic, []).append(taker)

@@ -65,6 +65,15 @@ NAME_HOME = "name it under home in a topics file (csv, topic, or during: [from, 
 """The way out where nothing in a log tells what the camera saw at home."""
 
 
+class MountFrames(Strict):
+    """Frames of /tf_static that tell where the camera sits."""
+
+    camera: Annotated[str, Field(min_length=1)]
+    """The camera's; optical where its name says so, or the bearings' `axes`."""
+    base: Annotated[str, Field(min_length=1)] = "base_link"
+    """The robot's."""
+
+
 class HomeFrom(Strict):
     """Where the home bearings are: one of these."""
 
@@ -101,6 +110,8 @@ class LogSettings(Strict):
     bearings: tuple[BearingsTopic, ...] = ()
     home: HomeFrom | None = None
     truth: TruthTopic | None = None
+    mount: MountFrames | None = None
+    """Where the camera sits on the robot; None: as `drive` says."""
     drive: DriveSettings | None = None
     """What drive.yaml says of a drive folder."""
 

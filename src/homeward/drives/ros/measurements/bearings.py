@@ -179,6 +179,11 @@ def _axes(message: Any, told: BearingsTopic) -> str:
             f"{told.topic}: its points are in the frame {frame}, which does not move with the "
             "robot, so they tell no bearings"
         )
+    return axes_of(frame, told)
+
+
+def axes_of(frame: str, told: BearingsTopic) -> str:
+    """Return how the axes of a camera's frame lie, by its name where nothing is said (REP 103)."""
     return told.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
 
 

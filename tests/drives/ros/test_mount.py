@@ -1,0 +1,143 @@
+"""Where the camera sits, out of /tf_static."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from drives.ros.build import stamps
+from drives.ros.rig import bearings_message
+
+from homeward.drives.cameras.camera import tilt_matrix
+from homeward.drives.ros.measurements.bearings import BEARINGS, POSE_ARRAY, TAGS
+from homeward.drives.ros.measurements.mount import BODY_IN_OPTICAL, LEVEL, Transforms, mount
+from homeward.drives.ros.settings import BearingsTopic, MountFrames
+from homeward.errors import InputError
+
+
+def turn(yaw=0.0, pitch=0.0, roll=0.0):
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ tilt_matrix(roll, pitch)
+
+
+def quaternion(matrix):
+    """By the largest column of the symmetric matrix of products, as Bar-Itzhack has it."""
+    m = matrix
+    k = np.array(
+        [
+            [m[0, 0] - m[1, 1] - m[2, 2], 0, 0, 0],
+            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0, 0],
+            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], 0],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
+        ]
+    )
+    return dict(zip("xyzw", np.linalg.eigh(k, UPLO="L")[1][:, -1], strict=True))
+
+
+def told(parent, child, matrix=None, shift=(0.0, 0.0, 0.0), q=None):
+    """A TFMessage of one transform."""
+    rotation = q or quaternion(np.eye(3) if matrix is None else matrix)
+    vector = dict(zip("xyz", shift, strict=True))
+    inner = SimpleNamespace(
+        rotation=SimpleNamespace(**rotation), translation=SimpleNamespace(**vector)
+    )
+    header = SimpleNamespace(frame_id=parent)
+    return SimpleNamespace(
+        transforms=[SimpleNamespace(header=header, child_frame_id=child, transform=inner)]
+    )
+
+
+def tree(*messages):
+    transforms = Transforms()
+    for message in messages:
+        transforms.add(0.0, message)
+    return transforms
+
+
+def seen(transforms, camera="camera", kind=POSE_ARRAY, base="base_link"):
+    return mount(transforms, MountFrames(camera=camera, base=base), kind, BearingsTopic(topic="b"))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -3.0, math.pi / 2])
+def test_a_chain_of_frames_tells_the_mount_and_an_optical_frame_looks_along_z(yaw):
+    mast = turn(0.4)
+    eye = mast.T @ turn(yaw)
+    transforms = tree(
+        told("/base_footprint", "base_link", shift=(5.0, 5.0, 0.1)),
+        told("base_link", "mast", mast, (0.1, 0.2, 1.0)),
+        told("mast", "camera", eye, tuple(mast.T @ (0.1, -0.3, 0.2))),
+        told("camera", "camera_optical_frame", BODY_IN_OPTICAL.T),
+    )
+    for camera in ("camera", "/camera_optical_frame"):
+        sits, _ = seen(transforms, camera)
+        assert sits.pose == pytest.approx((0.2, -0.1, yaw))
+    back, _ = seen(transforms, "base_footprint", base="mast")
+    assert back.yaw == pytest.approx(-0.4)
+
+
+def test_a_tilt_is_told_to_a_camera_and_refused_where_bearings_come_without_one():
+    slightly, much = (tree(told("base_link", "camera", turn(1.0, p, 0.01))) for p in (0.03, 0.4))
+    assert seen(slightly)[0].yaw == pytest.approx(1.0)
+    with pytest.raises(InputError, match=r"camera is tilted by 22.9 deg in base_link"):
+        seen(much)
+    with pytest.raises(InputError, match="tilted"):
+        seen(much, kind=BEARINGS)
+    _, topic = seen(much, kind=TAGS)
+    assert topic.tilt == pytest.approx({"pitch": 0.4, "roll": 0.01})
+    with pytest.raises(InputError, match="pitch"):  # it looks at the floor
+        seen(tree(told("base_link", "camera", turn(0.0, 1.5))), kind=TAGS)
+    for upside_down in (turn(0.3, 0.0, math.pi), turn(0.0, LEVEL + 0.01)):
+        with pytest.raises(InputError, match="tilted"):
+            seen(tree(told("base_link", "camera", upside_down)))
+
+
+def test_what_is_no_tree_is_refused_and_what_is_not_tied_yet_is_waited_for():
+    assert seen(tree(told("base_link", "lidar"))) is None
+    circle = tree(told("a", "camera"), told("camera", "a"))
+    with pytest.raises(InputError, match="frame in itself"):
+        seen(circle)
+    for bad in (0.0, math.nan):
+        with pytest.raises(InputError, match="a rotation that is none"):
+            tree(told("base_link", "camera", q=dict.fromkeys("xyzw", bad)))
+
+
+def static(log, t, matrix, shift):
+    """A message of ROS that has the camera on the robot."""
+    rotation = log.make("geometry_msgs/msg/Quaternion", **quaternion(matrix))
+    vector = log.make("geometry_msgs/msg/Vector3", x=shift[0], y=shift[1], z=0.0)
+    inner = log.make("geometry_msgs/msg/Transform", translation=vector, rotation=rotation)
+    stamped = log.make(
+        "geometry_msgs/msg/TransformStamped",
+        header=log.header(t, "base_link"),
+        child_frame_id="camera",
+        transform=inner,
+    )
+    return log.make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])  # tf2_msgs of ROS 1 is not written here
+def test_a_log_tells_the_mount_where_its_topics_file_asks(made, suffix):
+    def fill(log, pitch=0.0):
+        for t in stamps(3):
+            log.write("/b", t, bearings_message(log, t, ["a"], [0.5]))
+            log.write("/tf_static", t, static(log, t, turn(0.3, pitch), (0.2, -0.1)))
+
+    topics = "bearings: {topic: /b}\nmount: {camera: camera}\n"
+    topics += "drive: {sensor: {x: 9.0, bearing_sigma: 0.01}}\n"
+    sensor = made(fill, topics, suffix).settings.sensor
+    assert sensor.pose == pytest.approx((0.2, -0.1, 0.3))
+    assert sensor.bearing_sigma == 0.01
+    assert made(fill, topics.replace("mount", "#"), suffix).settings.sensor.x == 9.0
+    with pytest.raises(InputError, match="ties lens to base_link"):
+        made(fill, topics.replace("camera}", "lens}"), suffix)
+    with pytest.raises(InputError, match="tilted"):
+        made(lambda log: fill(log, 0.5), topics, suffix)
+    with pytest.raises(InputError, match="no topic /tf_static"):
+        made(
+            lambda log: log.write(
+                "/b", stamps(1)[0], bearings_message(log, stamps(1)[0], ["a"], [0.5])
+            ),
+            topics,
+            suffix,
+        )
