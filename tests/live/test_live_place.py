@@ -27,6 +27,7 @@ from homeward.live.messages import (
 from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import visiting
+from homeward.one_thread import one_thread
 from homeward.places.evidence import fingerprint
 from homeward.places.files import load_place, newest
 
@@ -133,8 +134,9 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
     visited, robot = visiting(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
     folder = tmp_path / "drive"
     recorder = Recorder(folder, LiveSettings(), robot, {}, visited)
-    rig = commuted(place, recorder.keep, visited)
-    rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
+    with one_thread():  # as hosts of sessions do
+        rig = commuted(place, recorder.keep, visited)
+        rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
     recorder.close()
     answers = [a for a in rig.answers if isinstance(a, Answer)]
     assert "stayed" in rig.session.localisation.conclude()
@@ -152,6 +154,24 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
     for answer in same:
         row = rows[answer.t]
         assert (track.x[row], track.y[row], track.heading[row]) == answer.pose
+
+
+def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_path):
+    visited, robot = visiting(tmp_path / "hall", update=True), Rig(0).robot.drive.settings
+    recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, visited)
+    with one_thread():
+        rig = Rig(0, recorder.keep, place=visited, **LANDMARKS).until(localised)
+        rig.until(driving)
+        assert "dock is here" in asked(rig, StoreHome(name="dock"))
+        assert "a new place" in asked(rig, SavePlace(), GoHome(name="dock"))
+        rig.until(lambda r: r.player.ending)
+    recorder.close()
+    rig.session.localisation.conclude()
+    saved, drive = load_place(tmp_path / "hall"), open_drive(tmp_path / "drive")
+    assert list(saved.homes) == ["home", "dock"]
+    assert saved.visits[0].evidence == fingerprint(drive)
+    assert len(drive.home) == 12
+    assert replay(tmp_path / "drive" / SESSION)[1] is None
 
 
 def test_another_place_is_kept_apart(place):

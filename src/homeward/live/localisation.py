@@ -226,7 +226,7 @@ class Localisation:
 
     def _adds_home(self, name: str) -> bool:
         """Return whether a home that is stored is one more of the place."""
-        begun = self.estimator is not None and name != self.home
+        begun = self.drive is not None and name != self.home
         return self.place is not None and (self.in_place or begun)
 
     def _store(self, name: str) -> Event:

@@ -96,5 +96,5 @@ def live(
     finally:
         if recorder is not None:
             recorder.close()
-        if (words := session.localisation.conclude()) is not None:
-            typer.echo(words, err=True)
+    if (words := session.localisation.conclude()) is not None:
+        typer.echo(words, err=True)
