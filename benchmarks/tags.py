@@ -1,12 +1,14 @@
 """Homing by tags that a forward camera sees in rendered rooms: pixels in, home reached.
 
     python -m benchmarks.tags --homings 20
+    python -m benchmarks.tags --homings 10 --view 1.4 --spin
 
 Every room that comes with homeward in turn, furnished by the seed, with tags on its boxes and round
 its walls. The camera looks ahead (115 degrees, 1280x640), the heading at the start is not known,
 three boxes were moved with their tags since home was stored, someone walks through, and home is one
-picture. A homing is good when it ends within 2 cm. Bearings are compared with where the tags hang:
-their errors, and their NEES, which is 1 where deviations are honest.
+picture, or with `--spin` a turn on the spot. A homing is good when it ends within 2 cm. Bearings
+are compared with where the tags hang: their errors, and their NEES, which is 1 where deviations are
+honest.
 """
 
 from __future__ import annotations
@@ -15,34 +17,43 @@ import argparse
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import Pool
 
 import numpy as np
 
 from benchmarks.render import room_number
 from homeward.angles import wrap
+from homeward.control import Twist
+from homeward.drives.drive import HomeBearing, Odometry, Sightings
+from homeward.drives.home.spin import spin
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import compose
 from homeward.registry import make_estimator
+from homeward.simulation.course import before
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop
+from homeward.simulation.render.loop import ImageLoop, camera_of
 from homeward.simulation.render.room.presets import PLANS
 from homeward.simulation.render.room.settings import RenderScenario
 from homeward.simulation.render.scene import tag_places
+from homeward.simulation.sensing import Wheels
+from homeward.vision.tags.front_end import TagFrontEnd
 
 NEAR_HOME = 0.02
 """A homing is good when it ends this near [m]."""
-CAMERA = {"projection": "pinhole", "width": 1280, "height": 640, "field_of_view": 2.0}
-"""With 1.4 rad the localiser maps too few of the tags in its first arc, of 0.5 m round: 3 of 3 such
-robots drove into something before they knew where home is."""
+CAMERA = {"projection": "pinhole", "width": 1280, "height": 640}
+SPIN = 0.5
+"""Home's turn [rad/s]."""
+FIRST_OF_SPIN = 1_000_000
+"""Pictures of home's turn are numbered from here."""
 TAGS = {"size": 0.2, "walls": 24}
 
 
-def scenario(number: int) -> RenderScenario:
-    """Room number `number`."""
+def scenario(number: int, view: float = 2.0) -> RenderScenario:
+    """Room number `number`, for a camera with so much of a view [rad]."""
     tree = room_number(number, (1.0, 4.0), 3)
-    tree["camera"], tree["tags"] = CAMERA, TAGS
+    tree["camera"], tree["tags"] = CAMERA | {"field_of_view": view}, TAGS
     tree["rates"]["bearings"] = 2.5
     return validated(RenderScenario, tree)
 
@@ -63,10 +74,26 @@ class Homing:
     """Computing [s]."""
 
 
-def home_from(number: int) -> Homing:
+def turned_at_home(eye: Eye) -> dict[str, HomeBearing]:
+    """Return what a turn on the spot at home, a rest before and after it, tells of home."""
+    course, front_end = eye.scenario, TagFrontEnd(camera_of(eye), eye.scenario.tags.family)
+    wheels, seconds = Wheels(course), math.tau / SPIN
+    t = np.arange(-1.0, seconds + 1.0, 1.0 / course.rates.odometry)
+    turns = np.where((t >= 0.0) & (t < seconds), SPIN, 0.0).tolist()
+    v, omega = np.array([wheels.measure(Twist(0.0, turn)) for turn in turns]).T
+    rows: list[tuple[float, str, float, float]] = []
+    for k, stamp in enumerate(np.arange(t[0], t[-1], 1.0 / course.rates.bearings).tolist()):
+        turned = SPIN * min(max(stamp, 0.0), seconds)
+        seen = front_end.see(eye.home_picture(turned, FIRST_OF_SPIN + k))
+        rows += [(stamp, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
+    settings = before(course, {}, None, course.camera.field_of_view).settings
+    return spin((t[0], t[-1]), Odometry(t, v, omega), Sightings.of_rows(rows), settings).home
+
+
+def home_from(number: int, view: float, turns: bool) -> Homing:
     """Drive home in room number `number`."""
-    began, eye = time.process_time(), Eye(scenario(number))
-    loop = ImageLoop(eye)
+    began, eye = time.process_time(), Eye(scenario(number, view))
+    loop = ImageLoop(eye, home=turned_at_home(eye) if turns else None)
     home = len(loop.drive.home)
     name = f"{eye.scenario.name} {number // len(PLANS)}"
     nothing = np.empty(0)
@@ -89,10 +116,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--homings", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--view", type=float, default=2.0, help="of the camera [rad]")
+    parser.add_argument("--spin", action="store_true", help="home is a turn, not a picture")
+    parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     done = []
-    with Pool(2) as pool:
-        for one in pool.imap(home_from, range(asked.first, asked.first + asked.homings)):
+    drive = partial(home_from, view=asked.view, turns=asked.spin)
+    with Pool(asked.processes) as pool:
+        for one in pool.imap(drive, range(asked.first, asked.first + asked.homings)):
             done.append(one)
             print(
                 f"{one.name:16} {one.home:3d} tags at home, {100 * one.distance:6.2f} cm "

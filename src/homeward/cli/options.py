@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -26,6 +26,13 @@ HomePose = Annotated[
 HomeNoise = Annotated[float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")]
 Topics = Annotated[
     Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+]
+HomeSpin = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FROM,UNTIL",
+        help="Home is where the robot turned on the spot meanwhile [s from the drive's start].",
+    ),
 ]
 Changes = Annotated[
     list[str] | None,
@@ -72,13 +79,30 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     InputError
         When `text` is something else; `what` says what it should be.
     """
-    try:
-        a, b, c = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{what} must be three numbers with commas, not {text!r}") from None
-    if not all(map(math.isfinite, (a, b, c))):
-        raise InputError(f"{what} must be finite, not {text!r}")
+    a, b, c = _numbers(text, what, "three")
     return a, b, c
+
+
+def spin_span(text: str | None) -> tuple[float, float] | None:
+    """Return the two times [s] of ``--home-spin``; errors as `three_numbers`."""
+    if text is None:
+        return None
+    begin, end = _numbers(text, "--home-spin", "two")
+    if not 0.0 <= begin < end:
+        raise InputError(f"--home-spin must be FROM,UNTIL [s] from the start on, not {text!r}")
+    return begin, end
+
+
+def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != {"two": 2, "three": 3}[number]:
+        raise InputError(f"{what} must be {number} numbers with commas, not {text!r}")
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{what} must be finite, not {text!r}")
+    return values
 
 
 def day(text: str) -> float:

@@ -26,6 +26,12 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     Pose
         x [m], y [m], heading [rad], each of shape (n,).
     """
+    end = reckoning(odometry, t)
+    return end._replace(heading=wrap(end.heading))
+
+
+def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
+    """Return what `dead_reckoning` does, headings counted beyond a turn."""
     twists, held = Twist(odometry.v, odometry.omega), np.minimum(np.diff(odometry.t), HOLD_S)
     heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
     steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
@@ -33,5 +39,4 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
     since = np.clip(t - odometry.t[last], 0.0, HOLD_S)
     begun = Pose(x[last], y[last], heading[last])
-    end = advance(begun, Twist(*(a[last] for a in twists)), since)
-    return end._replace(heading=wrap(end.heading))
+    return advance(begun, Twist(*(a[last] for a in twists)), since)

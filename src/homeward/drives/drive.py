@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, TypedDict, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from homeward.angles import interpolate, wrap
 from homeward.by_value import ByValue
@@ -103,10 +103,37 @@ class Robot(TypedDict, total=False):
     """Where the robot is at first."""
 
 
+def _in_order(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] >= span[1]:
+        raise ValueError("must be [from, until]")
+    return span
+
+
+Span = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_in_order)]
+"""From so many seconds after the drive's first sample until so many [s]."""
+
+
+class HomeWhen(Strict):
+    """When the robot was at home, in a drive that saw home itself: one of these."""
+
+    during: Span | None = None
+    """It stood there."""
+    spin: Span | None = None
+    """It turned there on the spot; home is its pose when it began."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if sum(value is not None for _, value in self) != 1:
+            raise ValueError(f"give one of {', '.join(type(self).model_fields)}")
+        return self
+
+
 class DriveSettings(Strict):
     """Everything that drive.yaml may say; every key may be absent."""
 
     sensor: Sensor = Sensor()
+    home: HomeWhen | None = None
+    """When the robot was at home, instead of what the camera saw there; None: that is told."""
     home_sensor: Mount | None = None
     """The camera as it sat when home was stored; None: as `sensor`."""
     odometry: OdometryNoise = OdometryNoise()

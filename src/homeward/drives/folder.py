@@ -48,7 +48,7 @@ def is_drive_folder(path: Path) -> bool:
     return any(is_there(path / name) for name in REQUIRED)
 
 
-def read_folder(path: str | os.PathLike[str]) -> Drive:
+def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
     """Read a drive folder.
 
     Parameters
@@ -57,7 +57,10 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
         Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
         home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv
         (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
-        A survey in home's frame serves without home.csv, too.
+        A survey in home's frame serves without home.csv, too, and so does drive.yaml where it
+        tells when the robot was at home.
+    home_needed : bool
+        Whether one of these must be there.
 
     Returns
     -------
@@ -77,7 +80,9 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
     missing = [name for name in REQUIRED if not is_there(folder / name)]
     surveyed = is_there(folder / KNOWN)
     known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
-    homeless = missing == [HOME] and known.surveyed_from_home
+    settings = read_drive_settings(folder / SETTINGS)
+    elsewhere = known.surveyed_from_home or settings.home is not None or not home_needed
+    homeless = missing == [HOME] and elsewhere
     if missing and not homeless:
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
     remarks: dict[str, int] = {}
@@ -86,7 +91,7 @@ def read_folder(path: str | os.PathLike[str]) -> Drive:
         odometry=read_odometry(folder / ODOMETRY, remarks),
         sightings=read_sightings(folder / BEARINGS, remarks),
         home={} if homeless else read_home(folder / HOME, remarks),
-        settings=read_drive_settings(folder / SETTINGS),
+        settings=settings,
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
         known=known,

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from homeward.drives.drive import Drive
-from homeward.drives.folder import BEARINGS, is_drive_folder, read_folder
+from homeward.drives.drive import Drive, HomeWhen
+from homeward.drives.folder import BEARINGS, HOME, SETTINGS, is_drive_folder, read_folder
+from homeward.drives.home.choosing import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
 from homeward.drives.one_clock import on_one_clock
 from homeward.drives.ros.containers.bag_folder import is_log
 from homeward.drives.text.files import is_there
+from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose
 
@@ -31,6 +33,7 @@ class Choices:
     home_noise: float
     seed: int
     topics: Path | None
+    home_spin: tuple[float, float] | None
     tell: Callable[[float], None] | None
 
     def refuse_topics(self, kind: str, path: Path) -> None:
@@ -62,6 +65,7 @@ def open_drive(
     home_noise: float = 0.0,
     seed: int = 0,
     topics: str | os.PathLike[str] | None = None,
+    home_spin: tuple[float, float] | None = None,
     tell: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive of any known kind.
@@ -74,6 +78,9 @@ def open_drive(
         As in `read_mrclam`; robot and home are needed there, and refused elsewhere.
     topics : path-like, optional
         As in `read_log`; refused elsewhere.
+    home_spin : (float, float), optional
+        From when until when the robot turned on the spot at home, since the drive's first sample
+        [s]; instead of the home bearings that it brings. Refused for an MRCLAM folder.
     tell : callable, optional
         Told the fraction done of a log or of images, in [0, 1].
 
@@ -84,8 +91,17 @@ def open_drive(
     """
     place = located(path)
     named = None if topics is None else Path(topics)
-    choices = Choices(robot, home, home_noise, seed, named, tell)
-    return on_one_clock(reader_of(place).read(place, choices), place)
+    choices = Choices(robot, home, home_noise, seed, named, home_spin, tell)
+    drive = on_one_clock(reader_of(place).read(place, choices), place)
+    when = drive.settings.home
+    if home_spin is not None:
+        when = validated(HomeWhen, {"spin": home_spin})
+    elif when is not None and drive.home:
+        raise InputError(f"home is told twice: in {HOME} and under home in {SETTINGS}", place)
+    try:
+        return drive if when is None else with_home(drive, when)
+    except InputError as error:
+        raise InputError(error.what, place) from error
 
 
 def located(path: str | os.PathLike[str]) -> Path:
@@ -131,13 +147,15 @@ def _open_mrclam(path: Path, choices: Choices) -> Drive:
     if choices.robot is None or choices.home is None:
         raise InputError("an MRCLAM folder needs a robot and a home pose: --robot and --home", path)
     choices.refuse_topics("MRCLAM folder", path)
+    if choices.home_spin is not None:
+        raise InputError("home is chosen in the map of an MRCLAM folder, not by a spin", path)
     return read_mrclam(path, choices.robot, choices.home, choices.home_noise, choices.seed)
 
 
 def _open_folder(path: Path, choices: Choices) -> Drive:
     choices.refuse("drive folder", path)
     choices.refuse_topics("drive folder", path)
-    return read_folder(path)
+    return read_folder(path, home_needed=choices.home_spin is None)
 
 
 def _open_log(path: Path, choices: Choices) -> Drive:

@@ -68,6 +68,12 @@ def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None
 
     `home` has the home bearings [rad] by their ids.
     """
+    control = _make_control(scenario, start, home)
+    spin = scenario.trajectory.spin
+    return SpinFirst(spin, control) if spin else control
+
+
+def _make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None) -> Control:
     match scenario.trajectory:
         case Homing() as trajectory if slope := law_named(trajectory.law):
             return BearingControl(trajectory, slope, home or {})
@@ -86,6 +92,21 @@ def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None
             return PathControl(trajectory, path, exact=scenario.estimator == "truth")
         case other:
             assert_never(other)
+
+
+class SpinFirst:
+    """A full turn on the spot at a rate [rad/s], a rest of 1 s, and then another control."""
+
+    def __init__(self, rate: float, then: Control) -> None:
+        self._rate, self._then, self._turns_s = rate, then, math.tau / abs(rate)
+
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
+    ) -> Twist | None:
+        """Return the command; see `Control`."""
+        if t < self._turns_s + 1.0:
+            return Twist(0.0, self._rate if t < self._turns_s else 0.0)
+        return self._then.twist(t, pose, sure, seen)
 
 
 class Search:

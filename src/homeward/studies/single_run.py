@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import Drive, Finite, NonNegative, Start, Strict
+from homeward.drives.drive import Drive, Finite, NonNegative, Span, Start, Strict
 from homeward.drives.folder import HOME
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.containers.bag_folder import is_log
@@ -53,6 +53,8 @@ class RunSettings(Strict):
     """For an MRCLAM folder: of that noise."""
     topics: str | None = None
     """For a log: the path of a YAML file that says which topics hold what."""
+    home_spin: Span | None = None
+    """From when until when the robot turned on the spot at home, in the drive itself [s]."""
     estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
@@ -171,6 +173,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         home_noise=float(np.radians(run.home_noise_deg)),
         seed=run.seed,
         topics=run.topics,
+        home_spin=run.home_spin,
         tell=progress,
     )
     if not drive.sightings.t.size:

@@ -128,7 +128,7 @@ def test_several_equal_topics_must_be_named(made):
         ("odometry: {topic: /none}\n", "there are: /odom"),
         ("bearings: {topic: /odom}\n", "tells no bearings"),
         ("odometry: {topic: /odom, use: scent}\n", "odometry.use"),
-        ("home: {}\n", "one of topic, csv and during"),
+        ("home: {}\n", "one of during, spin, topic, csv"),
         ("home: {during: [3, 1]}\n", "from, until"),
         ("colour: red\n", "colour"),
         ("drive: {sensor: {x: far}}\n", "drive.sensor.x"),

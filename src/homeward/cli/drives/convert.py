@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.options import (
+    HomeNoise,
+    HomePose,
+    HomeSpin,
+    Robot,
+    Topics,
+    progress,
+    spin_span,
+    three_numbers,
+)
 from homeward.cli.terminal import say, warn
 
 
@@ -22,6 +31,7 @@ def convert(
         Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")
     ],
     topics: Topics = None,
+    home_spin: HomeSpin = None,
     robot: Robot = None,
     home: HomePose = None,
     home_noise_deg: HomeNoise = 0.0,
@@ -43,6 +53,7 @@ def convert(
             home_noise=math.radians(home_noise_deg),
             seed=seed,
             topics=topics,
+            home_spin=spin_span(home_spin),
             tell=tell,
         )
     with progress(f"writing {target}") as tell:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from homeward.cli.options import HomeSpin, spin_span
 from homeward.cli.terminal import say, table, warn
 
 
@@ -27,6 +28,7 @@ def import_(
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
         ),
     ] = None,
+    home_spin: HomeSpin = None,
     picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
         "out/import.png"
     ),
@@ -49,7 +51,7 @@ def import_(
         for u in found
     )
     table([head, *cells], left=len(head))
-    drive = drive_of(found, "import" if out is None else out.name)
+    drive = drive_of(found, "import" if out is None else out.name, spin_span(home_spin))
     with naming(picture, "cannot be written"):
         picture.parent.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(png(glance(drive)))

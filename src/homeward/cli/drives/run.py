@@ -15,11 +15,13 @@ from homeward.cli.options import (
     AsJson,
     Changes,
     HomePose,
+    HomeSpin,
     Robot,
     Topics,
     day,
     key_values,
     progress,
+    spin_span,
     three_numbers,
 )
 from homeward.cli.terminal import answer, no_answer, say, warn
@@ -67,6 +69,7 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
     topics: Topics = None,
+    home_spin: HomeSpin = None,
     place: Annotated[
         Path | None,
         typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
@@ -119,6 +122,7 @@ def run(
         "home": None if home is None else three_numbers(home, "--home"),
         "home_noise_deg": home_noise_deg,
         "seed": seed,
+        "home_spin": spin_span(home_spin),
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings
+from homeward.drives.drive import Drive, DriveSettings, HomeWhen
 from homeward.drives.folder import home_of, odometry_of, sightings_of, truth_of
 from homeward.drives.foreign.columns import KINDS, UNITS, Column, assigned, told_columns
 from homeward.drives.foreign.sheet import Sheet, sheet
+from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_one_clock
+from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Parser, Table, identifiers, numbers_or_nothing, read_csv
 from homeward.errors import InputError
 from homeward.estimator import HOLD_S
@@ -81,8 +83,10 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     return found
 
 
-def drive_of(found: Sequence[Understood], name: str) -> Drive:
-    """Return the drive that tables make.
+def drive_of(
+    found: Sequence[Understood], name: str, home_spin: tuple[float, float] | None = None
+) -> Drive:
+    """Return the drive that tables make, its home as in `open_drive`.
 
     Raises
     ------
@@ -90,7 +94,7 @@ def drive_of(found: Sequence[Understood], name: str) -> Drive:
         When a part is missing, or what a drive cannot be; it names file and row.
     """
     tables = {one.kind: one.table for one in found}
-    for kind in ("odometry", "bearings", "home"):
+    for kind in ("odometry", "bearings", "home")[: 3 if home_spin is None else 2]:
         if kind not in tables:
             needs = ", ".join(KINDS[kind])
             raise InputError(f"nothing tells {kind}: no file has {needs}; --columns may say so")
@@ -105,12 +109,15 @@ def drive_of(found: Sequence[Understood], name: str) -> Drive:
         name=name,
         odometry=odometry_of(tables["odometry"], remarks),
         sightings=sightings_of(tables["bearings"], remarks),
-        home=home_of(tables["home"], remarks),
+        home=home_of(tables["home"], remarks) if "home" in tables else {},
         settings=DriveSettings(epoch=epoch) if epoch else DriveSettings(),
         truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
         remarks=remarks,
     )
-    return on_one_clock(drive, tables["bearings"].file)
+    drive = on_one_clock(drive, tables["bearings"].file)
+    if home_spin is None:
+        return drive
+    return with_home(drive, validated(HomeWhen, {"spin": home_spin}))
 
 
 def _kinds(one: Sheet, told: Sequence[Column]) -> list[tuple[str, dict[str, Column]]]:

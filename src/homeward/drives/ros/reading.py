@@ -10,12 +10,12 @@ import numpy as np
 
 from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
+from homeward.drives.home.choosing import with_home
 from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.camera import CameraRows
-from homeward.drives.ros.measurements.home import home_during
 from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
@@ -124,15 +124,17 @@ class _Reading:
         self._mount()
         odometry = self._odometry.odometry(self._remarks)
         sightings = self._sightings()
-        return Drive(
+        drive = Drive(
             name=self._path.resolve().stem,
             odometry=odometry,
             sightings=sightings,
-            home=self._home(odometry, sightings),
+            home=self._home(),
             settings=self._clock.in_settings(self._settings),
             truth=self._truth(),
             remarks=dict(self._remarks),
         )
+        told = self._plan.home
+        return drive if told is None else with_home(drive, told)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:
         """Return the drive's settings, the user's before the log's own, and the log's epoch [s]."""
@@ -213,15 +215,13 @@ class _Reading:
         count_repeats(sightings, self._remarks)
         return sightings
 
-    def _home(self, odometry: Odometry, sightings: Sightings) -> dict[str, HomeBearing]:
+    def _home(self) -> dict[str, HomeBearing]:
         told = self._plan.home
-        if told is None:
+        if told is None or (told.csv is None and told.topic is None):
             return {}
         if told.csv is not None:
             beside = self._topics.parent if self._topics is not None else self._path.parent
             return read_home(beside / told.csv, self._remarks)
-        if told.during is not None:
-            return home_during(told.during, odometry, sightings)
         assert self._at_home is not None
         columns = self._at_home.columns()
         first = columns["t"] == columns["t"][:1]

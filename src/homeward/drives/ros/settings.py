@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import DriveSettings, Finite, NonNegative, Positive, Strict
+from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Positive, Strict
 
 
 class OdometryTopic(Strict):
@@ -61,7 +61,7 @@ class BearingsTopic(Strict):
 
 NAME_BEARINGS = "name its topics under bearings in a topics file; homeward info lists them"
 """The way out where no topic of a log is known to tell bearings."""
-NAME_HOME = "name it under home in a topics file (csv, topic, or during: [from, until])"
+NAME_HOME = "name it under home in a topics file (csv, topic, during or spin: [from, until])"
 """The way out where nothing in a log tells what the camera saw at home."""
 
 
@@ -74,23 +74,13 @@ class MountFrames(Strict):
     """The robot's."""
 
 
-class HomeFrom(Strict):
-    """Where the home bearings are: one of these."""
+class HomeFrom(HomeWhen):
+    """Where the home bearings are, or when the robot was at home: one of these."""
 
     topic: str | None = None
     """A homeward_msgs/Bearings of what the camera saw at home; its first message counts."""
     csv: str | None = None
     """A home.csv, beside the YAML file or absolute."""
-    during: tuple[NonNegative, NonNegative] | None = None
-    """The robot stood at home from so many seconds after the start until so many [s]."""
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if sum(value is not None for value in (self.topic, self.csv, self.during)) != 1:
-            raise ValueError("give one of topic, csv and during")
-        if self.during is not None and self.during[0] >= self.during[1]:
-            raise ValueError("during must be [from, until]")
-        return self
 
 
 class TruthTopic(Strict):

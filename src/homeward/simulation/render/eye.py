@@ -46,11 +46,17 @@ class Eye:
         mount = self.scenario.home_mount.pose
         return self._view(compose(self.scenario.home.pose, mount), 0)
 
-    def home_picture(self) -> np.ndarray:
-        """Return the picture that home stored, (height, width, 3), blue green red."""
-        scenario = self.scenario
-        chance = self._chance(0)
-        return picture(self.then, self.home_view, scenario.home_time, scenario.camera, chance)
+    def home_picture(self, turned: float = 0.0, number: int = 0) -> np.ndarray:
+        """Return the picture that home stored, (height, width, 3), blue green red.
+
+        Or another one of there, of a robot that has turned by so much [rad], by a `number` that no
+        picture has.
+        """
+        scenario, mount = self.scenario, self.scenario.home_mount.pose
+        robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
+        view = self._view(compose(robot, mount), number)
+        chance = self._chance(number)
+        return picture(self.then, view, scenario.home_time, scenario.camera, chance)
 
     def home_truth(self) -> PixelTruth:
         """Return what each of its pixels shows."""

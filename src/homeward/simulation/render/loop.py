@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,16 +57,19 @@ class ImageDrive:
 class ImageLoop:
     """A robot at the start, with a camera, and with a front-end if its images are to steer it.
 
-    A `blind` one only takes them.
+    A `blind` one only takes them. `home` is what home stored, if not what one picture shows.
     """
 
-    def __init__(self, eye: Eye, blind: bool = False) -> None:
+    def __init__(
+        self, eye: Eye, blind: bool = False, home: Mapping[str, HomeBearing] | None = None
+    ) -> None:
         self.eye, self._taken = eye, 0
         self.front_end: FrontEnd | TagFrontEnd | None = None
         self._home: dict[str, HomeBearing] = {}
         if not blind and eye.scenario.tags is not None:
             self.front_end = TagFrontEnd(camera_of(eye), eye.scenario.tags.family)
-            self._home = self.front_end.see(eye.home_picture()).home
+            stored = self.front_end.see(eye.home_picture()).home if home is None else home
+            self._home = dict(stored)
         elif not blind:
             camera = panorama_of(eye)
             self.front_end = FrontEnd(look(eye.home_picture(), camera), camera)

@@ -71,14 +71,15 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     odometry = read_odometry(folder / ODOMETRY, remarks)
     spans = {"the odometry": span(odometry.t), "the images": span(frames.t)}
     require_overlap(spans, OTHER_CLOCK, folder)
-    home = _home(eye, folder, settings)
+    robot = read_drive_settings(folder / SETTINGS)
+    home = _home(eye, folder, settings) if robot.home is None else {}
     sightings = _sightings(eye, frames, remarks, tell)
     return Drive(
         name=path.resolve().stem,
         odometry=odometry,
         sightings=sightings,
         home=home,
-        settings=read_drive_settings(folder / SETTINGS),
+        settings=robot,
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
     )

@@ -1,4 +1,4 @@
-"""Home bearings out of a log: what the camera saw while the robot stood at home."""
+"""Home by standing there: the mean of what the camera saw."""
 
 from __future__ import annotations
 

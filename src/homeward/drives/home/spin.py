@@ -1,0 +1,129 @@
+"""Home by turning on the spot: home bearings all round from a camera that sees a part of it.
+
+Landmarks that are seen again close the turn. A camera that is not at the robot's centre moves on a
+circle: ranges are found by its parallax, and where there is too little of that, their prior is in
+the sigmas.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.drive import DriveSettings, HomeBearing, Odometry, Sightings
+from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
+from homeward.errors import InputError
+
+TOLERATES = 1.0, 0.5, 0.25, 0.1, 0.0, 0.0
+"""Shares of what odometry may be off by, a priori, which sightings may be off in each step: at
+first none is denied for it, at last all of it is known."""
+HARD_STEPS = 4
+"""Afterwards sightings count fully or not at all, for so many steps."""
+MAJORITY = 0.6
+"""So large a share of the sightings of a landmark must agree: most, with some to spare."""
+DATUM_STEPS = 10
+"""Until it is settled whose mean defines home's heading."""
+
+
+class Spin(NamedTuple):
+    """What a turn tells of home, where the robot was when it began."""
+
+    names: tuple[str, ...]
+    """Of n landmarks."""
+    bearings: np.ndarray
+    """(n,), from the camera's axis as it was when the turn began [rad]."""
+    covariance: np.ndarray
+    """(n, n), home's heading being that of the robot when the turn began [rad^2]."""
+    left_out: tuple[str, ...]
+    """Landmarks whose sightings disagree: moved meanwhile, or there twice."""
+    turned: float
+    """[rad], as corrected; positive anti-clockwise."""
+    seen: float
+    """Angle that came into view, at most a full turn [rad]."""
+
+    @property
+    def home(self) -> dict[str, HomeBearing]:
+        """The home bearings, each as uncertain as it is against the others.
+
+        What most have in common is an error of home's heading, which home bearings define.
+        """
+        variances, weights = self.covariance.diagonal(), self.datum
+        if len(self.names) > 1:
+            variances = self._against(weights) / (1.0 - weights)  # each is part of the mean itself
+        sigmas = np.sqrt(np.maximum(variances, LEAST_RAD**2)).tolist()
+        each = zip(self.names, self.bearings.tolist(), sigmas, strict=True)
+        return {name: HomeBearing(b, s) for name, b, s in each}
+
+    @property
+    def heading_sigma(self) -> float:
+        """How well home's heading is that of the robot when the turn began [rad]."""
+        return float(np.sqrt(self.datum @ self.covariance @ self.datum))
+
+    @property
+    def datum(self) -> np.ndarray:
+        """The weights (n,) of the mean that defines home's heading: of those that agree best."""
+        weights = np.full(len(self.names), 1.0 / len(self.names))
+        for _ in range(DATUM_STEPS):
+            own = self._against(weights)
+            weights = 1.0 / (own + np.median(own) + LEAST_RAD**2)
+            weights /= weights.sum()
+        return weights
+
+    def _against(self, weights: np.ndarray) -> np.ndarray:
+        """Return the variances (n,) of the bearings against a weighted mean of them [rad^2]."""
+        common = self.covariance @ weights
+        return np.asarray(self.covariance.diagonal() - 2.0 * common + weights @ common)
+
+
+def spin(
+    interval: tuple[float, float],
+    odometry: Odometry,
+    sightings: Sightings,
+    settings: DriveSettings,
+) -> Spin:
+    """Return what a turn on the spot tells of home: the pose of the robot when it begins.
+
+    It need not be a full turn, nor without rests: several looks from one place are one, too.
+
+    Parameters
+    ----------
+    interval : (float, float)
+        From when until when, on the drive's clock [s].
+    odometry, sightings, settings
+        Of the drive.
+
+    Raises
+    ------
+    InputError
+        When nothing was seen meanwhile, odometry has a gap, the robot drives away, or most
+        sightings disagree with its turn.
+    """
+    turn = Turn.within(interval, odometry, sightings, settings)
+    x, drift = turn.first_guess(), turn.drift()
+    for tolerated in TOLERATES:  # graduated non-convexity, by the weights of Geman and McClure
+        gate = np.hypot(GATE * turn.sigmas, tolerated * drift)
+        weights = 1.0 / (1.0 + (turn.residuals(x) / gate) ** 2) ** 2
+        x, covariance = turn.step(x, weights, turn.sigmas)
+    for _ in range(HARD_STEPS):
+        off = np.abs(turn.residuals(x))
+        sigmas = turn.believed_sigmas(off)
+        agree = off < GATE * sigmas
+        x, covariance = turn.step(x, agree.astype(float), sigmas)
+    share = np.bincount(turn.landmark, agree) / np.bincount(turn.landmark)
+    if agree.mean() < MAJORITY or not (share >= MAJORITY).any():
+        raise InputError(
+            f"{1.0 - agree.mean():.0%} of the sightings disagree with how odometry turned during "
+            "home's spin: do bearings and turns both run anti-clockwise?"
+        )
+    kept = np.flatnonzero(share >= MAJORITY)
+    headings = turn.headings(x)
+    return Spin(
+        tuple(turn.names[i] for i in kept),
+        turn.home_bearings(x)[kept],
+        covariance[np.ix_(kept, kept)],
+        tuple(turn.names[i] for i in np.flatnonzero(share < MAJORITY)),
+        float(headings[-1]),
+        float(min(np.ptp(turn.bearing) + np.ptp(headings), math.tau)),
+    )

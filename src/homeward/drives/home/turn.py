@@ -1,0 +1,312 @@
+"""A turn on the spot as one least-squares problem.
+
+A pose of the robot at each stamp, tied to the next one by odometry, whose noise is a random walk;
+of odometry the constant errors of turn scale and turn bias, its lag behind the camera, and the slip
+by which the robot's centre goes round in a circle; and of each landmark the direction from where
+the camera began, and the inverse of its range (Civera, Davison, Montiel, 2008).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from homeward.angles import wrap
+from homeward.drives.dead_reckoning import reckoning
+from homeward.drives.drive import DriveSettings, Odometry, Sightings
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.errors import InputError
+from homeward.estimator import HOLD_S
+
+UNTOLD_SIGMA = 0.02
+"""Of bearings whose noise nobody told, at first [rad]; their residuals tell it then."""
+RATE_S = 0.1
+"""The turn rate is that of so much time before and after [s]."""
+LAG_SIGMA_S = 0.2
+"""Of the lag of odometry behind the camera, as the localiser has it [s]."""
+INVERSE_RANGE = 0.5, 0.5
+"""A landmark's inverse range, before anything is seen of it, and its deviation: from 1 m to
+infinitely far, in a room or outdoors [1/m]."""
+LEAST_M, LEAST_RAD = 1e-4, 1e-5
+"""No odometry is better from stamp to stamp."""
+GATE = 3.0
+"""A sighting that is farther off does not agree: 1 of 370 right ones [standard deviations]."""
+NEAREST = 0.9
+"""A landmark is beyond the circle of the camera, which may be so large a part of its range."""
+FARTHEST_M = 0.3
+"""A robot that gets farther away does not turn on the spot, but drives [m]."""
+WORST_RAD = 0.1
+"""No camera is worse: errors that are larger are none of noise."""
+MAD_TO_SIGMA = 1.4826
+SCALE, BIAS, LAG, SLIP, POSES = range(5)
+"""Columns: odometry's constant errors, then poses (heading, x, y), then landmarks."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The problem: m sightings of n landmarks from K poses, the first of which is home."""
+
+    names: list[str]
+    odometry: Odometry
+    stamps: np.ndarray
+    """(K,) [s]"""
+    centre: np.ndarray
+    """(K,), complex: where the robot's centre is by odometry [m]."""
+    pose: np.ndarray
+    """(m,), from which pose."""
+    landmark: np.ndarray
+    """(m,), which landmark."""
+    bearing: np.ndarray
+    """(m,) [rad]"""
+    sigmas: np.ndarray
+    """(m,) [rad]"""
+    noise_told: bool
+    mount: complex
+    """The camera on the robot [m]."""
+    yaw: float
+    """[rad]"""
+    step_sigmas: np.ndarray
+    """(K - 1, 3), of odometry from pose to pose: heading [rad], along and across [m]."""
+    constant_sigmas: np.ndarray
+    """(4,)"""
+
+    @classmethod
+    def within(
+        cls,
+        interval: tuple[float, float],
+        odometry: Odometry,
+        sightings: Sightings,
+        settings: DriveSettings,
+    ) -> Turn:
+        """Return the problem of an interval."""
+        begin, end = interval
+        there = (sightings.t >= begin) & (sightings.t <= end) & np.isfinite(sightings.bearing)
+        seen = sightings.rows(there)
+        if not seen.t.size:
+            raise InputError("nothing was seen during home's spin")
+        _require_odometry(begin, float(seen.t[-1]), odometry)
+        stamps = np.unique([begin, *seen.t])
+        way = reckoning(odometry, stamps)
+        centre = (way.x + 1j * way.y - way.x[0] - 1j * way.y[0]) * np.exp(-1j * way.heading[0])
+        if not np.isfinite(centre).all():
+            raise InputError("odometry has numbers that are not finite during home's spin")
+        if (far := float(np.abs(centre).max())) > FARTHEST_M:
+            raise InputError(
+                f"the robot does not turn on the spot during home's spin: it gets {far:.2f} m away"
+            )
+        names, landmark = np.unique(seen.landmark.astype(str), return_inverse=True)
+        camera, default = settings.sensor, OdometryDefaults()
+        told = np.isfinite(seen.sigma)
+        untold = camera.bearing_sigma or UNTOLD_SIGMA
+        turn, given = way.heading - way.heading[0], settings.odometry
+        steps = np.stack([np.diff(stamps), np.abs(np.diff(centre)), np.abs(np.diff(turn))])
+        along, across, heading = noise_rates(given, default) @ steps
+        least = np.array([LEAST_RAD, LEAST_M, LEAST_M])
+        scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
+        return cls(
+            names=names.tolist(),
+            odometry=odometry,
+            stamps=stamps,
+            centre=centre,
+            pose=np.searchsorted(stamps, seen.t),
+            landmark=landmark,
+            bearing=seen.bearing,
+            sigmas=np.clip(np.where(told, seen.sigma, untold), LEAST_RAD, math.pi),
+            noise_told=bool(told.all()) or camera.bearing_sigma is not None,
+            mount=complex(camera.x, camera.y),
+            yaw=camera.yaw,
+            step_sigmas=np.maximum(np.sqrt(np.stack([heading, along, across], axis=1)), least),
+            constant_sigmas=np.array(
+                [
+                    max(default.turn_scale if scale is None else scale, LEAST_RAD),
+                    max(default.turn_bias if bias is None else bias, LEAST_RAD),
+                    LAG_SIGMA_S,
+                    default.turn_slip if given.speed_scale_sigma is None else LEAST_M,
+                ]
+            ),
+        )
+
+    @property
+    def first_landmark(self) -> int:
+        """The column of the first landmark's bearing."""
+        return POSES + 3 * self.stamps.size
+
+    def turn(self, lag: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return heading since home (K,) [rad] and turn rate (K,) [rad/s] by lagging odometry."""
+        before, now, after = (
+            reckoning(self.odometry, self.stamps + lag + d).heading for d in (-RATE_S, 0.0, RATE_S)
+        )
+        return now - now[0], (after - before) / (2.0 * RATE_S)
+
+    def first_guess(self) -> np.ndarray:
+        """Return all unknowns by odometry alone, and where most sightings of a landmark agree."""
+        turn, _ = self.turn(0.0)
+        poses = np.stack([turn, self.centre.real, self.centre.imag], axis=1)
+        landmarks = np.full((len(self.names), 2), INVERSE_RANGE[0])
+        lines, drift = turn[self.pose] + self.bearing, self.drift() + GATE * self.sigmas
+        for i in range(len(self.names)):
+            mine, blur = lines[self.landmark == i], drift[self.landmark == i]
+            near = np.abs(wrap(mine[:, None] - mine)) < blur
+            landmarks[i, 0] = mine[near.sum(axis=1).argmax()]
+        return np.concatenate([np.zeros(POSES), poses.ravel(), landmarks.ravel()])
+
+    def drift(self) -> np.ndarray:
+        """Return how far odometry alone may be off by each sighting, (m,) [rad]."""
+        walk = np.cumsum(np.append(0.0, self.step_sigmas[:, 0] ** 2))
+        turn, rate = self.turn(0.0)
+        slopes = np.stack([turn, self.stamps - self.stamps[0], rate - rate[0]], axis=1)
+        constant = np.square(slopes * self.constant_sigmas[:SLIP]).sum(axis=1)
+        return np.asarray(np.sqrt(walk + constant)[self.pose])
+
+    def believed_sigmas(self, off: np.ndarray) -> np.ndarray:
+        """Return the deviations of bearings, (m,), no worse than they leave residuals [rad]."""
+        free = 1.0 - min(2.0 * len(self.names) / off.size, 0.5)  # the landmarks took their share
+        scale = MAD_TO_SIGMA * float(np.median(off / self.sigmas)) / math.sqrt(free)
+        sigmas = self.sigmas * (max(scale, 1.0) if self.noise_told else scale)
+        return np.clip(sigmas, LEAST_RAD, WORST_RAD)
+
+    def headings(self, x: np.ndarray) -> np.ndarray:
+        """Return the heading at each stamp since home, (K,) [rad]."""
+        return self._split(x)[0][:, 0]
+
+    def home_bearings(self, x: np.ndarray) -> np.ndarray:
+        """Return what the camera saw of the landmarks at home, (n,) [rad]."""
+        return np.asarray(wrap(self._split(x)[1][:, 0] - self.yaw))
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return how far sightings are off what the unknowns let expect, (m,) [rad]."""
+        poses, landmarks = self._split(x)
+        return np.asarray(wrap(self.bearing - self._expected(poses, landmarks)[0]))
+
+    def step(
+        self, x: np.ndarray, weights: np.ndarray, sigmas: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unknowns after a Gauss-Newton step, and the covariance of the bearings.
+
+        Sightings, (m,), count by `weights`, and have these `sigmas` [rad].
+        """
+        residuals, jacobian = self._linearised(x, weights, sigmas)
+        information = splu(csc_array(jacobian.T @ jacobian))
+        moved: np.ndarray = x + information.solve(jacobian.T @ residuals)
+        inverse = moved[self.first_landmark + 1 :: 2]  # in front of the camera
+        reach = 2.0 * abs(self.mount) + float(np.abs(self.centre).max())
+        np.clip(inverse, 0.0, NEAREST / max(reach, LEAST_M), out=inverse)
+        columns = np.arange(self.first_landmark, x.size, 2)
+        unit = np.zeros((x.size, columns.size))
+        unit[columns, np.arange(columns.size)] = 1.0
+        return moved, np.asarray(information.solve(unit)[columns])
+
+    def _split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses (K, 3), and landmarks (n, 2)."""
+        middle = self.first_landmark
+        return x[POSES:middle].reshape(-1, 3), x[middle:].reshape(-1, 2)
+
+    def _expected(
+        self, poses: np.ndarray, landmarks: np.ndarray
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Return the bearings expected, (m,), and their derivatives.
+
+        Those by heading, x and y of the pose, direction and inverse range of the landmark, (m,).
+        """
+        heading, px, py = poses[self.pose].T
+        direction, inverse = landmarks[self.landmark].T
+        arm = np.exp(1j * heading) * self.mount
+        moved = self.mount - (px + 1j * py + arm)
+        line = np.exp(1j * direction)
+        sight = line + inverse * moved
+        expected = np.angle(sight) - heading - self.yaw
+
+        def along(change: np.ndarray) -> np.ndarray:
+            return np.asarray((change / sight).imag)
+
+        slopes = (
+            along(-1j * inverse * arm) - 1.0,
+            along(-inverse + 0j),
+            along(-1j * inverse),
+            along(1j * line),
+            along(moved),
+        )
+        return expected, slopes
+
+    def _linearised(
+        self, x: np.ndarray, weights: np.ndarray, sigmas: np.ndarray
+    ) -> tuple[np.ndarray, csc_array]:
+        """Return whitened residuals, and their derivatives by all unknowns."""
+        poses, landmarks = self._split(x)
+        expected, slopes = self._expected(poses, landmarks)
+        scale = np.sqrt(weights) / sigmas
+        off, seen = scale * wrap(self.bearing - expected), POSES + 3 * self.pose
+        at = self.first_landmark + 2 * self.landmark
+        columns = (seen, seen + 1, seen + 2, at, at + 1)
+        rows = np.arange(self.pose.size)
+        entries = [(rows, c, scale * s) for c, s in zip(columns, slopes, strict=True)]
+        parts, count = [off], rows.size
+
+        def add(residual: np.ndarray, sigma: np.ndarray, *terms: tuple[Any, Any]) -> None:
+            """Add residuals that are reduced by unknowns, each (columns, derivatives)."""
+            nonlocal count
+            rows = count + np.arange(residual.size)
+            parts.append(residual / sigma)
+            for column, slope in terms:
+                entries.append((rows, np.broadcast_to(column, rows.shape), slope / sigma))
+            count += residual.size
+
+        odometry, rates = self.turn(float(x[LAG]))
+        turn, rate = np.diff(odometry), np.diff(rates)
+        now, then = POSES + 3 * np.arange(turn.size), POSES + 3 * np.arange(1, turn.size + 1)
+        one = np.ones(turn.size)
+        # Heading: (1 + scale) turn + bias dt, turns as they were the lag later
+        by = (turn, np.diff(self.stamps), rate)
+        told = turn + x[SCALE] * by[SCALE] + x[BIAS] * by[BIAS]
+        add(
+            told - np.diff(poses[:, 0]),
+            self.step_sigmas[:, 0],
+            (then, one),
+            (now, -one),
+            *((column, -slope) for column, slope in enumerate(by)),
+        )
+        # Centre: in the frame of the pose before, driven by odometry and by slip along the heading
+        half = np.exp(-1j * (poses[:-1, 0] + 0.5 * turn))
+        driven = np.diff(self.centre) * np.exp(-1j * (odometry[:-1] + 0.5 * turn))
+        gone = np.diff(poses[:, 1] + 1j * poses[:, 2])
+        local = gone * half
+        for part, sigma, slip in (
+            (np.real, self.step_sigmas[:, 1], turn),
+            (np.imag, self.step_sigmas[:, 2], 0.0 * turn),
+        ):
+            add(
+                part(driven) + x[SLIP] * slip - part(local),
+                sigma,
+                (then + 1, part(half)),
+                (then + 2, part(1j * half)),
+                (now, part(-1j * local)),
+                (now + 1, -part(half)),
+                (now + 2, -part(1j * half)),
+                (SLIP, -slip),
+            )
+        # Priors: home is the origin
+        first, mean = slice(POSES, POSES + 3), np.zeros(POSES)
+        add(-x[first], np.full(3, 1e-6), (np.arange(POSES, POSES + 3), np.ones(3)))
+        add(mean - x[:POSES], self.constant_sigmas, (np.arange(POSES), np.ones(POSES)))
+        ranges = self.first_landmark + 1 + 2 * np.arange(len(self.names))
+        nowhere = np.full(ranges.size, math.pi)  # of landmarks none of whose sightings agrees
+        add(0.0 * nowhere, nowhere, (ranges - 1, np.ones(ranges.size)))
+        sigma = np.full(ranges.size, INVERSE_RANGE[1])
+        add(INVERSE_RANGE[0] - x[ranges], sigma, (ranges, np.ones(ranges.size)))
+        row, column, value = (np.concatenate(each) for each in zip(*entries, strict=True))
+        return np.concatenate(parts), csc_array((value, (row, column)), shape=(count, x.size))
+
+
+def _require_odometry(begin: float, end: float, odometry: Odometry) -> None:
+    """Refuse an interval [s] without odometry somewhere."""
+    inside = odometry.t[(odometry.t > begin) & (odometry.t < end)]
+    before = odometry.t[odometry.t <= begin][-1:]
+    ends = np.concatenate([before if before.size else [-math.inf], inside, [end]])
+    gap = float(np.diff(ends).max())
+    if gap > HOLD_S:
+        raise InputError(f"odometry has a gap of {gap:.1f} s during home's spin")

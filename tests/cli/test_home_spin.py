@@ -1,0 +1,132 @@
+"""Home by turning once, as a user of a narrow camera has it."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from commands import call, done, refused
+
+from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.opening import open_drive
+from homeward.drives.text.settings import validated
+from homeward.frames import Pose, compose
+from homeward.simulation.scenario import Scenario
+from homeward.simulation.simulate import simulate
+
+HOME = {"x": 1.5, "y": 1.0, "heading": 0.3}
+ROUND = {
+    "name": "narrow",
+    "seed": 5,
+    "home": HOME,
+    "room": {"bounds": [0, 0, 5, 4]},
+    "landmarks": {"layout": "room", "count": 14, "spacing": 0.6},
+    "visibility": {"field_of_view": math.radians(60.0)},
+    "noise": {"bearing_sigma": 0.005, "home_sigma": 0.005},
+    "odometry": {"turn_sigma": 0.005, "turn_scale_sigma": 0.02, "speed_sigma": 0.002},
+    "sensor": {"x": 0.15},
+    "start": {**HOME, "prior": False},
+    "trajectory": {
+        "kind": "waypoints",
+        "spin": 0.5,
+        "speed": 0.25,
+        "points": [[3.5, 1.0], [3.5, 3.0], [1.5, 3.0]],
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def narrow(tmp_path_factory):
+    """The folder of a drive that begins with a turn at home, and has no home.csv."""
+    folder = tmp_path_factory.mktemp("spin") / "narrow"
+    write_folder(simulate(validated(Scenario, ROUND)).drive, folder)
+    (folder / "home.csv").unlink()
+    return folder
+
+
+def truths(folder):
+    """What the camera saw at home in truth, by landmark: all that stands there."""
+    world = simulate(validated(Scenario, ROUND)).world
+    eye = compose(Pose(**HOME), Pose(0.15, 0.0, 0.0))
+    off = world.places - np.array([eye.x, eye.y])
+    bearings = np.arctan2(off[:, 1], off[:, 0]) - eye.heading
+    return dict(zip(world.ids, bearings.tolist(), strict=True))
+
+
+def test_run_finds_home_by_a_turn(narrow, tmp_path):
+    out = tmp_path / "run"
+    result = done(call("run", narrow, "--home-spin", "0,14", "--out", out))
+    assert "home bearings by a turn of 3" in " ".join(result.output.split())
+    run = open_drive(narrow, home_spin=(0.0, 14.0))
+    true = truths(narrow)
+    assert len(run.home) >= 10
+    for name, seen in run.home.items():
+        off = math.remainder(seen.bearing - true[name], math.tau)
+        assert abs(off) < 4.0 * seen.sigma + 0.01
+    lines = (out / "metrics.json").read_text()
+    assert yaml.safe_load(lines)["position_rmse_m"] < 0.1
+    assert yaml.safe_load((out / "run.yaml").read_text())["home_spin"] == [0.0, 14.0]
+
+
+def test_drive_yaml_says_when_home_was(narrow, tmp_path):
+    folder = shutil.copytree(narrow, tmp_path / "said")
+    told = yaml.safe_load((folder / "drive.yaml").read_text())
+    (folder / "drive.yaml").write_text(yaml.safe_dump({**told, "home": {"spin": [0, 14]}}))
+    by_option, by_file = open_drive(narrow, home_spin=(0.0, 14.0)), open_drive(folder)
+    assert by_file.home == by_option.home
+    out = tmp_path / "kept"
+    done(call("convert", folder, out))
+    kept = read_folder(out)
+    assert kept.home == by_file.home
+    assert kept.settings.home is None
+    (folder / "home.csv").write_text("landmark,bearing\nL01,0.5\n")
+    assert "told twice" in refused(call("run", folder))
+    assert open_drive(folder, home_spin=(0.0, 14.0)).home == by_file.home
+
+
+def test_import_takes_home_from_a_turn(narrow, tmp_path):
+    out, files = tmp_path / "mine", (narrow / "odometry.csv", narrow / "bearings.csv")
+    picture = ("--picture", tmp_path / "seen.png")
+    done(call("import", *files, *picture, "--home-spin", "0,14", "--out", out))
+    assert len(read_folder(out).home) >= 10
+
+
+def test_a_log_has_its_turn_too(narrow, tmp_path):
+    log, topics, out = tmp_path / "log.mcap", tmp_path / "topics.yaml", tmp_path / "folder"
+    done(call("convert", narrow, log, "--home-spin", "0,14"))
+    topics.write_text("home: {spin: [0, 14]}\nbearings: {topic: /homeward/bearings}\n")
+    done(call("convert", log, out, "--topics", topics))
+    kept, same = read_folder(out).home, open_drive(narrow, home_spin=(0.0, 14.0)).home
+    assert kept.keys() == same.keys()
+    assert all(kept[n].bearing == pytest.approx(same[n].bearing, abs=1e-9) for n in kept)
+
+
+@pytest.mark.parametrize(
+    ("span", "words"),
+    [
+        ("14,0", "FROM,UNTIL"),
+        ("-3,5", "FROM,UNTIL"),
+        ("3", "two numbers"),
+        ("nan,5", "finite"),
+        ("soon,later", "two numbers"),
+        ("4000,4010", "nothing was seen"),
+        ("0,40", "turn on the spot"),
+    ],
+)
+def test_what_is_no_turn_is_refused_and_nothing_is_written(narrow, tmp_path, span, words):
+    out = tmp_path / "run"
+    assert words in refused(call("run", narrow, f"--home-spin={span}", "--out", out))
+    assert not out.exists()
+
+
+def test_what_drive_yaml_says_of_home_must_be_one_thing_in_order(narrow, tmp_path):
+    folder = shutil.copytree(narrow, tmp_path / "said")
+    for said, words in (
+        ("{spin: [14, 0]}", "[from, until]"),
+        ("{}", "give one of during, spin"),
+        ("{spin: [0, 14], during: [0, 1]}", "give one of"),
+        ("{spin: [0, .nan]}", "home.spin"),
+    ):
+        (folder / "drive.yaml").write_text(f"home: {said}\n")
+        assert words in refused(call("run", folder, "--out", tmp_path / "run"))
