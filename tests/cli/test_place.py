@@ -13,6 +13,7 @@ from homeward.places.files import load_place, newest, save_place
 from homeward.studies.single_run import load_run, prepare
 
 SHORT = ["run", "{short}"]
+AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home-at"]
 
 
 def another_day(folder):
@@ -62,6 +63,22 @@ def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
     x, y = map(float, last.split(",")[1:3])
     assert abs(x) < 0.15
     assert abs(y) < 0.15  # the drive ends where that home was stored
+
+
+def test_a_home_is_stored_where_the_drive_was_at_any_time(hall, tmp_path):
+    drive = open_drive(another_day(tmp_path / "again"))
+    early = drive.sightings.t < 30.0
+    moves = drive.odometry.t < 30.0
+    drive = replace(
+        drive, sightings=drive.sightings.rows(early), odometry=drive.odometry.rows(moves)
+    )
+    save_drive(drive, tmp_path / "short")
+    stored = "--update", "--store-home", "dock 4", "--home-at", 12.0, "--out", tmp_path / "out"
+    result = call("run", tmp_path / "short", "--place", hall, *stored)
+    assert result.exit_code == 0, result.output
+    there, truth = load_place(hall).home_pose("dock 4"), drive.truth.at(np.array([12.0]))
+    assert np.hypot(there.x - truth.x[0], there.y - truth.y[0]) < 0.15
+    assert abs(there.heading - truth.heading[0]) < 0.05
 
 
 def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
@@ -170,6 +187,10 @@ def test_view_writes_a_page(hall, tmp_path):
         ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' already"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' already"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
+        ([*SHORT, "--place", "{hall}", "--update", "--home-at", "5"], "needs --store-home"),
+        ([*AT, "999"], "999 s is no time of a drive of"),
+        ([*AT, "nan"], "nan s is no time of a drive of"),
+        ([*AT, "-1"], "-1 s is no time of a drive of"),
         (["place", "info", "{hall}/.."], "holds no place"),
         (["info", "{hall}"], "a place, not a drive"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),

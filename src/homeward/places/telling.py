@@ -12,7 +12,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import HomewardError, InputError
-from homeward.estimator import Estimate, Status
+from homeward.estimator import NO_BEARINGS_S, Estimate, Status
 from homeward.frames import Pose
 from homeward.localizer.geometry import compose, sight
 from homeward.localizer.localizer import Localizer
@@ -107,11 +107,18 @@ def require_name(what: str, name: str, there: Collection[str]) -> None:
         raise InputError(f"there is a {what} {quoted(name)} already; forget that one first")
 
 
-def last_look(drive: Drive, track: Track) -> tuple[Estimate, dict[str, float]]:
-    """Return the last pose of a track, with a look, and what was seen there."""
+def last_look(
+    drive: Drive, track: Track, until: float = math.inf
+) -> tuple[Estimate, dict[str, float]]:
+    """Return the last pose of a track, with a look, and what was seen there.
+
+    Of a time `until` [s] it is the last one not after that, and not long before it.
+    """
     looks = {t: seen for t, seen, _ in drive.sightings.stamps()}
     for i in np.flatnonzero(track.has_pose)[::-1].tolist():
-        if (t := float(track.t[i])) in looks:
+        if (t := float(track.t[i])) in looks and t <= until:
+            if until - t > NO_BEARINGS_S and until < math.inf:
+                break
             pose = Pose(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
             now = Estimate(t, track.status[i], track.reason[i], pose, track.covariance[i])
             return now, looks[t]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,20 @@ from homeward.track import Track
 
 if TYPE_CHECKING:
     from homeward.studies.single_run import RunSettings
+
+
+@dataclass(frozen=True)
+class ToStore:
+    """What of a visit its place is to keep by name."""
+
+    home: str | None = None
+    home_at: float | None = None
+    """Where the drive was then; None: at its end [s after its first sample]."""
+    route: str | None = None
+    """The way, smoothed."""
+
+
+NOTHING = ToStore()
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:
@@ -51,7 +67,7 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
 
 
 def check_update(
-    run: RunSettings, drive: Drive, store_home: str | None = None, store_route: str | None = None
+    run: RunSettings, drive: Drive, store: ToStore = NOTHING
 ) -> None:
     """Refuse before a run of minutes what `after_visit` would refuse after it.
 
@@ -59,7 +75,7 @@ def check_update(
     ------
     InputError
         When the place knows the drive, or has a home or route of the name that is to be stored, or
-        is new and has not the home that is asked for.
+        is new and has not the home that is asked for, or the drive has no such time.
     """
     homes: Collection[str] = (FIRST_HOME,)
     routes: Collection[str] = ()
@@ -71,10 +87,13 @@ def check_update(
         raise InputError(
             f"no home {quoted(str(run.place_home))}: the place is new, and its home {FIRST_HOME}"
         )
-    if store_home is not None:
-        require_name("home", store_home, homes)
-    if store_route is not None:
-        require_name("route", store_route, routes)
+    if store.home is not None:
+        require_name("home", store.home, homes)
+    if store.route is not None:
+        require_name("route", store.route, routes)
+    first, last = drive.span
+    if store.home_at is not None and not 0.0 <= store.home_at <= last - first:
+        raise InputError(f"{store.home_at:g} s is no time of a drive of {last - first:.1f} s")
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
@@ -92,12 +111,9 @@ def after_visit(
     drive: Drive,
     estimator: Estimator,
     track: Track,
-    store_home: str | None = None,
-    store_route: str | None = None,
+    store: ToStore = NOTHING,
 ) -> Place:
     """Return the place of a run as it is afterwards, all of it from `prepare` and `finish`.
-
-    A home of that name is stored where the drive ended, and its way, smoothed, as a route.
 
     Raises
     ------
@@ -107,10 +123,11 @@ def after_visit(
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
     told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
-    if store_home is not None:
-        told = told.store_home(store_home, *last_look(drive, track))
-    if store_route is not None:
-        told = told.store_route(store_route, smooth(drive, estimator.settings))
+    if store.home is not None:
+        until = math.inf if store.home_at is None else drive.span[0] + store.home_at
+        told = told.store_home(store.home, *last_look(drive, track, until))
+    if store.route is not None:
+        told = told.store_route(store.route, smooth(drive, estimator.settings))
     if not run.place_version:
         return first_place(Path(run.place).name, estimator, told)
     return merged(load_place(run.place, run.place_version), told)

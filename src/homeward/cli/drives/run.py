@@ -81,6 +81,10 @@ def run(
         str | None,
         typer.Option(help="With --update: a new home of this name where the drive ends."),
     ] = None,
+    home_at: Annotated[
+        float | None,
+        typer.Option(help="With --store-home: where the drive was then [s from its start]."),
+    ] = None,
     store_route: Annotated[
         str | None,
         typer.Option(help="With --update: the way of the drive as a route of this name."),
@@ -140,6 +144,8 @@ def run(
     for option, name in (("--store-home", store_home), ("--store-route", store_route)):
         if name is not None and not update:
             raise InputError(f"{option} needs --update")
+    if home_at is not None and store_home is None:
+        raise InputError("--home-at needs --store-home")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when are for a --place")
     if estimator is not None and "," in estimator:
@@ -148,7 +154,7 @@ def run(
     settings = run_settings(drive, given)
     if engine is not None and settings.estimator not in COMPILED:
         raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out, update, (store_home, store_route), json)
+    _run(settings, out, update, (store_home, home_at, store_route), json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -206,7 +212,7 @@ def _run(
     settings: RunSettings,
     out: Path | None,
     update: bool,
-    store: tuple[str | None, str | None],
+    names: tuple[str | None, float | None, str | None],
     json: bool,
 ) -> None:
     from homeward.places.files import save_place
@@ -214,29 +220,30 @@ def _run(
     from homeward.report.run.folder import write_run
     from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
-    from homeward.studies.visits import after_visit, check_update
+    from homeward.studies.visits import ToStore, after_visit, check_update
 
+    store = ToStore(*names)
     lost: HomewardError | None = None
     after: Place | None = None
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
         if update:
-            check_update(complete, drive, *store)
+            check_update(complete, drive, store)
         folder = _output_folder(out, drive.name, settings.drive)
         track = finish(drive, estimator, complete, tell)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
             try:
-                after = after_visit(complete, drive, estimator, track, *store)
+                after = after_visit(complete, drive, estimator, track, store)
                 save_place(after, settings.place, complete.place_version or 0)
             except HomewardError as error:  # told below the answer, which is there nevertheless
                 after, lost = None, error
     words = [summary, *([] if after is None else [visit_words(after)])]
-    for what, name in zip(("home", "route"), store, strict=True):
+    for what, name in (("home", store.home), ("route", store.route)):
         if after is not None and name is not None and name not in getattr(after, f"{what}s"):
             lost = HomewardError(f"{what} {quoted(name)} was not stored")
-    if after is not None and store[1] in after.routes:
-        words.append(route_words(after, str(store[1])))
+    if after is not None and store.route in after.routes:
+        words.append(route_words(after, str(store.route)))
     if json:
         told = {"summary": "\n".join(words), "folder": str(folder)}
         told["report"] = str(folder / "report.html")
