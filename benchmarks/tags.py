@@ -86,7 +86,7 @@ def turned_at_home(eye: Eye) -> dict[str, HomeBearing]:
         turned = SPIN * min(max(stamp, 0.0), seconds)
         seen = front_end.see(eye.home_picture(turned, FIRST_OF_SPIN + k))
         rows += [(stamp, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
-    settings = before(course, {}, None, course.camera.field_of_view).settings
+    settings = before(course, {}, None, course.view).settings
     return spin((t[0], t[-1]), Odometry(t, v, omega), Sightings.of_rows(rows), settings).home
 
 

@@ -12,7 +12,9 @@ from homeward.simulation.presets import WAREHOUSE
 from homeward.simulation.scenario import Room
 from homeward.simulation.simulate import Ending, simulate
 from homeward.simulation.trajectories import (
+    LOOK_RATE,
     LOOKAHEAD,
+    LOOKS_PER_ROUND,
     SEARCH_RADIUS,
     SLOWEST,
     TURN_ACCELERATION,
@@ -115,6 +117,53 @@ def test_the_search_widens_after_some_circles_and_begins_anew_after_a_pose():
         assert control.twist(t * around, None).omega == pytest.approx(0.125 / SEARCH_RADIUS / wider)
     control.twist(22.0 * around, Pose(1.0, 0.0, 0.0))
     assert control.twist(23.0 * around, None).omega == pytest.approx(0.125 / SEARCH_RADIUS)
+
+
+NARROW = {"estimator": "robust", "visibility.field_of_view": 1.2, "trajectory.slowing": 2.0}
+
+
+def test_a_narrow_camera_looks_round_from_three_places_of_the_circle():
+    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, 0.0))
+    pose, looked, dt = Pose(0.0, 0.0, 0.0), [0.0], 0.05
+    for step in range(round(90.0 / dt)):
+        twist = control.twist(step * dt, None)
+        if twist.v == 0.0:
+            looked[-1] += twist.omega * dt
+        elif looked[-1]:
+            looked.append(0.0)
+        pose = advance(pose, twist, dt)
+    assert len(looked) > LOOKS_PER_ROUND
+    assert looked[:LOOKS_PER_ROUND] == pytest.approx([2.0 * math.pi] * 3, abs=LOOK_RATE * dt)
+    # One round of three looks, and back where it began.
+    drive_s = 2.0 * math.pi * SEARCH_RADIUS / 0.125
+    round_s = drive_s + 3 * 2.0 * math.pi / LOOK_RATE
+    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, 0.0))
+    pose = Pose(0.0, 0.0, 0.0)
+    for step in range(round(round_s / dt)):
+        pose = advance(pose, control.twist(step * dt, None), dt)
+    assert math.hypot(pose.x, pose.y) < 0.05
+
+
+def test_a_narrow_camera_looks_round_once_at_home_before_it_stops():
+    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, math.pi))
+    there = Pose(0.03, 0.0, math.pi)
+    assert control.twist(0.0, Pose(0.5, 0.0, math.pi)).v > 0.0
+    assert control.twist(1.0, there) == Twist(0.0, LOOK_RATE)
+    look_s = 2.0 * math.pi / LOOK_RATE
+    assert control.twist(0.9 + look_s, there) == Twist(0.0, LOOK_RATE)
+    assert control.twist(1.1 + look_s, Pose(0.2, 0.0, math.pi)).v > 0.0  # the look told better
+    assert control.twist(9.0 + look_s, there) is None
+    truth = make_control(load_scenario("paper-homing", {"visibility.field_of_view": 1.2}), there)
+    assert truth.twist(0.0, there) is None
+
+
+def test_a_drive_may_begin_with_a_turn_on_the_spot():
+    changes = {"trajectory.spin": -0.5, "trajectory.duration": 20.0}
+    truth = simulate(load_scenario("circle", changes)).drive.truth
+    turned = truth.t <= 2.0 * math.pi / 0.5
+    assert np.ptp(truth.x[turned]) < 1e-9
+    assert np.diff(np.unwrap(truth.heading[turned])).sum() == pytest.approx(-2.0 * math.pi, abs=0.1)
+    assert np.ptp(truth.x[~turned]) > 0.1
 
 
 def test_a_point_behind_is_turned_to_as_hard_as_allowed():

@@ -341,6 +341,11 @@ class Course(Strict):
         """The camera's place on the robot when home was stored."""
         return self.sensor if self.home_sensor is None else self.home_sensor
 
+    @property
+    def view(self) -> float:
+        """The full opening angle of the camera [rad]."""
+        return math.tau
+
 
 class Scenario(Course):
     """Everything that makes a simulated drive; the same scenario always makes the same drive."""
@@ -350,6 +355,11 @@ class Scenario(Course):
     moved: Moved = Moved()
     visibility: Visibility = Visibility()
     noise: Noise = Noise()
+
+    @property
+    def view(self) -> float:
+        """The full opening angle of the camera [rad]."""
+        return self.visibility.field_of_view
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -97,5 +97,5 @@ def simulate(
 
 
 def _prepare(scenario: Scenario, world: World) -> Drive:
-    sigma, view = scenario.noise.bearing_sigma or None, scenario.visibility.field_of_view
-    return before(scenario, home_bearings(world, scenario), sigma, view)
+    sigma = scenario.noise.bearing_sigma or None
+    return before(scenario, home_bearings(world, scenario), sigma, scenario.view)

@@ -23,6 +23,13 @@ SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 SAME_CIRCLES = 3
 """It goes round so often before the arc widens: most places need no wider one."""
+NARROW = math.pi
+"""A camera that sees less of the way round [rad] sees each landmark from a part of a circle alone,
+whose breadth across the line of sight is at most half of what all of it has: it looks round."""
+LOOK_RATE = 0.6
+"""At so much [rad/s]: in 10 s."""
+LOOKS_PER_ROUND = 3
+"""From three places of a circle each landmark is seen from a base that is broad enough."""
 PAST_NEAREST = 0.005
 """So much farther from home than at its nearest, an estimated pose has passed it [m]."""
 SLOWEST = 0.03
@@ -78,7 +85,7 @@ def _make_control(scenario: Course, start: Pose, home: Mapping[str, float] | Non
         case Homing() as trajectory if slope := law_named(trajectory.law):
             return BearingControl(trajectory, slope, home or {})
         case Homing() as trajectory:
-            return HomingControl(trajectory, exact=scenario.estimator == "truth")
+            return HomingControl(trajectory, scenario.estimator == "truth", scenario.view)
         case Circle() as trajectory:
             return CircleControl(trajectory)
         case Waypoints() as trajectory:
@@ -110,17 +117,25 @@ class SpinFirst:
 
 
 class Search:
-    """Circles through one point, wider and wider: far landmarks need a wide base."""
+    """Circles through one point, wider and wider: far landmarks need a wide base.
 
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
+    A camera with a narrow `view` [rad] sees what is ahead of it alone, and again from the same part
+    of the circle, hardly across the line of sight; so the robot stops there and looks round.
+    """
+
+    def __init__(self, speed: float, view: float = math.tau) -> None:
+        self._speed, self._look_s = speed, math.tau / LOOK_RATE if view < NARROW else 0.0
         self._since: float | None = None
 
     def twist(self, t: float) -> Twist:
         """Return the command at `t` [s]; the search begins with the first one."""
         if self._since is None:
             self._since = t
-        rounds = self._speed * (t - self._since) / (2.0 * math.pi * SEARCH_RADIUS)
+        drive_s = math.tau * SEARCH_RADIUS / (LOOKS_PER_ROUND * self._speed)
+        looks, now = divmod(t - self._since, self._look_s + drive_s)
+        if now < self._look_s:
+            return Twist(0.0, LOOK_RATE)
+        rounds = (looks + (now - self._look_s) / drive_s) / LOOKS_PER_ROUND
         doubled = math.floor(math.log2(1.0 + rounds / SAME_CIRCLES))
         return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**doubled))
 
@@ -134,13 +149,15 @@ class HomingControl(Control):
 
     A pose that is estimated is off by something like the stop radius: with one the robot goes on
     inside that radius for as long as it gets nearer, unless it has slowed down, and it stops only
-    when it is sure.
+    when it is sure. With a narrow camera it looks round there once, for what home saw behind it.
     """
 
-    def __init__(self, trajectory: Homing, exact: bool) -> None:
+    def __init__(self, trajectory: Homing, exact: bool, view: float = math.tau) -> None:
         self._trajectory, self._exact = trajectory, exact
         self._nearest = math.inf
-        self._search = Search(trajectory.speed)
+        self._search = Search(trajectory.speed, view)
+        self._look_s = math.tau / LOOK_RATE if view < NARROW and not exact else 0.0
+        self._home_since: float | None = None
 
     def twist(
         self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
@@ -149,6 +166,10 @@ class HomingControl(Control):
         if pose is None:
             return self._search.twist(t)
         polar = to_polar(pose)
+        if self._home_since is None and sure and arrived(polar, self._trajectory.stop_radius):
+            self._home_since = t
+        if self._home_since is not None and t < self._home_since + self._look_s:
+            return Twist(0.0, LOOK_RATE)
         if not arrived(polar, self._trajectory.stop_radius):
             self._nearest = math.inf
         elif not sure:

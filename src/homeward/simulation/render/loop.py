@@ -78,11 +78,7 @@ class ImageLoop:
     @property
     def drive(self) -> Drive:
         """The drive before it begins: home and settings, for making an estimator."""
-        camera = self.eye.scenario.camera
-        wide = camera.projection != "pinhole"
-        return before(
-            self.eye.scenario, self._home, None, 2 * math.pi if wide else camera.field_of_view
-        )
+        return before(self.eye.scenario, self._home, None, self.eye.scenario.view)
 
     @one_thread()
     def run(

@@ -193,6 +193,11 @@ class RenderScenario(Course):
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
     """`bearings` counts images."""
 
+    @property
+    def view(self) -> float:
+        """The full opening angle of the camera [rad]; a panorama's is all round."""
+        return self.camera.field_of_view if self.camera.projection == "pinhole" else math.tau
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         outline, floor = np.array(self.room.outline, float), self.room.polygon
