@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
 
 from homeward.angles import wrap
 from homeward.drives.dead_reckoning import reckoning
 from homeward.drives.drive import DriveSettings, Odometry, Sightings
+from homeward.drives.home.least_squares import LeastSquares
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
 from homeward.estimator import HOLD_S
@@ -42,6 +40,8 @@ FARTHEST_M = 0.3
 """A robot that gets farther away does not turn on the spot, but drives [m]."""
 WORST_RAD = 0.1
 """No camera is worse: errors that are larger are none of noise."""
+MOST_LINES = 500
+"""Of so many sightings of a landmark each is compared with all others."""
 MAD_TO_SIGMA = 1.4826
 SCALE, BIAS, LAG, SLIP, POSES = range(5)
 """Columns: odometry's constant errors, then poses (heading, x, y), then landmarks."""
@@ -150,7 +150,9 @@ class Turn:
         landmarks = np.full((len(self.names), 2), INVERSE_RANGE[0])
         lines, drift = turn[self.pose] + self.bearing, self.drift() + GATE * self.sigmas
         for i in range(len(self.names)):
-            mine, blur = lines[self.landmark == i], drift[self.landmark == i]
+            rows = np.flatnonzero(self.landmark == i)
+            rows = rows[:: math.ceil(rows.size / MOST_LINES)]
+            mine, blur = lines[rows], drift[rows]
             near = np.abs(wrap(mine[:, None] - mine)) < blur
             landmarks[i, 0] = mine[near.sum(axis=1).argmax()]
         return np.concatenate([np.zeros(POSES), poses.ravel(), landmarks.ravel()])
@@ -190,16 +192,16 @@ class Turn:
 
         Sightings, (m,), count by `weights`, and have these `sigmas` [rad].
         """
-        residuals, jacobian = self._linearised(x, weights, sigmas)
-        information = splu(csc_array(jacobian.T @ jacobian))
-        moved: np.ndarray = x + information.solve(jacobian.T @ residuals)
-        inverse = moved[self.first_landmark + 1 :: 2]  # in front of the camera
+        problem = LeastSquares(x.size)
+        self._add_sightings(problem, x, np.sqrt(weights) / sigmas)
+        self._add_odometry(problem, x)
+        self._add_priors(problem, x)
+        step, covariance = problem.solve(np.arange(self.first_landmark, x.size, 2))
+        moved = x + step
+        inverse = moved[self.first_landmark + 1 :: 2]  # landmarks are in front of the camera
         reach = 2.0 * abs(self.mount) + float(np.abs(self.centre).max())
         np.clip(inverse, 0.0, NEAREST / max(reach, LEAST_M), out=inverse)
-        columns = np.arange(self.first_landmark, x.size, 2)
-        unit = np.zeros((x.size, columns.size))
-        unit[columns, np.arange(columns.size)] = 1.0
-        return moved, np.asarray(information.solve(unit)[columns])
+        return moved, covariance
 
     def _split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return poses (K, 3), and landmarks (n, 2)."""
@@ -233,80 +235,60 @@ class Turn:
         )
         return expected, slopes
 
-    def _linearised(
-        self, x: np.ndarray, weights: np.ndarray, sigmas: np.ndarray
-    ) -> tuple[np.ndarray, csc_array]:
-        """Return whitened residuals, and their derivatives by all unknowns."""
-        poses, landmarks = self._split(x)
-        expected, slopes = self._expected(poses, landmarks)
-        scale = np.sqrt(weights) / sigmas
-        off, seen = scale * wrap(self.bearing - expected), POSES + 3 * self.pose
-        at = self.first_landmark + 2 * self.landmark
+    def _add_sightings(self, problem: LeastSquares, x: np.ndarray, weights: np.ndarray) -> None:
+        expected, slopes = self._expected(*self._split(x))
+        seen, at = POSES + 3 * self.pose, self.first_landmark + 2 * self.landmark
         columns = (seen, seen + 1, seen + 2, at, at + 1)
-        rows = np.arange(self.pose.size)
-        entries = [(rows, c, scale * s) for c, s in zip(columns, slopes, strict=True)]
-        parts, count = [off], rows.size
+        off = np.asarray(wrap(self.bearing - expected))
+        problem.add(off, weights, *zip(columns, slopes, strict=True))
 
-        def add(residual: np.ndarray, sigma: np.ndarray, *terms: tuple[Any, Any]) -> None:
-            """Add residuals that are reduced by unknowns, each (columns, derivatives)."""
-            nonlocal count
-            rows = count + np.arange(residual.size)
-            parts.append(residual / sigma)
-            for column, slope in terms:
-                entries.append((rows, np.broadcast_to(column, rows.shape), slope / sigma))
-            count += residual.size
-
-        odometry, rates = self.turn(float(x[LAG]))
-        turn, rate = np.diff(odometry), np.diff(rates)
-        now, then = POSES + 3 * np.arange(turn.size), POSES + 3 * np.arange(1, turn.size + 1)
-        one = np.ones(turn.size)
-        # Heading: (1 + scale) turn + bias dt, turns as they were the lag later
-        by = (turn, np.diff(self.stamps), rate)
-        told = turn + x[SCALE] * by[SCALE] + x[BIAS] * by[BIAS]
-        add(
-            told - np.diff(poses[:, 0]),
-            self.step_sigmas[:, 0],
-            (then, one),
-            (now, -one),
-            *((column, -slope) for column, slope in enumerate(by)),
-        )
-        # Centre: in the frame of the pose before, driven by odometry and by slip along the heading
+    def _add_odometry(self, problem: LeastSquares, x: np.ndarray) -> None:
+        """Tie each pose to the next one."""
+        poses, _ = self._split(x)
+        heading, rate = self.turn(float(x[LAG]))
+        turn, then = np.diff(heading), POSES + 3 * np.arange(1, heading.size)
+        now, weights = then - 3, 1.0 / self.step_sigmas.T
+        # Heading: (1 + scale) turn + bias dt, and the turn is what odometry says the lag later.
+        by = (turn, np.diff(self.stamps), np.diff(rate))
+        told = (1.0 + x[SCALE]) * by[SCALE] + x[BIAS] * by[BIAS]
+        constants = [(column, -slope) for column, slope in enumerate(by)]
+        off = told - np.diff(poses[:, 0])
+        problem.add(off, weights[0], (then, 1.0), (now, -1.0), *constants)
+        # Centre: in the frame of the heading half way, by odometry and by slip along it.
         half = np.exp(-1j * (poses[:-1, 0] + 0.5 * turn))
-        driven = np.diff(self.centre) * np.exp(-1j * (odometry[:-1] + 0.5 * turn))
-        gone = np.diff(poses[:, 1] + 1j * poses[:, 2])
-        local = gone * half
-        for part, sigma, slip in (
-            (np.real, self.step_sigmas[:, 1], turn),
-            (np.imag, self.step_sigmas[:, 2], 0.0 * turn),
-        ):
-            add(
-                part(driven) + x[SLIP] * slip - part(local),
-                sigma,
-                (then + 1, part(half)),
-                (then + 2, part(1j * half)),
-                (now, part(-1j * local)),
-                (now + 1, -part(half)),
-                (now + 2, -part(1j * half)),
-                (SLIP, -slip),
+        driven = np.diff(self.centre) * np.exp(-1j * (heading[:-1] + 0.5 * turn)) + x[SLIP] * turn
+        gone = np.diff(poses[:, 1] + 1j * poses[:, 2]) * half
+        by_slip = turn + 0j
+        for part, weight in ((np.real, weights[1]), (np.imag, weights[2])):
+            ahead, left = part(half), part(1j * half)
+            problem.add(
+                part(driven - gone),
+                weight,
+                *((then + 1, ahead), (then + 2, left), (now + 1, -ahead), (now + 2, -left)),
+                (now, part(-1j * gone)),
+                (SLIP, -part(by_slip)),
             )
-        # Priors: home is the origin
-        first, mean = slice(POSES, POSES + 3), np.zeros(POSES)
-        add(-x[first], np.full(3, 1e-6), (np.arange(POSES, POSES + 3), np.ones(3)))
-        add(mean - x[:POSES], self.constant_sigmas, (np.arange(POSES), np.ones(POSES)))
-        ranges = self.first_landmark + 1 + 2 * np.arange(len(self.names))
-        nowhere = np.full(ranges.size, math.pi)  # of landmarks none of whose sightings agrees
-        add(0.0 * nowhere, nowhere, (ranges - 1, np.ones(ranges.size)))
-        sigma = np.full(ranges.size, INVERSE_RANGE[1])
-        add(INVERSE_RANGE[0] - x[ranges], sigma, (ranges, np.ones(ranges.size)))
-        row, column, value = (np.concatenate(each) for each in zip(*entries, strict=True))
-        return np.concatenate(parts), csc_array((value, (row, column)), shape=(count, x.size))
+
+    def _add_priors(self, problem: LeastSquares, x: np.ndarray) -> None:
+        """Hold home at the origin, odometry near to what it says, and landmarks somewhere."""
+        home, constants = POSES + np.arange(3), np.arange(POSES)
+        problem.add(-x[home], np.full(3, 1.0 / LEAST_RAD), (home, 1.0))
+        problem.add(-x[constants], 1.0 / self.constant_sigmas, (constants, 1.0))
+        directions = np.arange(self.first_landmark, x.size, 2)
+        mean, sigma = INVERSE_RANGE
+        ranges, anywhere = (
+            np.full(directions.size, 1.0 / sigma),
+            np.full(directions.size, 1 / math.pi),
+        )
+        problem.add(mean - x[directions + 1], ranges, (directions + 1, 1.0))
+        problem.add(0.0 * anywhere, anywhere, (directions, 1.0))  # where no sighting agrees
 
 
 def _require_odometry(begin: float, end: float, odometry: Odometry) -> None:
     """Refuse an interval [s] without odometry somewhere."""
     inside = odometry.t[(odometry.t > begin) & (odometry.t < end)]
     before = odometry.t[odometry.t <= begin][-1:]
-    ends = np.concatenate([before if before.size else [-math.inf], inside, [end]])
+    ends = np.concatenate([before if before.size else [begin], inside, [end]])
     gap = float(np.diff(ends).max())
     if gap > HOLD_S:
         raise InputError(f"odometry has a gap of {gap:.1f} s during home's spin")
