@@ -153,6 +153,8 @@ def test_a_narrow_camera_looks_round_once_at_home_before_it_stops():
     assert control.twist(0.9 + look_s, there) == Twist(0.0, LOOK_RATE)
     assert control.twist(1.1 + look_s, Pose(0.2, 0.0, math.pi)).v > 0.0  # the look told better
     assert control.twist(9.0 + look_s, there) is None
+    unsure = control.twist(10.0 + look_s, Pose(0.5, 0.0, math.pi), sure=False)
+    assert unsure == Twist(0.0, LOOK_RATE)  # wherever that is
     truth = make_control(load_scenario("paper-homing", {"visibility.field_of_view": 1.2}), there)
     assert truth.twist(0.0, there) is None
 

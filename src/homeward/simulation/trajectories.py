@@ -149,7 +149,8 @@ class HomingControl(Control):
 
     A pose that is estimated is off by something like the stop radius: with one the robot goes on
     inside that radius for as long as it gets nearer, unless it has slowed down, and it stops only
-    when it is sure. With a narrow camera it looks round there once, for what home saw behind it.
+    when it is sure. With a narrow camera it looks round there once, for what home saw behind it,
+    and wherever it is unsure.
     """
 
     def __init__(self, trajectory: Homing, exact: bool, view: float = math.tau) -> None:
@@ -163,7 +164,7 @@ class HomingControl(Control):
         self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
     ) -> Twist | None:
         """Return the command; see `Control`."""
-        if pose is None:
+        if pose is None or (self._look_s and not sure):
             return self._search.twist(t)
         polar = to_polar(pose)
         if self._home_since is None and sure and arrived(polar, self._trajectory.stop_radius):
