@@ -1,6 +1,7 @@
 """Tags from pixels to bearings: exact pictures, all kinds of records, and what is left out."""
 
 import re
+import shutil
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from vision.drawn import picture, placed, tag
 from homeward.drives.cameras.camera import angles
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.folder import read_folder
+from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.localizer.localizer import Localizer
@@ -122,6 +124,16 @@ def test_a_folder_by_command(record, tmp_path):
     true = np.arctan2(0.2, 1.0 + 0.1 * np.arange(4))
     assert drive.sightings.bearing == pytest.approx(true, abs=2e-4)
     assert drive.home["2"].bearing == pytest.approx(np.arctan2(0.2, 1.0), abs=2e-4)
+
+
+def test_a_folder_that_tells_when_home_was_needs_no_picture_of_it(record, tmp_path):
+    folder = shutil.copytree(record, tmp_path / "no-home")
+    (folder / "home.png").unlink()
+    asked = ["see", folder, "--tags", "36h11", "--out"]
+    assert "home" in refused(call(*asked, tmp_path / "none"))
+    (folder / "drive.yaml").write_text("home: {spin: [0, 1]}\n")
+    done(call(*asked, tmp_path / "drive"))
+    assert set(open_drive(tmp_path / "drive").home) == {"0", "1", "2", "3"}
 
 
 def test_a_forward_camera_without_tags_is_refused(record, tmp_path):
