@@ -223,8 +223,8 @@ class Trajectory(Strict):
     """[m/s]"""
     duration: Annotated[float, Field(gt=0, le=1e6)] = 600.0
     """The drive ends then, if not before [s]."""
-    spin: Finite = 0.0
-    """It begins with a full turn on the spot at this rate [rad/s]; 0: without one."""
+    spin: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
+    """It begins with a full turn on the spot at this rate [rad/s]; None: without one."""
 
 
 class Homing(Trajectory):
