@@ -232,5 +232,6 @@ def test_a_place_is_told_to_programs(visited):
     assert told["homes"][0]["x"] == told["homes"][0]["y"] == 0.0 < told["homes"][1]["sigma_m"]
     assert [visit["stayed"] for visit in told["visits"]] == [0, 15]
     assert len(told["landmarks"]) == 15
-    assert told["routes"] == []
+    assert [route["route"] for route in told["routes"]] == ["round"]
+    assert told["routes"][0]["length_m"] > 30
     assert all(0.9 < mark["stays"] <= 1.0 for mark in told["landmarks"])

@@ -93,15 +93,15 @@ def _make_control(scenario: Course, start: Pose, home: Mapping[str, float] | Non
         case Teach() as trajectory:
             corners = _corners(trajectory, scenario.home.pose, start)
             stops = [(i, None, trajectory.dwell, str(i)) for i in range(1, len(corners))]
-            return PathControl(trajectory, Path(corners, stops), exact=True)
+            return PathControl(trajectory, Path(corners, stops), True, scenario.view)
         case Repeat() as trajectory:
             path = place_of(trajectory).route(trajectory.route).path
-            return PathControl(trajectory, path, exact=scenario.estimator == "truth")
+            return PathControl(trajectory, path, scenario.estimator == "truth", scenario.view)
         case other:
             assert_never(other)
 
 
-class SpinFirst:
+class SpinFirst(Control):
     """A full turn on the spot at a rate [rad/s], a rest of 1 s, and then another control."""
 
     def __init__(self, rate: float, then: Control) -> None:
@@ -113,7 +113,9 @@ class SpinFirst:
         """Return the command; see `Control`."""
         if t < self._turns_s + 1.0:
             return Twist(0.0, self._rate if t < self._turns_s else 0.0)
-        return self._then.twist(t, pose, sure, seen)
+        twist = self._then.twist(t, pose, sure, seen)
+        self.gave_up = self._then.gave_up
+        return twist
 
 
 class Search:
@@ -304,13 +306,15 @@ class PathControl(Control):
         In the home frame.
     exact : bool
         Whether the pose is the truth, which needs no landmark in sight.
+    view : float
+        Of the camera [rad].
     """
 
-    def __init__(self, trajectory: Teach | Repeat, path: Path, exact: bool) -> None:
+    def __init__(self, trajectory: Teach | Repeat, path: Path, exact: bool, view: float) -> None:
         self._follower = Follower(path, trajectory.speed, trajectory.max_turn_rate)
         self._blocked = trajectory.blocked if isinstance(trajectory, Repeat) else None
         self._exact, self._sure_at = exact, -math.inf
-        self._search = Search(trajectory.speed)
+        self._search = Search(trajectory.speed, view)
 
     def twist(
         self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING

@@ -66,9 +66,7 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
     return {"place_version": version, "when": day_of(run, drive)}
 
 
-def check_update(
-    run: RunSettings, drive: Drive, store: ToStore = NOTHING
-) -> None:
+def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
     """Refuse before a run of minutes what `after_visit` would refuse after it.
 
     Raises
