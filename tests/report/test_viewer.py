@@ -154,5 +154,5 @@ def test_without_a_display_it_says_what_to_do(monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InputError, match=r"--rerun FILE\.rrd"):
+    with pytest.raises(InputError, match=r"a FILE\.rrd"):
         check_display()

@@ -72,7 +72,7 @@ class Session:
         self.homing = Homing(told.limits)
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
-        self._keep = keep or (lambda message: None)
+        self._keepers = [] if keep is None else [keep]
         clock = Clock()
         self._gate, self._way = StampGate(), Way()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
@@ -93,6 +93,10 @@ class Session:
     def waiting(self) -> int:
         """Messages that wait for `process`."""
         return len(self._queue)
+
+    def watch(self, keep: Callable[[Input | Output], None]) -> None:
+        """Tell another one, too, what `keep` is told."""
+        self._keepers.append(keep)
 
     def receive(self, message: Input, now: float) -> None:
         """Take a message: watch it, and queue it for `process`. Quick."""
@@ -126,7 +130,7 @@ class Session:
         while self._queue:
             with self._lock:
                 message, odom, t = self._queue.popleft()
-            self._keep(message)
+            self._tell(message)
             began = time.perf_counter()
             try:
                 out = self.localisation.do(message, odom)
@@ -139,9 +143,13 @@ class Session:
                 self._sent = None
             if isinstance(out, Answer):
                 self._answered = t
-                self._keep(out)
+                self._tell(out)
             if out is not None:
                 yield out
+
+    def _tell(self, message: Input | Output) -> None:
+        for keep in self._keepers:
+            keep(message)
 
     def tick(self, now: float) -> Command | None:
         """Return the command at `now` [s]; None where the robot is left to others. Quick."""

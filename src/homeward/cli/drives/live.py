@@ -40,6 +40,14 @@ def live(
     record: Annotated[
         Path | None, typer.Option(help="Keep the session in this folder, which ends as a drive.")
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            metavar="rerun|ADDRESS|FILE.rrd",
+            help="Show the session in Rerun as it goes: rerun opens its viewer, rerun+http://HOST:9876"
+            "/proxy is one on another machine. Needs the extra view.",
+        ),
+    ] = None,
     replay: Annotated[
         Path | None,
         typer.Option(help="Repeat the session.jsonl of a recording, and compare every answer."),
@@ -85,6 +93,11 @@ def live(
     visited = None if place is None else visiting(place, update, told.estimator)
     recorder = None if record is None else Recorder(record, told, known, homes, visited)
     session = Session(told, known, homes, None if recorder is None else recorder.keep, visited)
+    if view is not None:
+        from homeward.live.viewer import LiveView, open_stream
+
+        stream = open_stream(view)
+        session.watch(LiveView(stream, session.localisation.landmarks, known.sensor).keep)
     server = Server(session, os.environ.get(TOKEN) or None)
 
     def opened(ports: list[int]) -> None:
@@ -94,6 +107,8 @@ def live(
     try:
         asyncio.run(server.serve(at_tcp, at_websocket, stdio, None if stdio else opened))
     finally:
+        if view is not None:
+            stream.disconnect()
         if recorder is not None:
             recorder.close()
     if (words := session.localisation.conclude()) is not None:

@@ -51,8 +51,8 @@ def _log_home(stream: rr.RecordingStream, drive: Drive) -> None:
     arrow = rr.Arrows3D(vectors=[(0.5, 0.0, 0.0)], colors=[PALE], labels=["home"])
     stream.log("map/home", arrow, static=True)
     if drive.truth is not None:
-        path = _flat(drive.truth.x, drive.truth.y)
-        line = rr.LineStrips3D([path], colors=[PALE], radii=_points(0.5, 1))
+        path = flat(drive.truth.x, drive.truth.y)
+        line = rr.LineStrips3D([path], colors=[PALE], radii=points(0.5, 1))
         stream.log("map/truth", line, static=True)
 
 
@@ -63,9 +63,9 @@ def _log_path(stream: rr.RecordingStream, track: Track) -> None:
     for first, last, status in runs(shown):
         if status is not None:
             rows = slice(first - (first > 0 and shown[first - 1] is not None), last)
-            strips.append(_flat(track.x[rows], track.y[rows]))
+            strips.append(flat(track.x[rows], track.y[rows]))
             colours.append(STATUS_COLOURS[status])
-    path = rr.LineStrips3D(strips, colors=_rgb(colours), radii=_points(1.2, len(strips)))
+    path = rr.LineStrips3D(strips, colors=rgb(colours), radii=points(1.2, len(strips)))
     stream.log("map/path", path, static=True)
 
 
@@ -73,23 +73,26 @@ def _log_robot(stream: rr.RecordingStream, track: Track) -> None:
     """Log the robot as an arrow with its 2-sigma ellipse; where it has no pose it vanishes."""
     posed, index = track.has_pose, [_time(track.t - track.t[0])]
     x, y, heading = (a[posed] for a in (track.x, track.y, track.heading))
-    centres, counts = _flat(x, y), posed.astype(int)
-    ahead = 0.4 * _flat(np.cos(heading), np.sin(heading))
+    centres, counts = flat(x, y), posed.astype(int)
+    ahead = 0.4 * flat(np.cos(heading), np.sin(heading))
     arrows = rr.Arrows3D.columns(
-        origins=centres, vectors=ahead, colors=[PALE] * len(x), radii=_points(4.0, len(x))
+        origins=centres, vectors=ahead, colors=[PALE] * len(x), radii=points(4.0, len(x))
     )
     stream.send_columns("map/robot", index, arrows.partition(counts))
-    variance, axes = np.linalg.eigh(track.covariance[posed, :2, :2])
-    angle = np.arctan2(axes[:, 1, 1], axes[:, 0, 1]) / 2
-    radii = 2.0 * np.sqrt(np.maximum(variance[:, ::-1], 0.0))
-    turn = np.column_stack([np.zeros((len(x), 2)), np.sin(angle), np.cos(angle)])
+    sizes, turns = ellipsoids(track.covariance[posed, :2, :2])
     ellipses = rr.Ellipsoids3D.columns(
-        centers=centres,
-        half_sizes=np.column_stack([radii, np.full(len(x), 1e-3)]),
-        quaternions=turn,
-        colors=_rgb([BLUE]) * len(x),
+        centers=centres, half_sizes=sizes, quaternions=turns, colors=rgb([BLUE]) * len(x)
     )
     stream.send_columns("map/ellipse", index, ellipses.partition(counts))
+
+
+def ellipsoids(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return half axes (n, 3) [m] and quaternions (n, 4) of 2-sigma ellipses, flat."""
+    variance, axes = np.linalg.eigh(covariance)
+    angle = np.arctan2(axes[:, 1, 1], axes[:, 0, 1]) / 2
+    radii = 2.0 * np.sqrt(np.maximum(variance[:, ::-1], 0.0))
+    turns = np.column_stack([np.zeros((len(angle), 2)), np.sin(angle), np.cos(angle)])
+    return np.column_stack([radii, np.full(len(angle), 1e-3)]), turns
 
 
 def _log_bearings(stream: rr.RecordingStream, drive: Drive, track: Track) -> None:
@@ -123,8 +126,8 @@ def _log_bearings(stream: rr.RecordingStream, drive: Drive, track: Track) -> Non
     rays = rr.Arrows3D.columns(
         origins=origins,
         vectors=vectors,
-        colors=_rgb(colours),
-        radii=_points(0.75, len(names)),
+        colors=rgb(colours),
+        radii=points(0.75, len(names)),
         labels=names,
         show_labels=[False] * len(names),
     )
@@ -142,13 +145,13 @@ def _log_landmarks(stream: rr.RecordingStream, track: Track) -> None:
     chance = history.moved_probability
     levels = np.where(np.isfinite(chance), np.round(LEVELS * np.nan_to_num(chance)), UNJUDGED)
     names = np.broadcast_to(np.array(history.landmark), placed.shape)[placed]
-    points = rr.Points3D.columns(
-        positions=_flat(history.x[placed], history.y[placed]),
-        colors=_rgb([colour(int(level)) for level in levels[placed]]),
+    marks = rr.Points3D.columns(
+        positions=flat(history.x[placed], history.y[placed]),
+        colors=rgb([colour(int(level)) for level in levels[placed]]),
         labels=names.tolist(),
-        radii=_points(5.0, len(names)),
+        radii=points(5.0, len(names)),
     )
-    stream.send_columns("map/landmarks", index, points.partition(placed.sum(axis=1)))
+    stream.send_columns("map/landmarks", index, marks.partition(placed.sum(axis=1)))
     for i, name in enumerate(history.landmark):
         judged = np.isfinite(chance[:, i])
         if judged.any():
@@ -177,7 +180,7 @@ def _line(
 ) -> None:
     """Log a series, without its NaN."""
     known = np.isfinite(values)
-    look = rr.SeriesLines(colors=_rgb([line]), names=path.split("/")[-1])
+    look = rr.SeriesLines(colors=rgb([line]), names=path.split("/")[-1])
     stream.log(path, look, static=True)
     columns = rr.Scalars.columns(scalars=values[known])
     stream.send_columns(path, [_time(seconds[known])], columns)
@@ -214,16 +217,16 @@ def _path(head: str, landmark: str) -> str:
     return rr.new_entity_path([head, landmark or "(empty)"])
 
 
-def _points(size: float, number: int) -> list[float]:
+def points(size: float, number: int) -> list[float]:
     """Return radii in points of the screen, whatever the zoom; Rerun knows them by their sign."""
     return [-size] * number
 
 
-def _flat(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def flat(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return points on the floor, shape (n, 3)."""
     return np.column_stack([x, y, np.zeros_like(x)])
 
 
-def _rgb(colours: list[str]) -> list[tuple[int, int, int]]:
+def rgb(colours: list[str]) -> list[tuple[int, int, int]]:
     """Return colours as Rerun takes them."""
     return [(int(c[1:3], 16), int(c[3:5], 16), int(c[5:7], 16)) for c in colours]
