@@ -91,13 +91,15 @@ def live(
     if update and place is None:
         raise InputError("--update needs a --place")
     visited = None if place is None else visiting(place, update, told.estimator)
+    if view is not None:
+        from homeward.live import viewer
+
+        stream = viewer.open_stream(view)
     recorder = None if record is None else Recorder(record, told, known, homes, visited)
     session = Session(told, known, homes, None if recorder is None else recorder.keep, visited)
     if view is not None:
-        from homeward.live.viewer import LiveView, open_stream
-
-        stream = open_stream(view)
-        session.watch(LiveView(stream, session.localisation.landmarks, known.sensor).keep)
+        drawing = viewer.LiveView(stream, session.localisation.landmarks, known.sensor)
+        session.watch(drawing.keep)
     server = Server(session, os.environ.get(TOKEN) or None)
 
     def opened(ports: list[int]) -> None:
