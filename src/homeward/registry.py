@@ -10,6 +10,7 @@ from typing import Any
 from homeward.drives.drive import Drive, Strict
 from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
+from homeward.errors import without
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
@@ -40,15 +41,24 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
 
 
+def _engine(module: str, name: str) -> Callable[..., Estimator]:
+    """Return what makes a symbolic filter; `InputError` where what it needs is not installed."""
+    try:
+        make: Callable[..., Estimator] = getattr(
+            import_module(f"homeward.engine.estimators.{module}"), name
+        )
+    except ModuleNotFoundError as error:
+        raise without(error) or error from None
+    return make
+
+
 def _filter(name: str) -> _Maker:
     """Return what makes one of the paper's filters for a drive."""
 
     def for_drive(drive: Drive, settings: NoiseSettings) -> Estimator:
         # Imported here alone, as peers are: whoever uses the localiser needs nothing symbolic.
-        make = getattr(import_module("homeward.engine.estimators.paper"), name)
-        robot = drive.settings.robot
-        made: Estimator = make(drive.home, settings=settings, samples=_samples(drive), **robot)
-        return made
+        make, robot = _engine("paper", name), drive.settings.robot
+        return make(drive.home, settings=settings, samples=_samples(drive), **robot)
 
     return for_drive
 
@@ -57,9 +67,8 @@ def _peer(name: str) -> _Maker:
     """Return what makes one of their peers for a drive."""
 
     def for_drive(drive: Drive, told: Strict) -> Estimator:
-        make = getattr(import_module("homeward.engine.estimators.peers"), name)
-        made: Estimator = make(known_home(drive.home), drive.settings, told, _samples(drive))
-        return made
+        make = _engine("peers", name)
+        return make(known_home(drive.home), drive.settings, told, _samples(drive))
 
     return for_drive
 

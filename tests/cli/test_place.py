@@ -235,3 +235,15 @@ def test_a_place_is_told_to_programs(visited):
     assert [route["route"] for route in told["routes"]] == ["round"]
     assert told["routes"][0]["length_m"] > 30
     assert all(0.9 < mark["stays"] <= 1.0 for mark in told["landmarks"])
+
+
+def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
+    drive = open_drive("sample")
+    save_drive(
+        replace(drive, settings=drive.settings.model_copy(update={"start": None})), tmp_path / "d"
+    )
+    more = "--update", "--store-home", "early", "--home-at", "0.0", "--when", "2026-11-01"
+    told = call("run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o")
+    assert told.exit_code == 1
+    assert "home 'early' cannot be stored without a pose" in told.stderr
+    assert list(load_place(tmp_path / "hall").homes) == ["home"]

@@ -19,8 +19,10 @@ from homeward.live.messages import (
     BearingsIn,
     Event,
     GoHome,
+    MountIs,
     Reset,
     SavePlace,
+    SetHome,
     StoreHome,
     line_of,
 )
@@ -91,6 +93,39 @@ def test_the_robot_knows_at_once_where_it_is_and_a_place_that_is_only_read_stays
     assert "no home 'attic' in the place; there are home" in asked(rig, GoHome(name="attic"))
     assert rig.session.localisation.conclude() is None
     assert newest(place) == 1
+
+
+def test_where_it_is_driven_to_stays_when_the_map_is_begun_anew(place):
+    rig = in_place(place, update=True).until(driving)
+    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "12 stayed" in asked(rig, SavePlace())
+    assert asked(rig, GoHome(name="dock 3")) == ""
+    goal = rig.session.localisation.goal
+    assert np.hypot(goal.x, goal.y) > 0.3
+    for anew in (Reset(), MountIs(x=0.0, y=0.0, yaw=0.0)):
+        asked(rig, anew)
+        now = rig.session.localisation.goal
+        assert [now.x, now.y] == pytest.approx([goal.x, goal.y], abs=0.05)
+
+
+def test_a_home_that_is_gone_with_its_map_is_not_driven_to(place):
+    rig = in_place(place, update=True).until(driving)
+    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    dock = rig.robot.pose
+    rig.until(lambda r: np.hypot(r.robot.pose.x - dock.x, r.robot.pose.y - dock.y) > 0.3)
+    asked(rig, GoHome(name="dock 3"))
+    asked(rig, Reset())
+    assert rig.state == "failed"
+    assert "no home 'dock 3'" in rig.commands[-1][1].reason
+
+
+def test_a_new_place_that_was_saved_looks_at_no_other_home(tmp_path):
+    rig = Rig(0, place=visiting(tmp_path / "new", update=True), **LANDMARKS)
+    rig.until(lambda r: r.player.ending)
+    assert "a new place" in asked(rig, SavePlace())
+    other = SetHome(name="dock", bearings={"L1": 0.1, "L2": 1.0, "L3": 2.0})
+    assert "is not looked at" in asked(rig, other)
+    assert "no home" not in asked(rig, SavePlace())
 
 
 def commuted(folder, keep=None, place=None):

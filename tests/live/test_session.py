@@ -3,6 +3,7 @@
 import math
 import threading
 
+import numpy as np
 import pytest
 from live_rig import Rig, driving
 
@@ -302,3 +303,14 @@ def test_the_belief_is_carried_on_by_odometry():
     true = rig.robot.pose
     assert math.hypot(pose.x - true.x, pose.y - true.y) < 0.05
     assert answers[-1].status is Status.LOCALISED
+
+
+def test_a_robot_may_be_told_that_it_is_at_home():
+    rig = Rig()
+    rig.session.receive(Start(x=0.0, y=0.0, heading=0.0), 0.0)
+    for _ in range(50):
+        rig.step()
+    estimate = rig.session.localisation.fix.estimate
+    assert estimate.pose is not None
+    across, along = np.sqrt(np.diag(estimate.covariance)[:2])
+    assert min(across, along) > 0.01

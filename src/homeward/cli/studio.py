@@ -42,6 +42,7 @@ def studio(
     import webbrowser
     from pathlib import Path
 
+    from homeward.drives.folder import SETTINGS, is_drive_folder, read_drive_settings
     from homeward.drives.opening import SAMPLE, located, open_drive
     from homeward.drives.ros.containers.bag_folder import is_log
     from homeward.drives.ros.info import log_info
@@ -71,7 +72,9 @@ def studio(
                 tell=tell,
             )
             there = located(source)
-            shown = Replay(drive, names, log_info(there, topics).plan if is_log(there) else None)
+            plan = log_info(there, topics).plan if is_log(there) else None
+            when = read_drive_settings(there / SETTINGS).home if is_drive_folder(there) else None
+            shown = Replay(drive, names, plan, when)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")

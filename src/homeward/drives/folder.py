@@ -48,6 +48,14 @@ def is_drive_folder(path: Path) -> bool:
     return any(is_there(path / name) for name in REQUIRED)
 
 
+def knows_home(folder: Path) -> bool:
+    """Return whether a folder tells of home without a home.csv: by a survey from there, or when."""
+    known = folder / KNOWN
+    if is_there(known) and read_settings(known, KnownLandmarks).surveyed_from_home:
+        return True
+    return read_drive_settings(folder / SETTINGS).home is not None
+
+
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
     """Read a drive folder.
 

@@ -86,11 +86,16 @@ class Localisation:
         homes: Homes,
         place: Visiting | None = None,
     ) -> None:
+        # When a drive was at home is no word for one that is not over.
+        robot = robot.model_copy(update={"home": None})
         self._name, self._robot, self.homes, self.place = estimator, robot, homes, place
         self.home = FIRST
         """In whose frame answers are; in a place its first one."""
         self.goal = Pose(0.0, 0.0, 0.0)
         """Where ``go_home`` goes, in that frame."""
+        self._goal_name: str | None = None
+        self.goal_lost = ""
+        """Why it cannot go there any more, until somebody has taken that."""
         self.drive: Drive | None = None
         """Home and settings of the map; another one whenever the map is begun anew."""
         self.estimator: Estimator | None = None
@@ -125,7 +130,7 @@ class Localisation:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case BearingsIn():
                 return self._answer(message, odom)
-            case SetHome(name=name) if self.in_place:
+            case SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {name} is not looked at: the place knows its homes"
                 return Event(type="event", text=text)
             case SetHome(name=name):
@@ -141,7 +146,7 @@ class Localisation:
             case SavePlace():
                 return Event(type="event", text=self._merge())
             case GoHome(name=str(name)) if self.place is not None:
-                self.goal = self.place.home_pose(name, self.home)
+                self.goal, self._goal_name = self.place.home_pose(name, self.home), name
             case GoHome(name=str(name)) if name != self.home:
                 if name not in self.homes:
                     raise InputError(f"no home {name}; there is {', '.join(self.homes) or 'none'}")
@@ -150,12 +155,13 @@ class Localisation:
             case Start(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
                 R, theta, alpha = map(float, polar)
+                R = max(R, AT_HOME.R)  # at home there is no direction from home
                 prior = StartPrior(
                     R=R,
                     theta=theta,
                     alpha=alpha,
                     sigma_R=sigma,
-                    sigma_theta=sigma / max(R, sigma),
+                    sigma_theta=sigma / R,
                     sigma_alpha=message.sigma_heading,
                 )
                 self._begin(prior)
@@ -281,8 +287,18 @@ class Localisation:
             self._robot = self._robot.model_copy(update={"start": None})  # it was there but once
         if self._name is not None:
             self.estimator = make_estimator(self._name, drive)
-        self.goal = Pose(0.0, 0.0, 0.0)
+        self._find_goal()
         self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
+
+    def _find_goal(self) -> None:
+        """Find where ``go_home`` goes in a map that is begun anew."""
+        self.goal = Pose(0.0, 0.0, 0.0)
+        if self.place is None or self._goal_name is None:
+            return
+        try:
+            self.goal = self.place.home_pose(self._goal_name, self.home)
+        except InputError as error:  # it was stored, and not saved
+            self._goal_name, self.goal_lost = None, str(error)
 
 
 def _said(estimate: Estimate) -> Answer:

@@ -138,6 +138,8 @@ class Session:
                 out = Event(type="error", text=str(error))
                 if isinstance(message, GoHome):
                     self._refused = str(error)
+            if self.localisation.goal_lost:
+                self._refused, self.localisation.goal_lost = self.localisation.goal_lost, ""
             self._work_s = max(self._work_s, time.perf_counter() - began)
             if message is self._sent:
                 self._sent = None

@@ -76,6 +76,11 @@ class Visiting:
         self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
 
     @property
+    def has_homes(self) -> bool:
+        """Whether it has homes, as it was or by what was merged since."""
+        return self._after is not None
+
+    @property
     def has_poses(self) -> bool:
         """Whether the robot knew on this visit where it was."""
         return bool(self._poses)

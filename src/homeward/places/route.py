@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.errors import HomewardError
-from homeward.following import Path
+from homeward.following import LOOKAHEAD, Path
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
 
@@ -147,6 +147,10 @@ def taught(track: Track, when: float) -> Route:
                 f"the drive did not know where it was for {gap:.1f} s on its way, so there is no "
                 "route to keep"
             )
+    if (least := float(sigmas[picked].max())) > LOOKAHEAD:
+        raise HomewardError(
+            f"the drive knew its way to {least:.2f} m only, so there is no route to keep"
+        )
     dwells, names = dict(stood), {row: str(i) for i, (row, _) in enumerate(stood, 1)}
     nodes = []
     for i in picked:

@@ -403,12 +403,12 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         session, self._session, self._map_to_odom = self._session, None, None
         self._stamps, self._transforms = convert.Clock(), Transforms()
         self._awaited = None
-        if self._recorder is not None:
-            recorder, self._recorder = self._recorder, None
-            recorder.close()
+        recorder, self._recorder = self._recorder, None
         try:
             words = None if session is None else session.localisation.conclude()
         except HomewardError as error:
             words = str(error)
         if words is not None:
             self.get_logger().info(words)
+        if recorder is not None:
+            recorder.close()

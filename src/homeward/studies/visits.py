@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from homeward.drives.drive import Drive
 from homeward.drives.text.table import quoted
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
@@ -110,8 +110,10 @@ def after_visit(
     estimator: Estimator,
     track: Track,
     store: ToStore = NOTHING,
-) -> Place:
-    """Return the place of a run as it is afterwards, all of it from `prepare` and `finish`.
+) -> tuple[Place, list[str]]:
+    """Return the place of a run as it is afterwards, and why something was not stored in it.
+
+    All of it from `prepare` and `finish`.
 
     Raises
     ------
@@ -121,11 +123,23 @@ def after_visit(
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
     told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
+    lost: list[str] = []
     if store.home is not None:
         until = math.inf if store.home_at is None else drive.span[0] + store.home_at
-        told = told.store_home(store.home, *last_look(drive, track, until))
+        try:
+            told = told.store_home(store.home, *last_look(drive, track, until))
+        except HomewardError as error:  # it costs the home, not the visit
+            lost.append(str(error))
     if store.route is not None:
-        told = told.store_route(store.route, smooth(drive, estimator.settings))
+        try:
+            told = told.store_route(store.route, smooth(drive, estimator.settings))
+        except HomewardError as error:
+            lost.append(f"route {quoted(store.route)}: {error}")
     if not run.place_version:
-        return first_place(Path(run.place).name, estimator, told)
-    return merged(load_place(run.place, run.place_version), told)
+        after = first_place(Path(run.place).name, estimator, told)
+    else:
+        after = merged(load_place(run.place, run.place_version), told)
+    for what, name, kept in (("home", store.home, told.homes), ("route", store.route, told.routes)):
+        if name in kept and name not in (after.homes if what == "home" else after.routes):
+            lost.append(f"{what} {quoted(str(name))} was not stored")
+    return after, lost

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, Mount, Strict, Truth
-from homeward.drives.ros.settings import LogSettings
+from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Mount, Strict, Truth
+from homeward.drives.ros.settings import LogSettings, MountFrames
 from homeward.drives.text.settings import settings_yaml, validated
 from homeward.errors import HomewardError, InputError
 from homeward.registry import ESTIMATORS, make_estimator
@@ -41,6 +41,8 @@ class Replay:
         Who runs side by side; as `homeward.studio.session.Session`.
     log : LogSettings, optional
         What of a log it was read from: then its topics file is saved instead of drive.yaml.
+    home : HomeWhen, optional
+        When the drive was at home, where its drive.yaml says that.
 
     Raises
     ------
@@ -51,11 +53,15 @@ class Replay:
     now_s = math.inf
 
     def __init__(
-        self, drive: Drive, estimators: tuple[str, ...], log: LogSettings | None = None
+        self,
+        drive: Drive,
+        estimators: tuple[str, ...],
+        log: LogSettings | None = None,
+        home: HomeWhen | None = None,
     ) -> None:
         if not drive.sightings.t.size or not drive.home:
             raise InputError(f"{drive.name}: no sightings in it, or no home bearings")
-        self._drive, self._names, self._log = drive, estimators, log
+        self._drive, self._names, self._log, self._home = drive, estimators, log, home
         self._file = "drive.yaml" if log is None else "topics.yaml"
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
         sensor = drive.settings.sensor
@@ -121,13 +127,24 @@ class Replay:
                 self._undo.back()
             case Plain(do="save"):
                 settings = self.adjusted().settings
-                told: Strict = settings.model_copy(update={"sensor": _set_only(settings)})
+                known: dict[str, Any] = {"sensor": _set_only(settings)}
+                if self._home is not None:
+                    known["home"] = self._home
+                told: Strict = settings.model_copy(update=known)
                 if self._log is not None:
-                    told = self._log.model_copy(update={"drive": told})
+                    # The mount of /tf_static would count for more than what the sliders say.
+                    told = self._log.model_copy(update={"drive": told, "mount": self._mount_told()})
                 return {"type": "file", "name": self._file, "text": settings_yaml(told)}
             case _:
                 raise InputError("that is for a scene, not for a drive that was driven")
         return None
+
+    def _mount_told(self) -> MountFrames | None:
+        """Return the log's frames of the mount, unless the camera was put elsewhere."""
+        assert self._log is not None
+        place = (self._asked.x, self._asked.y, self._asked.yaw)
+        same = place == (self._first.x, self._first.y, self._first.yaw)
+        return self._log.mount if same else None
 
     def _change(self, asked: Adjust) -> None:
         self._asked = asked

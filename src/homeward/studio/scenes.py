@@ -39,12 +39,12 @@ def as_scene(scenario: Scenario) -> Scenario:
         When it cannot be built, is too large to be played, has an absurd number, or a law that is
         not homeward's: a scene may come from anywhere, and must not name code to run.
     """
-    check_numbers(scenario)
     trajectory = scenario.trajectory
-    if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
-        raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
     if isinstance(trajectory, Repeat):
         raise InputError("trajectory.kind: the studio knows no places, and repeats no route")
+    check_numbers(scenario)
+    if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
+        raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
     if scenario.landmarks.count > MOST_LANDMARKS:
         raise InputError(f"landmarks: the studio plays {MOST_LANDMARKS} at most")
     if max(scenario.rates.odometry, scenario.rates.bearings) > FASTEST_HZ:

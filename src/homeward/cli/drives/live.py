@@ -111,7 +111,9 @@ def live(
     finally:
         if view is not None:
             stream.disconnect()
-        if recorder is not None:
-            recorder.close()
-    if (words := session.localisation.conclude()) is not None:
-        typer.echo(words, err=True)
+        try:
+            if recorder is not None:
+                recorder.close()
+        finally:  # a recording that cannot be ended must not cost the visit
+            if (words := session.localisation.conclude()) is not None:
+                typer.echo(words, err=True)

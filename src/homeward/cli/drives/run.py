@@ -27,7 +27,6 @@ from homeward.cli.options import (
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
 from homeward.drives.text.files import is_there
-from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 
 if TYPE_CHECKING:
@@ -234,14 +233,12 @@ def _run(
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
             try:
-                after = after_visit(complete, drive, estimator, track, store)
+                after, reasons = after_visit(complete, drive, estimator, track, store)
                 save_place(after, settings.place, complete.place_version or 0)
+                lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # told below the answer, which is there nevertheless
                 after, lost = None, error
     words = [summary, *([] if after is None else [visit_words(after)])]
-    for what, name in (("home", store.home), ("route", store.route)):
-        if after is not None and name is not None and name not in getattr(after, f"{what}s"):
-            lost = HomewardError(f"{what} {quoted(name)} was not stored")
     if after is not None and store.route in after.routes:
         words.append(route_words(after, str(store.route)))
     if json:

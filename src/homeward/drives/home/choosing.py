@@ -7,17 +7,19 @@ import math
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeWhen
+from homeward.drives.drive import Drive, HomeWhen, Truth
 from homeward.drives.home.spin import Spin, spin
 from homeward.drives.home.standing import home_during
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.frames import Pose, between
 
 FOUND = (
     "home bearings by a turn of {:.0f} degrees, good to {:.2g} degrees in the median; home's "
     "heading is that at its beginning to {:.2g} degrees"
 )
 LOOKED = "degrees came into view during home's turn, not all round: home knows nothing of the rest"
+OF_OTHER_HOME = "{} of a home that was not chosen, left out"
 LEFT_OUT = "landmarks that home leaves out, as their sightings during its turn disagree: {}"
 
 
@@ -29,18 +31,37 @@ def with_home(drive: Drive, when: HomeWhen) -> Drive:
     InputError
         When the robot was not at home then, or saw nothing; see `home_during` and `spin`.
     """
+    span = when.during or when.spin
+    if span is None:
+        return drive
+    first, last = (drive.span[0] + t for t in span)
+    if drive.settings.home_sensor is not None:
+        raise InputError("home_sensor: what the drive itself saw of home is by its own camera")
+    if drive.known.surveyed_from_home:
+        raise InputError("landmarks.yaml is surveyed from home; another home cannot be chosen")
+    if drive.home:
+        drive = _seen_from(drive, first)
     told = drive.settings.model_copy(update={"home": None})
     if when.during is not None:
         home = home_during(when.during, drive.odometry, drive.sightings)
         return dataclasses.replace(drive, home=home, settings=told)
-    if when.spin is None:
-        return drive
-    if told.home_sensor is not None:
-        raise InputError("home_sensor: the camera of home's spin is that of the drive")
-    first, last = (drive.span[0] + t for t in when.spin)
     found = spin((first, last), drive.odometry, drive.sightings, told)
     remarks = {**drive.remarks, **_remarks(found)}
     return dataclasses.replace(drive, home=found.home, settings=told, remarks=remarks)
+
+
+def _seen_from(drive: Drive, t: float) -> Drive:
+    """Return a drive without its own home: its truth as seen from where it truly was at `t` [s]."""
+    settings, truth = drive.settings.model_copy(update={"start": None}), drive.truth
+    remarks = dict(drive.remarks)
+    if drive.settings.start is not None:
+        remarks[OF_OTHER_HOME.format("start prior")] = 1
+    if truth is not None and truth.t[0] <= t <= truth.t[-1]:
+        home = Pose(*(float(part[0]) for part in truth.at(np.array([t]))))
+        truth = Truth(truth.t, *between(home, Pose(truth.x, truth.y, truth.heading)))
+    elif truth is not None:
+        truth, remarks[OF_OTHER_HOME.format("truth")] = None, 1
+    return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)
 
 
 def _remarks(found: Spin) -> dict[str, int]:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     BEARINGS,
     HOME,
@@ -16,6 +15,7 @@ from homeward.drives.folder import (
     REQUIRED,
     TRUTH,
     is_drive_folder,
+    knows_home,
     read_folder,
     read_home,
     read_odometry,
@@ -117,19 +117,23 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
     if (path / HOME).exists():
         kind += f", {len(read_home(path / HOME, told))} landmarks seen at home"
     remarks: list[str] = []
-    if missing := [name for name in needed if not (path / name).exists()]:
+    missing = [name for name in needed if not (path / name).exists()]
+    if missing == [HOME] and needed == REQUIRED and knows_home(path):
+        missing = []
+    if missing:
         remarks += [f"{number:,} {reason}" for reason, number in told.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
     elif needed == REQUIRED:
-        remarks += _judged(read_folder(path), path)
+        remarks += _judged(path)
     return LogInfo(kind, topics, None, tuple(remarks), folder=True)
 
 
-def _judged(drive: Drive, path: Path) -> Iterator[str]:
+def _judged(path: Path) -> Iterator[str]:
     """Yield what looked wrong with a drive, and why it is refused where it would run."""
+    drive = read_folder(path)
     if not drive.sightings.t.size:
         yield REFUSED.format(f"{BEARINGS} has no rows")
-    if not drive.home:
+    if not drive.home and not knows_home(path):
         yield REFUSED.format(f"{HOME} has no rows")
     try:
         yield from on_one_clock(drive, path).remark_lines

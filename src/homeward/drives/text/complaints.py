@@ -75,6 +75,8 @@ def complaint(error: ValidationError, model: type[Strict] | None, values: Any) -
             return refused
         meant = closest(key, model)
         way = f"did you mean {meant}?" if meant else "homeward settings lists those that there are"
+        if meant == key:  # of another of several models
+            way = "it is for something else"
         return f"{refused}; {way}"
     # A value that may be one thing or another is refused once for each: the nearest miss counts.
     first = next((e for e in details if _key(e, values).startswith(f"{key}.")), first)

@@ -18,7 +18,8 @@ POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
 YAW = 3
 SURVEYED = 1e-4
-"""Home is the origin of what is surveyed from there as nearly as this [m, rad]."""
+"""Home is the origin of what is surveyed from there as nearly as this, and no start is better known
+[m, rad]."""
 LONGEST_SHARE = 0.2
 """A fit moves home by so much at once at most [of the range] ..."""
 LONGEST_TURN = 1.0
@@ -160,6 +161,7 @@ def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | Non
     pose = np.array(from_polar(start.polar), float)
     sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
     covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
+    covariance += np.eye(3) * SURVEYED**2  # at home itself a direction from home tells nothing
     jacobian = rotation(pose[2]).T @ lever(-pose)
     home = between(pose, np.zeros(3))
     home[2] = wrap(home[2])

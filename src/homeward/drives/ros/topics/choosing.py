@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
 from homeward.drives.ros.messages.decoding import PICTURES
@@ -58,14 +60,17 @@ def _guess_bearings(
     survey: Survey, home: HomeFrom | None, types: tuple[str, ...]
 ) -> tuple[BearingsTopic, ...]:
     """Take the one topic of the best type; of points, which are one landmark each, all."""
-    found = _of_best_type(survey, types, None if home is None else home.topic)
+    taken = {OUR_HOME, *([] if home is None or home.topic is None else [home.topic])}
+    found = _of_best_type(survey, types, taken)
     if len(found) > 1 and found[0].type != POINT:
         raise InputError(_ambiguous("bearings", found), survey.log.path)
     return tuple(BearingsTopic(topic=t.name) for t in found)
 
 
-def _of_best_type(survey: Survey, types: tuple[str, ...], taken: str | None = None) -> list[Topic]:
-    usable = [t for t in survey.topics if t.count and t.name != taken]
+def _of_best_type(
+    survey: Survey, types: tuple[str, ...], taken: Container[str] = ()
+) -> list[Topic]:
+    usable = [t for t in survey.topics if t.count and t.name not in taken]
     for kind in types:
         if found := [t for t in usable if t.type == kind]:
             return found
