@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.ros.messages.definitions import typestore
@@ -29,19 +31,32 @@ class LogFile:
         self._connections: dict[str, Any] = {}
 
     def make(self, kind: str, **fields: Any) -> Any:
-        """Return a message of a type, as in ``nav_msgs/msg/Odometry``."""
-        return self._store.types[kind](**fields)
+        """Return a message of a type, as in ``nav_msgs/msg/Odometry``.
 
-    def time(self, stamp: int) -> Any:
-        """Return a stamp [ns] as builtin_interfaces/Time."""
-        whole, rest = divmod(stamp, NANO)
-        return self.make("builtin_interfaces/msg/Time", sec=whole, nanosec=rest)
+        What is not given is zero or empty; a message in it may be given as a dict of its fields.
+        """
+        known = dict(self._store.fielddefs[kind][1])
+        if strange := fields.keys() - known:
+            raise TypeError(f"{kind} has no {', '.join(sorted(strange))}")
+        values = {name: self._value(form, fields.get(name)) for name, form in known.items()}
+        return self._store.types[kind](**values)
 
     def header(self, stamp: int, frame: str) -> Any:
-        """Return a std_msgs/Header."""
-        numbered = {"seq": 0} if self._ros1 else {}
-        fields = {**numbered, "stamp": self.time(stamp), "frame_id": frame}
-        return self.make("std_msgs/msg/Header", **fields)
+        """Return a std_msgs/Header of a stamp [ns]."""
+        time = dict(zip(("sec", "nanosec"), divmod(stamp, NANO), strict=True))
+        return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+    def _value(self, form: tuple[Nodetype, Any], given: Any) -> Any:
+        """Return what a field of a form holds: what is `given`, or zeros where that is None."""
+        kind, of = form
+        if kind is Nodetype.NAME:
+            return self.make(of, **(given or {})) if given is None or type(given) is dict else given
+        if kind is Nodetype.BASE:
+            return ("" if of[0] == "string" else 0) if given is None else given
+        inner, size = of
+        if inner[0] is Nodetype.BASE and inner[1][0] != "string":
+            return np.zeros(size, inner[1][0]) if given is None else given
+        return [self._value(inner, each) for each in given or [None] * size]
 
     def write(self, topic: str, stamp: int, message: Any) -> None:
         """Write a message, as if it had been received at its stamp [ns]."""

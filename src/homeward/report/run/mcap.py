@@ -103,31 +103,17 @@ class _Messages:
             v, omega = (
                 (odometry.v[last[row]], odometry.omega[last[row]]) if last[row] >= 0 else (0, 0)
             )
-            pose = self._pose(track.x[row], track.y[row], track.heading[row])
-            stamp, make = self._stamps[row], self._log.make
-            yield (
-                stamp,
-                POSE_TOPIC,
-                make(
-                    "nav_msgs/msg/Odometry",
-                    header=self._log.header(stamp, MAP),
-                    child_frame_id=BASE,
-                    pose=make(
-                        "geometry_msgs/msg/PoseWithCovariance",
-                        pose=pose,
-                        covariance=covariance.ravel(),
-                    ),
-                    twist=make(
-                        "geometry_msgs/msg/TwistWithCovariance",
-                        twist=make(
-                            "geometry_msgs/msg/Twist",
-                            linear=self._vector(float(v), 0.0, 0.0),
-                            angular=self._vector(0.0, 0.0, float(omega)),
-                        ),
-                        covariance=np.zeros(36),
-                    ),
-                ),
+            pose = _pose(track.x[row], track.y[row], track.heading[row])
+            twist = {"linear": {"x": float(v)}, "angular": {"z": float(omega)}}
+            stamp = self._stamps[row]
+            message = self._log.make(
+                "nav_msgs/msg/Odometry",
+                header=self._log.header(stamp, MAP),
+                child_frame_id=BASE,
+                pose={"pose": pose, "covariance": covariance.ravel()},
+                twist={"twist": twist},
             )
+            yield stamp, POSE_TOPIC, message
 
     def _statuses(self) -> Iterator[tuple[int, str, Any]]:
         track, told, since = self._track, None, -math.inf
@@ -142,21 +128,16 @@ class _Messages:
                 sigma = track.sigmas[row]
                 names = ("sigma_x [m]", "sigma_y [m]", "sigma_heading [rad]")
                 values |= {n: f"{s:.4g}" for n, s in zip(names, sigma.tolist(), strict=True)}
-            make, stamp = self._log.make, self._stamps[row]
-            pairs = [
-                make("diagnostic_msgs/msg/KeyValue", key=k, value=v) for k, v in values.items()
-            ]
-            status_message = make(
-                "diagnostic_msgs/msg/DiagnosticStatus",
-                level=LEVELS[status],
-                name=f"homeward: {track.estimator}",
-                message=f"{status.value}: {reason}" if reason else status.value,
-                hardware_id="",
-                values=pairs,
-            )
-            header = self._log.header(stamp, "")
+            told_of = {
+                "level": LEVELS[status],
+                "name": f"homeward: {track.estimator}",
+                "message": f"{status.value}: {reason}" if reason else status.value,
+                "values": [{"key": k, "value": v} for k, v in values.items()],
+            }
+            header = self._log.header(self._stamps[row], "")
             array = "diagnostic_msgs/msg/DiagnosticArray"
-            yield stamp, "/diagnostics", make(array, header=header, status=[status_message])
+            message = self._log.make(array, header=header, status=[told_of])
+            yield self._stamps[row], "/diagnostics", message
 
     def _true_poses(self) -> Iterator[tuple[int, str, Any]]:
         truth, epoch = self._drive.truth, self._drive.settings.epoch or 0
@@ -167,78 +148,47 @@ class _Messages:
             stamp, _ = split(t, epoch)
             header = self._log.header(stamp, MAP)
             kind = "geometry_msgs/msg/PoseStamped"
-            yield stamp, TRUTH_TOPIC, self._log.make(kind, header=header, pose=self._pose(*pose))
+            yield stamp, TRUTH_TOPIC, self._log.make(kind, header=header, pose=_pose(*pose))
 
     def _markers(self, stamp: int) -> Any:
         placed = [k for k in self._track.landmarks if math.isfinite(k.x) and math.isfinite(k.y)]
         markers = [
-            marker
+            self._marker(stamp, number, landmark, kind)
             for number, landmark in enumerate(placed)
-            for marker in (
-                self._marker(stamp, number, landmark, _SPHERE),
-                self._marker(stamp, number, landmark, _TEXT),
-            )
+            for kind in (_SPHERE, _TEXT)
         ]
         return self._log.make("visualization_msgs/msg/MarkerArray", markers=markers)
 
-    def _marker(self, stamp: int, number: int, landmark: LandmarkEstimate, kind: int) -> Any:
-        make = self._log.make
+    def _marker(
+        self, stamp: int, number: int, landmark: LandmarkEstimate, kind: int
+    ) -> dict[str, Any]:
         is_text = kind == _TEXT
-        rgb = to_rgb(COLOURS[landmark.moved])
-        colour = dict(zip("rgb", rgb, strict=True), a=1.0)
-        pose = self._pose(landmark.x, landmark.y, 0.0)
-        pose.position.z = 0.3 if is_text else 0.0
-        image = {"format": "", "data": np.empty(0, np.uint8)}
-        return make(
-            "visualization_msgs/msg/Marker",
-            header=self._log.header(stamp, MAP),
-            ns="names" if is_text else "landmarks",
-            id=number,
-            type=kind,
-            action=_ADD,
-            pose=pose,
-            scale=self._vector(0.2, 0.2, 0.2),
-            color=make("std_msgs/msg/ColorRGBA", **colour),
-            lifetime=make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
-            frame_locked=False,
-            points=[],
-            colors=[],
-            texture_resource="",
-            texture=make(
-                "sensor_msgs/msg/CompressedImage", header=self._log.header(stamp, ""), **image
-            ),
-            uv_coordinates=[],
-            text=landmark.landmark if is_text else "",
-            mesh_resource="",
-            mesh_file=make(
-                "visualization_msgs/msg/MeshFile", filename="", data=np.empty(0, np.uint8)
-            ),
-            mesh_use_embedded_materials=False,
-        )
+        pose = _pose(landmark.x, landmark.y, 0.0)
+        pose["position"]["z"] = 0.3 if is_text else 0.0
+        return {
+            "header": self._log.header(stamp, MAP),
+            "ns": "names" if is_text else "landmarks",
+            "id": number,
+            "type": kind,
+            "action": _ADD,
+            "pose": pose,
+            "scale": dict.fromkeys("xyz", 0.2),
+            "color": dict(zip("rgb", to_rgb(COLOURS[landmark.moved]), strict=True), a=1.0),
+            "texture": {"header": self._log.header(stamp, "")},
+            "text": landmark.landmark if is_text else "",
+        }
 
-    def _transform(self, stamp: int, parent: str, child: str, pose: list[float]) -> Any:
-        x, y, heading = pose
-        transform = self._log.make(
-            "geometry_msgs/msg/Transform",
-            translation=self._vector(x, y, 0.0),
-            rotation=self._turn(heading),
-        )
-        return self._log.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self._log.header(stamp, parent),
-            child_frame_id=child,
-            transform=transform,
-        )
+    def _transform(self, stamp: int, parent: str, child: str, pose: list[float]) -> dict[str, Any]:
+        there = _pose(*pose)
+        return {
+            "header": self._log.header(stamp, parent),
+            "child_frame_id": child,
+            "transform": {"translation": there["position"], "rotation": there["orientation"]},
+        }
 
-    def _pose(self, x: float, y: float, heading: float) -> Any:
-        point = self._log.make("geometry_msgs/msg/Point", x=float(x), y=float(y), z=0.0)
-        kind = "geometry_msgs/msg/Pose"
-        return self._log.make(kind, position=point, orientation=self._turn(heading))
 
-    def _vector(self, x: float, y: float, z: float) -> Any:
-        return self._log.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-    def _turn(self, heading: float) -> Any:
-        half = float(heading) / 2
-        kind = "geometry_msgs/msg/Quaternion"
-        return self._log.make(kind, x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+def _pose(x: float, y: float, heading: float) -> dict[str, dict[str, float]]:
+    """Return the fields of a geometry_msgs/Pose."""
+    half = float(heading) / 2
+    turn = {"z": math.sin(half), "w": math.cos(half)}
+    return {"position": {"x": float(x), "y": float(y)}, "orientation": turn}
