@@ -18,7 +18,7 @@ from homeward.registry import make_estimator
 from homeward.simulation.presets import PAPER_HOMING
 from homeward.simulation.scenario import Moved, Scenario
 from homeward.simulation.simulate import Simulation, simulate
-from homeward.studies.study.bound import simulation_bound
+from homeward.studies.study.trial import simulation_bound
 
 
 def scenario(seed: int, moved: int) -> Scenario:

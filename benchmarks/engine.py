@@ -40,7 +40,7 @@ from benchmarks.timing import (
 )
 from homeward.engine.batch.homing import run_homing
 from homeward.engine.batch.recorded import run_recorded
-from homeward.engine.native.kernel import NativeProgram
+from homeward.engine.native.source import NativeProgram
 from homeward.engine.program.stages import filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.model import PolarModel

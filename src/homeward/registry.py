@@ -21,11 +21,10 @@ from homeward.filters.settings import (
     ProportionalIntegralSettings,
     SchmidtSettings,
 )
-from homeward.guest import Guest
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.plugins import ESTIMATORS as GROUP
-from homeward.plugins import fault, installed, load
+from homeward.plugins import Guest, fault, installed, load
 
 _Maker = Callable[[Drive, Any], Estimator]
 

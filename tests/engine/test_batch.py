@@ -5,7 +5,7 @@ import pytest
 from test_model import scene
 
 from homeward.control import homing
-from homeward.engine.batch import noise
+from homeward.engine.batch import interpreted as noise
 from homeward.engine.batch.homing import homing_program, run_homing
 from homeward.engine.batch.recorded import run_recorded
 from homeward.engine.native.compiler import NativeError, find_compiler

@@ -21,8 +21,7 @@ from homeward.engine.kernels import filter_kernels
 from homeward.engine.native import compiler, library, program
 from homeward.engine.native.cache import Cache, default_folder
 from homeward.engine.native.compiler import NativeError, find_compiler
-from homeward.engine.native.kernel import NativeProgram
-from homeward.engine.native.source import source_of
+from homeward.engine.native.source import NativeProgram, source_of
 from homeward.engine.program.stages import OBSERVE, Program, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.model import PolarModel

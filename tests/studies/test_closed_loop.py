@@ -6,15 +6,16 @@ from test_model import scene
 
 from homeward.angles import wrap
 from homeward.control import advance, homing
+from homeward.engine.batch.homing import homing_program
 from homeward.engine.program.generic import BELIEF
 from homeward.engine.program.interpreter import Interpreter
+from homeward.engine.program.stages import Machine
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.filters.steps import predict_function, update_function
 from homeward.frames import Polar, Pose, bearing, from_polar
 from homeward.model import PolarModel
-from homeward.studies.paper.closed_loop import closed_loop_function
 
 Q, DT, SPEED = 5, 0.05, 0.125
 SHARED = ("stored", "input_covariance", "state_variance", "variance", "gate", "minimum_visible")
@@ -32,9 +33,9 @@ SHARED = ("stored", "input_covariance", "state_variance", "variance", "gate", "m
 def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
     landmarks, polar, _, stored = scene(Q, 8)
     rng = np.random.default_rng(8)
-    loop = Interpreter(closed_loop_function(kind, homing))
+    loop = Machine(homing_program(kind, homing))
     predict, update = Interpreter(predict_function(kind)), Interpreter(update_function(kind))
-    given, pose, n = loop.inputs, from_polar(polar), kind.model.n
+    given, pose, n = loop.variables, from_polar(polar), kind.model.n
 
     given["pose"][:], given["landmarks"][...] = pose, landmarks
     given["speed"][:], given["dt"][:], given["stored"][:] = SPEED, DT, stored
@@ -71,13 +72,12 @@ def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
         update.inputs["bearings"][:], update.inputs["mask"][:] = seen, given["mask"]
         update()
 
-        loop()
-        np.testing.assert_allclose(loop.outputs["control"], command, atol=1e-15)
-        here = Pose(*loop.outputs["pose"])
+        loop.do()
+        np.testing.assert_allclose(given["control"], command, atol=1e-15)
+        here = Pose(*given["pose"])
         assert np.hypot(here.x - pose.x, here.y - pose.y) < 1e-9
         assert abs(wrap(here.heading - pose.heading)) < 1e-9
         for name in BELIEF:
-            np.testing.assert_allclose(loop.outputs[name], update.outputs[name], atol=1e-8)
-            given[name][...] = loop.outputs[name]
-        given["pose"][:] = pose = here
+            np.testing.assert_allclose(given[name], update.outputs[name], atol=1e-8)
+        pose = here
     assert np.linalg.norm(given["pose"][:2]) < 0.6

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from homeward.engine.choice import choose
-from homeward.engine.native.kernel import NativeProgram
-from homeward.engine.native.source import Source, source_of
-from homeward.engine.program.kernel import Kernel
+from homeward.engine.native.source import NativeProgram, Source, source_of
+from homeward.engine.program.interpreter import Kernel
 from homeward.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine

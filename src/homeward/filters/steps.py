@@ -23,7 +23,7 @@ def predict_function(kind: ExtendedKalmanFilter) -> ca.Function:
     belief = belief_symbols(kind.model, kind.integral)
     prediction = prediction_symbols(kind.model, kind.integral)
     after = as_dict(kind.predict(belief, prediction))
-    return _function("predict", as_dict(belief) | as_dict(prediction), after)
+    return named_function("predict", as_dict(belief) | as_dict(prediction), after)
 
 
 @lru_cache(maxsize=64)
@@ -33,7 +33,7 @@ def update_function(kind: ExtendedKalmanFilter) -> ca.Function:
     seen = measurement_symbols(kind.model, kind.integral)
     updated = kind.update(belief, seen)
     outputs = as_dict(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
-    return _function("update", as_dict(belief) | as_dict(seen), outputs)
+    return named_function("update", as_dict(belief) | as_dict(seen), outputs)
 
 
 @lru_cache(maxsize=64)
@@ -42,16 +42,12 @@ def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
     belief = belief_symbols(kind.model, kind.integral)
     prediction = prediction_symbols(kind.model, kind.integral)
     step = kind.propagate(belief, prediction)
-    return _function("propagate", as_dict(belief) | as_dict(prediction), step._asdict())
+    return named_function("propagate", as_dict(belief) | as_dict(prediction), step._asdict())
 
 
-def _function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-    dense = {k: ca.densify(v) for k, v in outputs.items()}
+def named_function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+    """Return a dense function of named symbols; its outputs' names get the suffix ``_out``."""
+    dense = [ca.densify(v) for v in outputs.values()]
     # An output may carry the name of an input: CasADi wants the two apart.
-    return ca.Function(
-        name,
-        list(inputs.values()),
-        list(dense.values()),
-        list(inputs),
-        [f"{k}_out" for k in dense],
-    )
+    named = [f"{k}_out" for k in outputs]
+    return ca.Function(name, list(inputs.values()), dense, list(inputs), named)

@@ -1,4 +1,4 @@
-"""The rank of a matrix that floats only approximate, and its null space."""
+"""The rank of a matrix that floats only approximate, its null space, and what spans share."""
 
 from __future__ import annotations
 
@@ -68,3 +68,27 @@ def _norms(matrix: np.ndarray, axis: int) -> np.ndarray:
     norms = np.linalg.norm(matrix, axis=axis)
     # What is zero but for rounding must not be scaled up.
     return np.where(norms > ZERO * norms.max(), norms, 1.0)
+
+
+def common(null: np.ndarray, block: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return an orthonormal basis of what two orthonormal bases span in common."""
+    if not null.size or not block.size:
+        return np.zeros((len(null), 0))
+    u, cosines, _ = np.linalg.svd(null.T @ block)
+    inside = np.sqrt(np.maximum(1 - np.minimum(cosines, 1.0) ** 2, 0.0)) < max(tolerance, 1e-7)
+    return np.asarray(null @ u[:, : int(inside.sum())])
+
+
+def beyond(found: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return those directions in the span of `found` that add to the span of `told`."""
+    if not found.size or not told.size:
+        return found
+    _, sizes, v = np.linalg.svd(found - told @ (told.T @ found))
+    return np.asarray(found @ v[: sizes.size][sizes > 1e-3].T)
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the span of independent columns."""
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    return np.asarray(np.linalg.qr(columns)[0])

@@ -14,8 +14,8 @@ import numpy as np
 from homeward.model import POLAR
 from homeward.naming import listing
 from homeward.observability.home_words import freedom_of_home, names, slide_of_home
+from homeward.observability.ranks import beyond, common, orthonormal
 from homeward.observability.scene import CALIBRATIONS, UNITS, Scene
-from homeward.observability.subspaces import beyond, common, orthonormal
 
 ANGLE = 1e-4
 """A direction lies in a family when the sine of the angle between them is below this."""

@@ -15,6 +15,7 @@ from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Draw, Given, Job, Result, given_values
 from homeward.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.steps import named_function
 from homeward.frames import Polar
 from homeward.model import POLAR, discretise, true_bearings, unicycle_rates
 
@@ -47,13 +48,10 @@ def world_function(n: int, q: int, law: Law) -> ca.Function:
     command = ca.vertcat(*law(Polar(state[0], state[1], state[2]), speed))
     moved = discretise(unicycle_rates, pose, command + disturbance, dt).state
     bearings = true_bearings(moved, landmarks) + noise
-    return ca.Function(
-        "world",
-        [state, pose, landmarks, speed, disturbance, noise, dt],
-        [ca.densify(command), moved, bearings],
-        ["state", "pose", "landmarks", "speed", "disturbance", "noise", "dt"],
-        ["control_out", "pose_out", "bearings_out"],
-    )
+    given = {"state": state, "pose": pose, "landmarks": landmarks, "speed": speed}
+    given |= {"disturbance": disturbance, "noise": noise, "dt": dt}
+    outputs = {"control": command, "pose": moved, "bearings": bearings}
+    return named_function("world", given, outputs)
 
 
 @lru_cache(maxsize=64)
@@ -80,18 +78,13 @@ def score_function(n: int) -> ca.Function:
     own = ca.vertcat(along * dx + across * dy, (along * dy - across * dx) / R, error[2])
     nees = own.T @ _inverse3(covariance[:POLAR, :POLAR]) @ own
     outputs = {
-        "error_out": error,
-        "squared_error_out": error**2,
-        "nees_out": nees,
-        "arrived_out": ca.fabs(R) < radius,
+        "error": error,
+        "squared_error": error**2,
+        "nees": nees,
+        "arrived": ca.fabs(R) < radius,
     }
-    return ca.Function(
-        "score",
-        [pose, state, covariance, radius],
-        list(outputs.values()),
-        ["pose", "state", "covariance", "stop_radius"],
-        list(outputs),
-    )
+    given = {"pose": pose, "state": state, "covariance": covariance, "stop_radius": radius}
+    return named_function("score", given, outputs)
 
 
 def _inverse3(m: ca.SX) -> ca.SX:
@@ -229,7 +222,6 @@ def run_homing(
         start=start,
         series=tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items()),
         draws=_needed(start, series),
-        guarded=("state", "covariance"),
         sums=("squared_error", "nees"),
         final=("pose", "state"),
         history=tuple(history),

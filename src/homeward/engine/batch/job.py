@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,23 +40,23 @@ class Job:
     """Runs of a program that differ in what they are given and in their noise."""
 
     program: Program
-    extra: Mapping[str, int]
-    """Variables that no stage has, with their sizes."""
     runs: int
     steps: int
     """At most so many advances a run; its samples are one more."""
-    first_run: int
-    """Number of the first run in the noise."""
-    seed: int
     start: tuple[Given, ...]
     series: tuple[Given, ...]
-    draws: tuple[Draw, ...]
-    guarded: tuple[str, ...]
-    """Variables that end a run as diverged when they are too large; see `LARGEST`."""
-    sums: tuple[str, ...]
     final: tuple[str, ...]
     history: tuple[str, ...]
-    stop: str | None
+    extra: Mapping[str, int] = field(default_factory=dict)
+    """Variables that no stage has, with their sizes."""
+    first_run: int = 0
+    """Number of the first run in the noise."""
+    seed: int = 0
+    draws: tuple[Draw, ...] = ()
+    guarded: tuple[str, ...] = ("state", "covariance")
+    """Variables that end a run as diverged when they are too large; see `LARGEST`."""
+    sums: tuple[str, ...] = ()
+    stop: str | None = None
     """A variable that ends a run where it is not 0."""
 
     def __post_init__(self) -> None:

@@ -59,19 +59,12 @@ def run_recorded(
             raise ValueError(f"{name}: the filter has no such variable")
     job = Job(
         program=program,
-        extra={},
         runs=runs,
         steps=steps,
-        first_run=0,
-        seed=0,
         start=tuple(given_values(k, v, known[k], runs) for k, v in given.items()),
         series=tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items()),
-        draws=(),
-        guarded=("state", "covariance"),
-        sums=(),
         final=tuple(final),
         history=tuple(history),
-        stop=None,
     )
     return execute(job, engine, threads, precision)
 

@@ -23,6 +23,7 @@ from homeward.filters.settings import (
     DEFAULT_TURN_SIGMA,
     FilterSettings,
 )
+from homeward.filters.steps import named_function
 from homeward.frames import Polar, Pose, between, from_polar, to_polar
 from homeward.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
 
@@ -84,8 +85,10 @@ def _pose() -> ca.Function:
     x, covariance = ca.SX.sym("x", POLAR), _symmetric("covariance")
     pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
     carried = _carried(pose, x, covariance)
-    return _function(
-        {"x": x, "state_covariance": covariance}, {"pose": pose, "pose_covariance": carried}
+    return named_function(
+        "block",
+        {"x": x, "state_covariance": covariance},
+        {"pose": pose, "pose_covariance": carried},
     )
 
 
@@ -94,15 +97,18 @@ def _restart() -> ca.Function:
     pose, covariance = ca.SX.sym("pose", 3), _symmetric("covariance")
     polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
     carried = _carried(polar, pose, covariance)
-    return _function(
-        {"pose": pose, "pose_covariance": covariance}, {"x": polar, "state_covariance": carried}
+    return named_function(
+        "block",
+        {"pose": pose, "pose_covariance": covariance},
+        {"x": polar, "state_covariance": carried},
     )
 
 
 def _look() -> ca.Function:
     pose, mark = ca.SX.sym("pose", 3), ca.SX.sym("mark", 2)
     seen = true_bearings(pose, mark.T)
-    return _function(
+    return named_function(
+        "block",
         {"pose": pose, "mark": mark},
         {"seen": seen, "by_pose": ca.gradient(seen, pose), "by_mark": ca.gradient(seen, mark)},
     )
@@ -111,8 +117,8 @@ def _look() -> ca.Function:
 def _relative() -> ca.Function:
     home, place = ca.SX.sym("home", 3), ca.SX.sym("place", 3)
     pose = ca.vertcat(*between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(place))))
-    return _function(
-        {"home": home, "place": place}, {"pose": pose, "by_home": ca.jacobian(pose, home)}
+    return named_function(
+        "block", {"home": home, "place": place}, {"pose": pose, "by_home": ca.jacobian(pose, home)}
     )
 
 
@@ -122,7 +128,8 @@ def _reckon() -> ca.Function:
     step = discretise(unicycle_rates, x, control, dt)
     carried = step.by_state @ _full(covariance) @ step.by_state.T
     carried += step.by_input @ ca.diag(density / dt) @ step.by_input.T
-    return _function(
+    return named_function(
+        "block",
         {"x": x, "covariance": covariance, "control": control, "density": density, "dt": dt},
         {"ahead": step.state, "carried": _lower(carried)},
     )
@@ -149,13 +156,6 @@ def block_lines(name: str) -> list[str]:
         return pointer.get(variable) or f"{named.get(variable, variable)}[{k}]"
 
     return emit_split(BLOCKS[name](), "o", entry, (), entry).shared
-
-
-def _function(inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-    dense = [ca.densify(v) for v in outputs.values()]
-    return ca.Function(
-        "block", list(inputs.values()), dense, list(inputs), [f"{k}_out" for k in outputs]
-    )
 
 
 def _symmetric(name: str) -> ca.SX:

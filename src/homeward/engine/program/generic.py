@@ -11,8 +11,7 @@ from dataclasses import fields
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.program.interpreter import Interpreter
-from homeward.engine.program.kernel import allocate
+from homeward.engine.program.interpreter import Interpreter, allocate
 from homeward.filters.belief import Belief
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import UPDATE_OUTPUTS, propagate_function

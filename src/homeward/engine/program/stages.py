@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.engine.program.generic import GenericPredict, GenericUpdate, UnscentedPredict
-from homeward.engine.program.interpreter import Interpreter
-from homeward.engine.program.kernel import Kernel
+from homeward.engine.program.interpreter import Interpreter, Kernel, allocate
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import predict_function, propagate_function, update_function
 from homeward.filters.unscented import UnscentedFilter
@@ -113,6 +112,42 @@ class Program:
     def size(self, name: str) -> int:
         """Return the number of entries of a variable."""
         return int(np.prod(self.shapes[name]))
+
+
+class Machine:
+    """A program interpreted: variables that its stages share, and a kernel for each of them.
+
+    `extra` are variables that no stage has, with their sizes.
+    """
+
+    def __init__(self, program: Program, extra: Mapping[str, int] | None = None) -> None:
+        sizes = {name: (size,) for name, size in (extra or {}).items()}
+        _, self.variables = allocate(program.shapes | sizes)
+        self.flat = {k: v.reshape(-1, order="F") for k, v in self.variables.items()}
+        """The same memory, matrices column by column."""
+        self._parts = {
+            name: [self._bound(stage) for stage in part] for name, part in program.parts.items()
+        }
+
+    def do(self, *parts: str) -> None:
+        """Execute parts of the program; all but `OBSERVE` where none is named."""
+        for part in parts or [name for name in self._parts if name != OBSERVE]:
+            for execute in self._parts.get(part, ()):
+                execute()
+
+    def _bound(self, stage: Stage) -> Callable[[], None]:
+        kernel = stage.kernel()
+        ins = [(self.flat[k], a) for k, a in kernel.inputs.items()]
+        outs = [(self.flat[k], a) for k, a in kernel.outputs.items()]
+
+        def execute() -> None:
+            for variable, array in ins:
+                array[...] = variable.reshape(array.shape, order="F")
+            kernel()
+            for variable, array in outs:
+                variable[:] = array.reshape(-1, order="F")
+
+        return execute
 
 
 def filter_parts(

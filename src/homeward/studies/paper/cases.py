@@ -1,4 +1,4 @@
-"""The paper's filters, and one run of one of them through one of its cases."""
+"""The paper's filters in the loop that they close, and one run of one through one of its cases."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist, homing
-from homeward.engine.batch.homing import Law
-from homeward.engine.program.generic import BELIEF
-from homeward.engine.program.interpreter import Interpreter
+from homeward.engine.batch.homing import Law, homing_program
+from homeward.engine.program.stages import Machine
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
-from homeward.studies.paper.closed_loop import closed_loop_function
 from homeward.studies.paper.settings import PaperSettings
-from homeward.studies.paper.world import CaseName, World, bearing_error, draw_world
+from homeward.studies.paper.world import CaseName, World, draw_world
 
 PI_HT, DEAD_RECKONING = "PI-EKF (HT)", "dead reckoning"
 FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF", PI_HT, DEAD_RECKONING)
@@ -67,11 +65,11 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
     """Run one of `FILTERS` through a world, closing the loop in Cases 1 to 3."""
     settings = filter_settings(name, settings)
     kind, law = filter_kind(name, world, settings), control_law(case, settings)
-    loop = Interpreter(closed_loop_function(kind, law))
-    fill(loop.inputs, kind, world, settings)
+    loop = Machine(homing_program(kind, law))
+    fill(loop.variables, kind, world, settings)
     steps = len(world.visible)
     pose, state, variance = np.zeros((steps, 3)), np.zeros((steps, kind.model.n)), []
-    arrived, given = False, loop.inputs
+    arrived, given = False, loop.variables
     for k in range(steps):
         pose[k], state[k] = given["pose"], given["state"]
         variance.append(np.diag(given["covariance"]).copy())
@@ -80,11 +78,11 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
             break
         given["mask"][:] = world.visible[k]
         given["noise"][:], given["disturbance"][:] = world.noise[k], world.disturbance[k]
+        loop.do("world")
         if world.sight is not None and name != DEAD_RECKONING:
-            _take_image(loop, world, k, settings.printed.sample_time)
-        loop()
-        for field in ("pose", *BELIEF):
-            given[field][...] = loop.outputs[field]
+            dt, there = settings.printed.sample_time, given["pose"].copy()
+            given["bearings"][:], given["mask"][:] = world.sight.measure(k, there, dt)
+        loop.do("predict", "update")
     n = len(variance)
     t = np.arange(n) * settings.printed.sample_time
     return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
@@ -109,16 +107,6 @@ def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
         unseen = {"minimum_visible": settings.printed.landmarks + 1}
         change = {"assumed": settings.assumed.model_copy(update=unseen)}
     return settings.model_copy(update=change)
-
-
-def _take_image(loop: Interpreter, world: World, sample: int, dt: float) -> None:
-    """Put into the loop's inputs what an image shows from where the coming sample ends."""
-    assert world.sight is not None
-    given = loop.inputs
-    loop()
-    pose = loop.outputs["pose"].ravel().copy()
-    measured, seen = world.sight.measure(sample, pose, dt)
-    given["mask"][:], given["noise"][:] = seen, seen * bearing_error(world, pose, measured)
 
 
 def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:

@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.engine.batch.homing import run_homing
+from homeward.engine.batch.homing import homing_program, run_homing
 from homeward.engine.choice import Engine
-from homeward.engine.program.interpreter import Interpreter
-from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
-from homeward.studies.paper.closed_loop import closed_loop_function
+from homeward.engine.program.interpreter import allocate
+from homeward.studies.paper.cases import (
+    control_law,
+    fill,
+    filter_kind,
+    filter_settings,
+)
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
 
@@ -76,7 +80,7 @@ def run_many(
     settings = filter_settings(name, settings)
     kind = filter_kind(name, worlds[0], settings)
     law = control_law(case, settings)
-    given = Interpreter(closed_loop_function(kind, law)).inputs
+    _, given = allocate(homing_program(kind, law).shapes)
     of_world: dict[str, list[np.ndarray]] = {key: [] for key in OF_WORLD}
     for world in worlds:
         fill(given, kind, world, settings)

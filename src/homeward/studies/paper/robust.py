@@ -36,11 +36,10 @@ def drive_of(world: World, settings: PaperSettings) -> Drive:
     guess = world.guess if world.guess.R >= 0 else to_polar(from_polar(world.guess))
     sigmas = np.maximum(assumed.initial_error, EXACT)
     density = np.array(assumed.disturbance) * np.sqrt(dt)
-    nothing = np.empty(0)
     return Drive(
         name="the paper's case",
-        odometry=Odometry(nothing, nothing, nothing),
-        sightings=Sightings(nothing, np.empty(0, object), nothing, nothing),
+        odometry=Odometry(*np.empty((3, 0))),
+        sightings=Sightings.of_rows(()),
         home={str(i): HomeBearing(float(b), EXACT) for i, b in enumerate(world.stored)},
         settings=DriveSettings(
             sensor=Sensor(bearing_sigma=max(assumed.bearing_sigma, EXACT)),

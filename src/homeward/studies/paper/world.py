@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.frames import Polar, Pose, bearing, from_polar
+from homeward.frames import Polar, Pose, from_polar
 from homeward.studies.paper.settings import PaperSettings
 
 if TYPE_CHECKING:
@@ -91,12 +91,6 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
         noise=noise.normal(size=(steps, q)) * assumed.bearing_sigma,
         disturbance=noise.normal(size=(steps, 2)) * assumed.disturbance,
     )
-
-
-def bearing_error(world: World, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return measured minus true bearings (q,) [rad] of a world's landmarks from a pose (3,)."""
-    true = bearing(Pose(*pose.tolist()), world.landmarks[:, 0], world.landmarks[:, 1])
-    return np.asarray(wrap(measured - true))
 
 
 def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -> np.ndarray:

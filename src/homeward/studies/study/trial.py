@@ -1,4 +1,4 @@
-"""A drive of a study, and what is known of it that no estimator is told."""
+"""A drive of a study, and what no estimator is told of it: what is wrong, and the bound."""
 
 from __future__ import annotations
 
@@ -6,9 +6,70 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.angles import wrap
+from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive
+from homeward.frames import polar_covariance_to_pose, to_polar
 from homeward.simulation.simulate import Simulation
-from homeward.studies.study.bound import has_bound, simulation_bound
+
+
+def has_bound(simulation: Simulation) -> bool:
+    """Tell whether the bound is known: all bearings have noise, the camera sits at the centre."""
+    case = simulation.scenario
+    mounts = case.sensor, case.home_mount
+    centred = all(mount.x == 0 and mount.y == 0 for mount in mounts)
+    return centred and case.noise.bearing_sigma > 0 and case.noise.home_sigma > 0
+
+
+def simulation_bound(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bound at the bearing stamps of a drive, given its own sightings.
+
+    Which landmarks have moved counts as known, and constant errors of the odometry as zero, so the
+    bound is one from below. `has_bound` must hold.
+
+    Returns
+    -------
+    stamps : ndarray, shape (n,)
+        [s]
+    bound : ndarray, shape (n, 3, 3)
+        Of (x [m], y [m], heading [rad]); infinite while the pose is not fixed.
+    """
+    drive, case = simulation.drive, simulation.scenario
+    stamps = np.unique(drive.sightings.t)
+    if drive.truth is None or not stamps.size:
+        return stamps, np.empty((0, 3, 3))
+    poses = np.stack(drive.truth.at(stamps), axis=1)
+    ids = list(simulation.world.ids)
+    visible = np.zeros((stamps.size, len(ids)), bool)
+    row = np.searchsorted(stamps, drive.sightings.t)
+    visible[row, [ids.index(n) for n in drive.sightings.landmark]] = True
+    dt, step = np.diff(stamps), np.diff(poses, axis=0)
+    twists = np.stack([np.hypot(step[:, 0], step[:, 1]) / dt, wrap(step[:, 2]) / dt], axis=1)
+    return stamps, posterior_bound(
+        poses,
+        twists,
+        dt,
+        simulation.world.in_home_frame,
+        visible,
+        bearing_sigma=case.noise.bearing_sigma,
+        home_sigma=case.noise.home_sigma,
+        speed_sigma=case.odometry.speed_sigma,
+        turn_sigma=case.odometry.turn_sigma,
+        # Landmarks that home did not see have no home bearing either.
+        moved=(simulation.world.fault != 0) | np.array([i not in drive.home for i in ids]),
+        start_covariance=_start_covariance(simulation),
+    )
+
+
+def _start_covariance(simulation: Simulation) -> np.ndarray | None:
+    """Return the covariance of the start prior, (x, y, heading); None where there is none."""
+    case = simulation.scenario
+    if not case.start.prior:
+        return None
+    start = to_polar(case.start.in_home_frame(case.home.pose))
+    sigmas = case.start.sigma_R, case.start.sigma_theta, case.start.sigma_alpha
+    return polar_covariance_to_pose(start, np.diag(np.square(sigmas)))
+
 
 Bound = tuple[np.ndarray, np.ndarray] | None
 """Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`, or None where it is not known."""
