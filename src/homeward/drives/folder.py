@@ -221,7 +221,8 @@ def _sigma(table: Table) -> np.ndarray:
     if "sigma" not in table.columns:
         return np.full(len(table), np.nan)
     sigma = table["sigma"]
-    table.require("sigma", np.isnan(sigma) | (sigma > 0), "not greater than 0")
+    sound = (sigma > 0) & np.isfinite(sigma)
+    table.require("sigma", np.isnan(sigma) | sound, "not greater than 0")
     return sigma
 
 

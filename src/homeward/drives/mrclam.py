@@ -13,22 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    Sensor,
-    Sightings,
-    Truth,
-)
-from homeward.drives.folder import (
-    REPEATED_ODOMETRY,
-    REPEATED_TRUTH,
-    count_repeats,
-    without_repeats,
-    wrapped,
-)
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sensor, Sightings, Truth
+from homeward.drives.folder import count_repeats, odometry_of, truth_of, wrapped
 from homeward.drives.text.files import is_there, require_folder
 from homeward.drives.text.table import Table, read_columns
 from homeward.errors import InputError
@@ -83,7 +69,9 @@ def read_mrclam(
     remarks: dict[str, int] = {}
     return Drive(
         name=f"{folder.resolve().name}-robot{robot}",
-        odometry=_read_odometry(folder / f"Robot{robot}_Odometry.dat", remarks),
+        odometry=odometry_of(
+            read_columns(folder / f"Robot{robot}_Odometry.dat", ("t", "v", "omega")), remarks
+        ),
         sightings=_read_sightings(
             folder / f"Robot{robot}_Measurement.dat", subjects, set(landmarks), remarks
         ),
@@ -133,11 +121,6 @@ def _read_barcodes(path: Path) -> dict[int, int]:
     return dict(zip(_whole(table, "barcode"), _whole(table, "subject"), strict=True))
 
 
-def _read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
-    table = without_repeats(read_columns(path, ("t", "v", "omega")), remarks, REPEATED_ODOMETRY)
-    return Odometry(table["t"], table["v"], table["omega"])
-
-
 def _read_sightings(
     path: Path, subjects: dict[int, int], landmarks: set[int], remarks: dict[str, int]
 ) -> Sightings:
@@ -171,10 +154,8 @@ def _home_bearings(
 def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
     if not is_there(path):
         return None
-    table = without_repeats(read_columns(path, ("t", "x", "y", "heading")), remarks, REPEATED_TRUTH)
-    table.require_angle("heading")
-    pose = between(home, Pose(table["x"], table["y"], table["heading"]))
-    return Truth(table["t"], pose.x, pose.y, pose.heading)
+    seen = truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks)
+    return Truth(seen.t, *between(home, Pose(seen.x, seen.y, seen.heading)))
 
 
 def _whole(table: Table, name: str) -> list[int]:

@@ -111,11 +111,11 @@ def before(
     Of errors that were drawn it tells the sigmas alone. Sigma, where known, and field of view are
     those of the camera [rad].
     """
-    nothing, told = np.empty(0), set(OdometryNoise.model_fields)
+    told = set(OdometryNoise.model_fields)
     return Drive(
         name=course.name,
-        odometry=Odometry(nothing, nothing, nothing),
-        sightings=Sightings(nothing, np.empty(0, object), nothing, nothing),
+        odometry=Odometry(*np.empty((3, 0))),
+        sightings=Sightings.of_rows(()),
         home=home,
         settings=DriveSettings(
             sensor=Sensor(

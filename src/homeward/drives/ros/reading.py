@@ -11,7 +11,7 @@ import numpy as np
 from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sightings, Truth
-from homeward.drives.folder import REPEATED_TRUTH, count_repeats, read_home, wrapped
+from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.choosing import with_home
 from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
@@ -204,16 +204,11 @@ class _Reading:
     def _sightings(self) -> Sightings:
         parts = [rows.columns() for rows in self._seen]
         if not parts:
-            nothing = np.empty(0)
-            return Sightings(nothing, np.empty(0, object), nothing, nothing)
+            return Sightings.of_rows(())
         columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
         order = in_order(columns["t"], "sightings", self._remarks)
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
-        _require_sigma(rows)
-        bearing = wrapped(rows, "bearing", self._remarks)
-        sightings = Sightings(rows["t"], rows["landmark"], bearing, rows["sigma"])
-        count_repeats(sightings, self._remarks)
-        return sightings
+        return sightings_of(rows, self._remarks)
 
     def _home(self) -> dict[str, HomeBearing]:
         told = self._plan.home
@@ -227,11 +222,7 @@ class _Reading:
         first = columns["t"] == columns["t"][:1]
         rows = np.flatnonzero(first) + 1
         table = Table(self._path, rows, {n: c[first] for n, c in columns.items()})
-        table.require_unique("landmark")
-        _require_sigma(table)
-        bearings = wrapped(table, "bearing", self._remarks).tolist()
-        seen = map(HomeBearing, bearings, table["sigma"].tolist())
-        return dict(zip(table["landmark"].tolist(), seen, strict=True))
+        return home_of(table, self._remarks)
 
     def _truth(self) -> Truth | None:
         told = self._plan.truth
@@ -242,8 +233,3 @@ class _Reading:
         if told.home is None:
             return Truth(t, x, y, heading)
         return Truth(t, *between(Pose(*told.home), Pose(x, y, heading)))
-
-
-def _require_sigma(table: Table) -> None:
-    sigma = table["sigma"]
-    table.require("sigma", np.isnan(sigma) | ((sigma > 0) & np.isfinite(sigma)), "not above 0")
