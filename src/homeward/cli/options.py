@@ -9,13 +9,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from homeward.cli.terminal import INTERRUPTED, refuse
 from homeward.drives.text.yaml_text import parse_yaml
 from homeward.errors import InputError, printable
+
+if TYPE_CHECKING:
+    from homeward.drives.drive import Drive
 
 PIPED_S = 30.0
 """In a pipe, progress is told so often [s]."""
@@ -103,6 +106,24 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
     if not all(map(math.isfinite, values)):
         raise InputError(f"{what} must be finite, not {text!r}")
     return values
+
+
+def read_drive(
+    source: str,
+    robot: int | None,
+    home: str | None,
+    home_noise_deg: float,
+    topics: Path | None,
+    **others: Any,
+) -> Drive:
+    """Return the drive that options tell of; `others` are those of `open_drive`."""
+    from homeward.drives.opening import open_drive
+    from homeward.frames import Pose
+
+    place = None if home is None else Pose(*three_numbers(home, "--home"))
+    others |= {"home_noise": math.radians(home_noise_deg), "topics": topics}
+    with progress(f"reading {source}") as tell:
+        return open_drive(source, robot=robot, home=place, tell=tell, **others)
 
 
 def day(text: str) -> float:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, read_drive
 from homeward.cli.terminal import say
 
 
@@ -38,15 +38,13 @@ def studio(
     connect, and only with the token in the address that is printed. It ends by Ctrl-C. Needs the
     extra live. docs/do/studio.md has more.
     """
-    import math
     import webbrowser
     from pathlib import Path
 
     from homeward.drives.folder import SETTINGS, is_drive_folder, read_drive_settings
-    from homeward.drives.opening import SAMPLE, located, open_drive
+    from homeward.drives.opening import SAMPLE, located
     from homeward.drives.ros.containers.bag_folder import is_log
     from homeward.drives.ros.info import log_info
-    from homeward.frames import Pose
     from homeward.registry import settings_model
     from homeward.simulation.presets import PRESETS
     from homeward.studio.replay import Replay
@@ -61,20 +59,11 @@ def studio(
     if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
         shown = Session(open_scene(source), names)
     else:
-        pose = None if home is None else Pose(*three_numbers(home, "--home"))
-        with progress(f"reading {source}") as tell:
-            drive = open_drive(
-                source,
-                robot=robot,
-                home=pose,
-                home_noise=math.radians(home_noise_deg),
-                topics=topics,
-                tell=tell,
-            )
-            there = located(source)
-            plan = log_info(there, topics).plan if is_log(there) else None
-            when = read_drive_settings(there / SETTINGS).home if is_drive_folder(there) else None
-            shown = Replay(drive, names, plan, when)
+        drive = read_drive(source, robot, home, home_noise_deg, topics)
+        there = located(source)
+        plan = log_info(there, topics).plan if is_log(there) else None
+        when = read_drive_settings(there / SETTINGS).home if is_drive_folder(there) else None
+        shown = Replay(drive, names, plan, when)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")

@@ -14,8 +14,8 @@ from homeward.cli.options import (
     Robot,
     Topics,
     progress,
+    read_drive,
     spin_span,
-    three_numbers,
 )
 from homeward.cli.terminal import say, warn
 
@@ -38,24 +38,10 @@ def convert(
     seed: Annotated[int, typer.Option(help="MRCLAM: of that noise.")] = 0,
 ) -> None:
     """Write a drive as a drive folder, an MCAP file or a ROS bag; the way back is exact."""
-    import math
-
-    from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
-    from homeward.frames import Pose
 
-    place = None if home is None else Pose(*three_numbers(home, "--home"))
-    with progress(f"reading {source}") as tell:
-        drive = open_drive(
-            source,
-            robot=robot,
-            home=place,
-            home_noise=math.radians(home_noise_deg),
-            seed=seed,
-            topics=topics,
-            home_spin=spin_span(home_spin),
-            tell=tell,
-        )
+    span = spin_span(home_spin)
+    drive = read_drive(source, robot, home, home_noise_deg, topics, seed=seed, home_spin=span)
     with progress(f"writing {target}") as tell:
         kind = save_drive(drive, target, tell)
     say(

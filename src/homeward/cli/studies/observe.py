@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, read_drive
 from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
@@ -137,24 +136,13 @@ def _numbers(view: ModelView) -> str:
 
 
 def _of_drive(drive: str, given: dict[str, Any], out: Path, json: bool) -> None:
-    from homeward.drives.opening import open_drive
-    from homeward.frames import Pose
     from homeward.report.observe.page import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
     from homeward.report.output import check_output
     from homeward.studies.observing import WINDOW_S, check_window, observe_drive
 
     settings = {"drive": drive, "window": WINDOW_S, **given}
-    pose = None if "home" not in given else Pose(*three_numbers(given["home"], "--home"))
-    noise = math.radians(settings["home-noise-deg"])
-    with progress(f"reading {drive}") as tell:
-        opened = open_drive(
-            drive,
-            robot=given.get("robot"),
-            home=pose,
-            home_noise=noise,
-            topics=given.get("topics"),
-            tell=tell,
-        )
+    told = (given.get("robot"), given.get("home"), settings["home-noise-deg"], given.get("topics"))
+    opened = read_drive(drive, *told)
     check_window(opened, settings["window"])
     check_output(out, SETTINGS_FILE)
     with progress(f"observing {opened.name}") as tell:
