@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +24,7 @@ COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=
 QUANTITIES = ("R [cm]", "theta [rad]", "alpha [rad]")
 
 
-def draw_geometry(_: Reproduction) -> Figure:
+def draw_geometry(*_: object) -> Figure:
     """Draw home, robot and one landmark, with the angles and distances of the model."""
     robot, mark, heading = np.array([2.2, 1.0]), np.array([1.3, 3.0]), 0.35
     with style():
@@ -77,12 +79,13 @@ def _arc(
     axes.text(*where, label, color=colour, ha="center", va="center")
 
 
-def draw_errors(result: Reproduction, case: CaseName) -> Figure:
-    """Draw the estimation errors of all filters over time in the median run of a case."""
+def draw_errors(result: Reproduction, case: CaseName, *names: str) -> Figure:
+    """Draw the estimation errors of filters over time in the median run of a case."""
     with style():
         figure = new_figure(5.4)
         panels = figure.subplots(3, 1, sharex=True)
-        for name, run in result.shown[case].runs.items():
+        for name in names:
+            run = result.shown[case].runs[name]
             for k, axes in enumerate(panels):
                 error = run.errors[:, k] * TO_PAPER_UNITS[k]
                 axes.plot(run.t, error, color=COLOURS[name], label=name)
@@ -217,73 +220,68 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
     return figure
 
 
-def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[Reproduction], Figure]]]:
-    """Return all figures of a reproduction: with images, the panorama too.
+class Drawing(NamedTuple):
+    """A figure of a reproduction."""
+
+    caption: str
+    draw: Callable[..., Figure]
+    """Of a reproduction, a case, and the filters."""
+    case: CaseName = "2"
+    filters: tuple[str, ...] = ()
+    """Of which it draws one run over time."""
+
+
+FIGURES: dict[str, Drawing] = {
+    "geometry": Drawing("Geometry of the problem: home, robot, one landmark", draw_geometry),
+    "errors_case_1": Drawing(
+        "Case 1, homing with exact landmark information: estimation errors",
+        *(draw_errors, "1", FILTERS),
+    ),
+    "errors_case_2": Drawing(
+        "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
+        *(draw_errors, "2", FILTERS),
+    ),
+    "rmse_case_2": Drawing(
+        "Case 2: RMSE of every run; bars: medians, crosses: as printed", draw_distribution, "2"
+    ),
+    "path_case_3": Drawing(
+        "Case 3: the way home of the A-EKF with one wrong home bearing",
+        *(draw_path, "3 (one fault)", ("A-EKF (one)",)),
+    ),
+    "parameter_case_3": Drawing(
+        "Case 3: the wrong home bearing as the A-EKF estimates it",
+        *(draw_parameter, "3 (one fault)", ("A-EKF (one)",)),
+    ),
+    "parameters_case_3": Drawing(
+        "Case 3, several wrong home bearings, all of them parameters",
+        *(draw_parameter, "3 (several)", ("A-EKF (all)",)),
+    ),
+    "pose_pi_ekf_case_4": Drawing(
+        "Case 4, PI-EKF in absence of faults: the pose against time", draw_pose, "4", ("PI-EKF",)
+    ),
+    "errors_case_4": Drawing(
+        "Case 4, open loop on a circle: estimation errors", draw_errors, "4", FILTERS
+    ),
+    "rmse_case_4": Drawing(
+        "Case 4: RMSE of every run; bars: medians, crosses: as printed", draw_distribution, "4"
+    ),
+}
+"""By file name, in the order of the page."""
+PANORAMA = Drawing("Case 2: the panorama stored at home, with extracted features", draw_panorama)
+
+
+def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[], Figure]]]:
+    """Return all figures of a reproduction, with captions: with images, the panorama too.
 
     The caption of a figure over time names the run and the percentile of each filter drawn.
     """
-    figures = dict(FIGURES)
-    if result.settings.measurements == "images":
-        words = "Case 2: the panorama stored at home, with extracted features"
-        figures["panorama_case_2"] = words, lambda r: draw_panorama(r, "2")
-    for name, (case, drawn) in DRAWN.items():
-        caption, draw = figures[name]
-        shown = result.shown[case]
-        where = listing([f"{filter_} {shown.percentile[filter_]:.0f}" for filter_ in drawn])
-        run = f"{caption} (run {shown.number}; percentile of its error of R: {where})"
-        figures[name] = run, draw
+    imaged = result.settings.measurements == "images"
+    figures: dict[str, tuple[str, Callable[[], Figure]]] = {}
+    for name, d in (FIGURES | ({"panorama_case_2": PANORAMA} if imaged else {})).items():
+        caption = d.caption
+        if d.filters:
+            shown = result.shown[d.case]
+            where = listing([f"{filter_} {shown.percentile[filter_]:.0f}" for filter_ in d.filters])
+            caption += f" (run {shown.number}; percentile of its error of R: {where})"
+        figures[name] = caption, partial(d.draw, result, d.case, *d.filters)
     return figures
-
-
-DRAWN: dict[str, tuple[CaseName, tuple[str, ...]]] = {
-    "errors_case_1": ("1", FILTERS),
-    "errors_case_2": ("2", FILTERS),
-    "pose_pi_ekf_case_4": ("4", ("PI-EKF",)),
-    "path_case_3": ("3 (one fault)", ("A-EKF (one)",)),
-    "parameter_case_3": ("3 (one fault)", ("A-EKF (one)",)),
-    "parameters_case_3": ("3 (several)", ("A-EKF (all)",)),
-    "errors_case_4": ("4", FILTERS),
-}
-"""Figures over time: the case, and the filters that they draw."""
-
-
-FIGURES: dict[str, tuple[str, Callable[[Reproduction], Figure]]] = {
-    "geometry": ("Geometry of the problem: home, robot, one landmark", draw_geometry),
-    "errors_case_1": (
-        "Case 1, homing with exact landmark information: estimation errors",
-        lambda r: draw_errors(r, "1"),
-    ),
-    "errors_case_2": (
-        "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
-        lambda r: draw_errors(r, "2"),
-    ),
-    "rmse_case_2": (
-        "Case 2: RMSE of every run; bars: medians, crosses: as printed",
-        lambda r: draw_distribution(r, "2"),
-    ),
-    "path_case_3": (
-        "Case 3: the way home of the A-EKF with one wrong home bearing",
-        lambda r: draw_path(r, "3 (one fault)", "A-EKF (one)"),
-    ),
-    "parameter_case_3": (
-        "Case 3: the wrong home bearing as the A-EKF estimates it",
-        lambda r: draw_parameter(r, "3 (one fault)", "A-EKF (one)"),
-    ),
-    "parameters_case_3": (
-        "Case 3, several wrong home bearings, all of them parameters",
-        lambda r: draw_parameter(r, "3 (several)", "A-EKF (all)"),
-    ),
-    "pose_pi_ekf_case_4": (
-        "Case 4, PI-EKF in absence of faults: the pose against time",
-        lambda r: draw_pose(r, "4", "PI-EKF"),
-    ),
-    "errors_case_4": (
-        "Case 4, open loop on a circle: estimation errors",
-        lambda r: draw_errors(r, "4"),
-    ),
-    "rmse_case_4": (
-        "Case 4: RMSE of every run; bars: medians, crosses: as printed",
-        lambda r: draw_distribution(r, "4"),
-    ),
-}
-"""File name to caption and figure, in the order of the page."""

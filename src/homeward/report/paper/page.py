@@ -36,7 +36,7 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
     """
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         figures = [
-            drawn(scratch, name, caption, draw(result))
+            drawn(scratch, name, caption, draw())
             for name, (caption, draw) in figures_of(result).items()
         ]
         (scratch / "rmse.csv").write_text(_every_run(result), encoding="utf-8")
