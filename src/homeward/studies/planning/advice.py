@@ -62,9 +62,8 @@ def best_places(
     tell = progress or (lambda fraction: None)
     points = floor.points
     places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
-    marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
     candidates = candidate_places(plan, floor) if plan.further else np.zeros((0, 2))
-    now = _state(plan, floor, arcs, marks, places)
+    now = _state(plan, floor, arcs, plan.marks, places)
     more = _state(plan, floor, arcs, candidates, places)
     cost = _cost(arcs, now)
     free, chosen = list(range(len(candidates))), list[int]()

@@ -95,8 +95,7 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     """
     tell = progress or (lambda fraction: None)
     floor, arcs = make_floor(plan), Arcs(plan)
-    places = floor.points
-    marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
+    places, marks = floor.points, plan.marks
     stored = home_sees(plan, floor, marks)
     groups = group(arcs, floor, places, marks, stored, CHUNK)
     parts = list(in_threads(Places.singles, groups, lambda f: tell(0.1 + 0.4 * f)))
@@ -130,10 +129,9 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
 def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progress) -> Advice:
     """Choose further places, and say what each adds at some rows of the floor."""
     chosen, candidates = best_places(plan, floor, arcs, tell)
-    marks = np.array(list(plan.landmarks.values()), float).reshape(-1, 2)
-    sets = [np.vstack([marks, chosen[:k]]) for k in range(len(chosen) + 1)]
+    sets = [np.vstack([plan.marks, chosen[:k]]) for k in range(len(chosen) + 1)]
     if len(chosen):
-        sets.append(np.vstack([marks, candidates]))
+        sets.append(np.vstack([plan.marks, candidates]))
     figures = []
     for together in sets:
         stored = home_sees(plan, floor, together)

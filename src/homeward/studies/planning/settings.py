@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
@@ -101,6 +102,11 @@ class Plan(Strict):
     """For so many further landmarks the best places are looked for ..."""
     candidates: tuple[Point, ...] = ()
     """... among these [m]; when there are none, along all walls and shelves."""
+
+    @property
+    def marks(self) -> np.ndarray:
+        """Where the landmarks stand, (q, 2) [m]."""
+        return np.array(list(self.landmarks.values()), float).reshape(-1, 2)
 
     @model_validator(mode="after")
     def _no_landmark_at_home(self) -> Self:
