@@ -8,6 +8,8 @@ there is nothing of the kind.
 from __future__ import annotations
 
 from functools import cache
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -16,84 +18,16 @@ ODOMETRY = "homeward_msgs/msg/Odometry"
 BEARINGS = "homeward_msgs/msg/Bearings"
 POSE = "homeward_msgs/msg/Pose"
 
-DEFINITIONS = {
-    ODOMETRY: """\
-# A twist of the robot's centre, which holds until the next message's stamp, at most 1 s.
-std_msgs/Header header
-float64 residue     # [s], to be added to header.stamp; 0 where the stamp says it all
-float64 v           # forward [m/s]
-float64 omega       # turn rate, anti-clockwise [rad/s]
-""",
-    BEARINGS: """\
-# Landmarks that a camera saw at one time; landmarks and bearings have the same length.
-std_msgs/Header header
-float64 residue     # [s], to be added to header.stamp; 0 where the stamp says it all
-string[] landmarks  # their ids
-float64[] bearings  # from the camera's axis, anti-clockwise [rad]
-float64[] sigmas    # their standard deviations [rad], NaN where not known; or empty
-""",
-    POSE: """\
-# A pose of the robot's centre in the home frame.
-std_msgs/Header header
-float64 residue     # [s], to be added to header.stamp; 0 where the stamp says it all
-float64 x           # [m]
-float64 y           # [m]
-float64 heading     # [rad]
-""",
-}
-"""The types of `homeward_msgs`, as their .msg files would have them."""
 
-_WELL_KNOWN = {
-    "vision_msgs/msg/Detection2DArray": """\
-std_msgs/Header header
-vision_msgs/Detection2D[] detections
-================================================================================
-MSG: vision_msgs/Detection2D
-std_msgs/Header header
-vision_msgs/ObjectHypothesisWithPose[] results
-vision_msgs/BoundingBox2D bbox
-string id
-================================================================================
-MSG: vision_msgs/ObjectHypothesisWithPose
-vision_msgs/ObjectHypothesis hypothesis
-geometry_msgs/PoseWithCovariance pose
-================================================================================
-MSG: vision_msgs/ObjectHypothesis
-string class_id
-float64 score
-================================================================================
-MSG: vision_msgs/BoundingBox2D
-vision_msgs/Pose2D center
-float64 size_x
-float64 size_y
-================================================================================
-MSG: vision_msgs/Pose2D
-vision_msgs/Point2D position
-float64 theta
-================================================================================
-MSG: vision_msgs/Point2D
-float64 x
-float64 y
-""",
-    "apriltag_msgs/msg/AprilTagDetectionArray": """\
-std_msgs/Header header
-apriltag_msgs/AprilTagDetection[] detections
-================================================================================
-MSG: apriltag_msgs/AprilTagDetection
-string family
-int32 id
-int32 hamming
-float32 goodness
-float32 decision_margin
-apriltag_msgs/Point centre
-apriltag_msgs/Point[4] corners
-float64[9] homography
-================================================================================
-MSG: apriltag_msgs/Point
-float64 x
-float64 y
-""",
-}
+def _told(package: str) -> dict[str, str]:
+    """Return the .msg files of a package, by the names of their types."""
+    folder = Path(str(files("homeward.drives.ros.messages").joinpath("msg", package)))
+    return {f"{package}/msg/{f.stem}": f.read_text("utf-8") for f in sorted(folder.glob("*.msg"))}
+
+
+DEFINITIONS = _told("homeward_msgs")
+"""The types of `homeward_msgs`, with their .msg files."""
+_WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs")
 """For logs that hold no definitions, as those of ROS 2 before Iron in sqlite3."""
 
 
