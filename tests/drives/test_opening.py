@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 from refusals import refusal
+from valid_drive import VALID, put
 
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive
+from homeward.drives.saving import save_drive
 from homeward.frames import Pose
 
 HOME = Pose(2.0, 0.0, 0.3)
@@ -47,6 +49,29 @@ def test_opens_an_mrclam_folder(mrclam_folder):
     noisy = open_drive(mrclam_folder, robot=1, home=HOME, home_noise=0.1, seed=1)
     assert noisy.home["6"].sigma == 0.1
     assert noisy.home["6"].bearing != drive.home["6"].bearing
+
+
+def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
+    folder, log, topics = put(tmp_path / "run"), tmp_path / "run.mcap", tmp_path / "topics.yaml"
+    first = open_drive(folder)
+    save_drive(first, log)
+    late = b"bearings_late: 0.05\n"
+    put(folder, drive_yaml=late + VALID["drive.yaml"])
+    topics.write_bytes(b"drive: {bearings_late: 0.05}\n")
+    for drive in (open_drive(folder), open_drive(log, topics=topics)):
+        assert drive.sightings.t.tolist() == (first.sightings.t - 0.05).tolist()
+        assert drive.odometry.t.tolist() == first.odometry.t.tolist()
+        assert any("0.05 s late" in line for line in drive.remark_lines)
+        assert drive.settings.bearings_late is None
+    save_drive(open_drive(folder), tmp_path / "copy")
+    copied = open_drive(tmp_path / "copy")
+    assert copied.sightings.t.tolist() == drive.sightings.t.tolist()
+
+
+def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):
+    folder, late = tmp_path / "run", b"home: {during: [0.2, 0.57]}\nbearings_late: 0.05\n"
+    drive = open_drive(put(folder, home_csv=None, truth_csv=None, drive_yaml=late))
+    assert {i: seen.bearing for i, seen in drive.home.items()} == {"a": 0.4}
 
 
 def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):

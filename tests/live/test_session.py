@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from live_rig import Rig, driving
 
+from homeward.drives.drive import DriveSettings
 from homeward.estimator import Status
 from homeward.live.messages import (
     Answer,
@@ -42,6 +43,19 @@ def test_home_is_found_though_a_landmark_is_moved_on_the_way():
         else:  # who is not sure stands, and says so: with seed 4, docs/do/live.md
             assert "not localised: unverified" in rig.player.ending.reason
     assert arrived >= 5
+
+
+def test_bearings_that_are_stamped_late_are_taken_to_be_of_before():
+    robot = DriveSettings(bearings_late=0.2)
+    session = Session(robot=robot)
+    for message in (
+        HOME,
+        OdometryIn(t=0.0, v=0.1, omega=0.0),
+        BearingsIn(t=1.2, bearings={"a": 0}),
+    ):
+        session.receive(message, now=1.2)
+    (answer,) = (out for out in session.process() if isinstance(out, Answer))
+    assert answer.t == pytest.approx(1.0)
 
 
 def test_limits_of_speed_turn_and_acceleration_are_kept():

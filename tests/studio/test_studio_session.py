@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from homeward.drives.folder import read_drive_settings
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.info import log_info
 from homeward.drives.saving import save_drive
@@ -252,6 +253,20 @@ def test_a_drive_is_run_with_another_camera_and_back():
     replay.do(parse('{"do":"undo"}'))
     again = replay.picture()["rivals"]["ekf"]["pose"]
     assert again == first["rivals"]["ekf"]["pose"]
+
+
+def test_late_bearings_are_saved_and_run_again_as_the_slider_had_them(tmp_path):
+    folder = tmp_path / "sample"
+    save_drive(open_drive("sample"), folder)
+    first = Replay(open_drive(folder), ("ekf",), told=read_drive_settings(folder / "drive.yaml"))
+    first.do(parse_adjust(first.scene()["adjusted"] | {"bearings_late": 0.3}))
+    (folder / "drive.yaml").write_text(say(first, "save")["text"])
+    again = Replay(open_drive(folder), ("ekf",), told=read_drive_settings(folder / "drive.yaml"))
+    assert again.scene()["adjusted"]["bearings_late"] == 0.3
+    ends = [replay.picture()["rivals"]["ekf"]["pose"][-1] for replay in (first, again)]
+    assert ends[0] == ends[1]
+    again.do(parse_adjust(again.scene()["adjusted"] | {"bearings_late": 0.0}))
+    assert "bearings_late" not in yaml.safe_load(say(again, "save")["text"])
 
 
 def parse_adjust(values):

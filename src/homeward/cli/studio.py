@@ -15,9 +15,9 @@ def studio(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="[SCENE|DRIVE]",
-            help="A scene (warehouse, paper-homing, circle, a scenario.yaml) to play in, or what "
-            "was driven: sample, a drive folder, an MRCLAM folder, a ROS bag or MCAP file.",
+            metavar="[SCENE|DRIVE|PLACE]",
+            help="A scene (warehouse, paper-homing, circle, a scenario.yaml) to play in; what was "
+            "driven: sample, a drive folder, an MRCLAM folder, a ROS bag or MCAP file; or a place.",
         ),
     ] = "warehouse",
     estimator: Annotated[
@@ -34,7 +34,8 @@ def studio(
 ) -> None:
     """Open a page to play in: move landmarks, home and robot, and see which estimators notice.
 
-    Of a drive: scrub it, and run it with another camera, lag or noise. Only this machine can
+    Of a drive: scrub it, and run it with another camera, lag or noise. Of a place: scrub its
+    visits. Only this machine can
     connect, and only with the token in the address that is printed. It ends by Ctrl-C. Needs the
     extra live. docs/do/studio.md has more.
     """
@@ -45,12 +46,14 @@ def studio(
     from homeward.drives.opening import SAMPLE, located
     from homeward.drives.ros.containers.bag_folder import is_log
     from homeward.drives.ros.info import log_info
+    from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model
     from homeward.simulation.presets import PRESETS
     from homeward.studio.replay import Replay
     from homeward.studio.scenes import open_scene
     from homeward.studio.server import Played, Studio
     from homeward.studio.session import Session
+    from homeward.studio.visited import Visited
 
     names = tuple(word.strip() for word in estimator.split(",") if word.strip())
     for name in names:
@@ -58,12 +61,14 @@ def studio(
     shown: Played
     if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
         shown = Session(open_scene(source), names)
+    elif is_place(Path(source)):
+        shown = Visited(load_place(source))
     else:
         drive = read_drive(source, robot, home, home_noise_deg, topics)
         there = located(source)
         plan = log_info(there, topics).plan if is_log(there) else None
-        when = read_drive_settings(there / SETTINGS).home if is_drive_folder(there) else None
-        shown = Replay(drive, names, plan, when)
+        told = read_drive_settings(there / SETTINGS) if is_drive_folder(there) else None
+        shown = Replay(drive, names, plan, told if plan is None else plan.drive)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, TypedDict, cast
 
@@ -20,6 +20,8 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
+Late = Annotated[float, Field(ge=-5, le=5)]
+"""[s]; clocks that are farther apart than `homeward.drives.one_clock.APART_S` make no drive."""
 
 
 class Strict(BaseModel):
@@ -137,6 +139,9 @@ class DriveSettings(Strict):
     home_sensor: Mount | None = None
     """The camera as it sat when home was stored; None: as `sensor`."""
     odometry: OdometryNoise = OdometryNoise()
+    bearings_late: Late | None = None
+    """Bearings are stamped so long after they were taken [s], by odometry's clock; None: 0. Readers
+    take it out of the stamps (`on_time`), and a drive that was read has None."""
     start: Start | None = None
     epoch: int | None = None
     """Whole seconds to be added to every time of the drive to have its log's clock; None: 0. Logs
@@ -345,6 +350,10 @@ class Drive:
         """
         yaw = self.settings.home_mount.yaw
         return {i: float(wrap(b.bearing + yaw)) for i, b in self.home.items()}
+
+    def seen_earlier(self, by: float) -> Self:
+        """Return it with all that the camera saw stamped earlier by so long [s]."""
+        return replace(self, sightings=replace(self.sightings, t=self.sightings.t - by))
 
     @property
     def remark_lines(self) -> tuple[str, ...]:

@@ -26,6 +26,8 @@ TOO_RARE = (
     "(are their stamps in {}?)"
 )
 
+ON_TIME = "sightings were stamped {:g} s late, as bearings_late says: taken back by that"
+
 OTHER_CLOCK = (
     "their stamps are of different clocks or in different units (both must be in seconds), or "
     "they were not recorded together"
@@ -61,6 +63,16 @@ def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
     remarks[TOO_RARE.format(step, HOLD_S, unit)] = t.size
+
+
+def on_time(drive: Drive) -> Drive:
+    """Return a drive whose bearings have the times at which they were taken, by its settings."""
+    late = drive.settings.bearings_late
+    if late is None:
+        return drive
+    settings = drive.settings.model_copy(update={"bearings_late": None})
+    remarks = {**drive.remarks, ON_TIME.format(late): drive.sightings.t.size}
+    return dataclasses.replace(drive.seen_earlier(late), settings=settings, remarks=remarks)
 
 
 def on_one_clock(drive: Drive, path: Path) -> Drive:

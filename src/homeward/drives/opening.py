@@ -13,7 +13,7 @@ from homeward.drives.folder import BEARINGS, HOME, SETTINGS, is_drive_folder, re
 from homeward.drives.home.choosing import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
-from homeward.drives.one_clock import on_one_clock
+from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.containers.bag_folder import is_log
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import validated
@@ -92,7 +92,7 @@ def open_drive(
     place = located(path)
     named = None if topics is None else Path(topics)
     choices = Choices(robot, home, home_noise, seed, named, home_spin, tell)
-    drive = on_one_clock(reader_of(place).read(place, choices), place)
+    drive = on_one_clock(on_time(reader_of(place).read(place, choices)), place)
     when = drive.settings.home
     if home_spin is not None:
         when = validated(HomeWhen, {"spin": home_spin})

@@ -69,6 +69,7 @@ class Session:
         self.settings = told = settings or LiveSettings()
         known = robot or DriveSettings(), homes or {}, place
         self.localisation = Localisation(told.estimator, *known)
+        self._late = (robot and robot.bearings_late) or 0.0
         self.homing = Homing(told.limits)
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
@@ -106,6 +107,8 @@ class Session:
                 if not self._gate.takes(message.t):
                     self.counts["stamps far ahead of all others"] += 1
                     return
+                if isinstance(message, BearingsIn) and self._late:
+                    message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
                 odom = self._way.at(message.t)
             case EStop(engaged=engaged):

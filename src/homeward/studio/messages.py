@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from homeward.drives.drive import Strict
+from homeward.drives.drive import Late, Strict
 from homeward.drives.text.complaints import message
 from homeward.simulation.scenario import Scenario
 
@@ -127,7 +127,7 @@ class Adjust(Strict):
     x: Bounded = 0.0
     y: Bounded = 0.0
     yaw: Bounded = 0.0
-    lag: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    bearings_late: Late = 0.0
     bearing_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
     moved: tuple[str, ...] = ()
     stroke: int = 0

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Mount, Strict, Truth
+from homeward.drives.drive import Drive, DriveSettings, Mount, Strict, Truth
 from homeward.drives.ros.settings import LogSettings, MountFrames
 from homeward.drives.text.settings import settings_yaml, validated
 from homeward.errors import HomewardError, InputError
@@ -41,8 +41,8 @@ class Replay:
         Who runs side by side; as `homeward.studio.session.Session`.
     log : LogSettings, optional
         What of a log it was read from: then its topics file is saved instead of drive.yaml.
-    home : HomeWhen, optional
-        When the drive was at home, where its drive.yaml says that.
+    told : DriveSettings, optional
+        What its file says; of that, readers have taken home and lateness out of `drive` already.
 
     Raises
     ------
@@ -57,16 +57,21 @@ class Replay:
         drive: Drive,
         estimators: tuple[str, ...],
         log: LogSettings | None = None,
-        home: HomeWhen | None = None,
+        told: DriveSettings | None = None,
     ) -> None:
         if not drive.sightings.t.size or not drive.home:
             raise InputError(f"{drive.name}: no sightings in it, or no home bearings")
-        self._drive, self._names, self._log, self._home = drive, estimators, log, home
+        self._drive, self._names, self._log = drive, estimators, log
+        told = told or DriveSettings()
+        self._home, self._late = told.home, told.bearings_late or 0.0
         self._file = "drive.yaml" if log is None else "topics.yaml"
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
         sensor = drive.settings.sensor
         self._asked = AS_IT_IS.model_copy(
-            update={**sensor.model_dump(include={"x", "y", "yaw", "bearing_sigma"})}
+            update={
+                **sensor.model_dump(include={"x", "y", "yaw", "bearing_sigma"}),
+                "bearings_late": self._late,
+            }
         )
         self._first, self._undo = self._asked, Undo()
         self.version = self._begun = 0
@@ -83,11 +88,9 @@ class Replay:
             update={**mount, "bearing_sigma": asked.bearing_sigma}
         )
         settings = drive.settings.model_copy(update={"sensor": sensor})
-        seen = drive.sightings
         return replace(
-            drive,
+            drive.seen_earlier(asked.bearings_late - self._late),
             settings=settings,
-            sightings=replace(seen, t=seen.t - asked.lag),
             home={i: b for i, b in drive.home.items() if i not in asked.moved},
         )
 
@@ -128,6 +131,8 @@ class Replay:
             case Plain(do="save"):
                 settings = self.adjusted().settings
                 known: dict[str, Any] = {"sensor": _set_only(settings)}
+                if self._asked.bearings_late:
+                    known["bearings_late"] = self._asked.bearings_late
                 if self._home is not None:
                     known["home"] = self._home
                 told: Strict = settings.model_copy(update=known)
@@ -198,9 +203,7 @@ class Replay:
     def _words(self, tracks: list[Track]) -> str:
         if self._asked == self._first:
             return f"{self._drive.name}, as it was driven."
-        words = f"{self._drive.name}, with other settings; {self._file} keeps them."
-        lag = f" The lag of {self._asked.lag:g} s is no key of it."
-        return words + lag * bool(self._asked.lag)
+        return f"{self._drive.name}, with other settings; {self._file} keeps them."
 
     def _places(self) -> dict[str, list[float]]:
         """Return where the first estimator that tells has the landmarks at the end."""

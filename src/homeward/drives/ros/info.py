@@ -24,7 +24,7 @@ from homeward.drives.folder import (
 )
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.mrclam import is_mrclam
-from homeward.drives.one_clock import on_one_clock
+from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
 from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
@@ -136,7 +136,7 @@ def _judged(path: Path) -> Iterator[str]:
     if not drive.home and not knows_home(path):
         yield REFUSED.format(f"{HOME} has no rows")
     try:
-        yield from on_one_clock(drive, path).remark_lines
+        yield from on_one_clock(on_time(drive), path).remark_lines
     except InputError as error:
         yield from drive.remark_lines
         yield REFUSED.format(error.what)

@@ -13,6 +13,7 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.choosing import with_home
+from homeward.drives.one_clock import on_time
 from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.camera import CameraRows
@@ -124,7 +125,7 @@ class _Reading:
         self._mount()
         odometry = self._odometry.odometry(self._remarks)
         sightings = self._sightings()
-        drive = Drive(
+        found = Drive(
             name=self._path.resolve().stem,
             odometry=odometry,
             sightings=sightings,
@@ -133,7 +134,7 @@ class _Reading:
             truth=self._truth(),
             remarks=dict(self._remarks),
         )
-        told = self._plan.home
+        drive, told = on_time(found), self._plan.home
         return drive if told is None else with_home(drive, told)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:

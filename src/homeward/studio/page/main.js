@@ -4,15 +4,17 @@ import {Panel} from "./panel.js";
 import {Replay} from "./replay.js";
 import {download, film, fromFragment, png, svgText, toFragment} from "./sharing.js";
 import {View} from "./view.js";
+import {Visits} from "./visits.js";
 import {Watchers} from "./watchers.js";
 import {World} from "./world.js";
 
+const LEAP = 10; // moments of a drive by one press of an arrow key
 const $ = (id) => document.getElementById(id);
 const svg = $("picture"), said = $("said");
 const socket = new WebSocket(`ws://${location.host}/`);
 const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
 const view = new View(svg), world = new World(view, send), watchers = new Watchers(view), panel = new Panel(send);
-const replay = new Replay(view, send);
+const replay = new Replay(view, send), visits = new Visits(world);
 let scene = null, before = null, after = null, arrived = 0, interval = 50, playing = true, wrong = 0, drawn = 0;
 
 function say(words, error = false) {
@@ -27,6 +29,12 @@ const hear = {
     if (scene && told.begun !== scene.begun) { watchers.clear(); view.layers.alike.replaceChildren(); before = after = null; }
     scene = told;
     document.body.dataset.mode = told.mode;
+    if (told.mode === "place") {
+      toggle();
+      visits.take(told);
+      say(visits.draw());
+      return;
+    }
     world.show(told);
     watchers.show(told);
     if (told.mode === "scene") panel.show(told);
@@ -58,13 +66,15 @@ const hear = {
   error(told) { say(told.text, true); },
 };
 
-/** Of an opened drive: show the chosen moment. */
+/** Of an opened drive or place: show the chosen moment. */
 function moment() {
+  if (scene?.mode === "place") { say(visits.draw()); return; }
   const frame = replay.frame();
   if (!frame) return;
   before = after = frame;
   watchers.take(frame);
   panel.tell(frame);
+  $("moment").setAttribute("aria-valuetext", `${frame.t.toFixed(0)} s`);
   world.name(new Set(Object.values(frame.rivals).flatMap((told) => Object.keys(told.moved ?? {}))));
   say(frame.said);
 }
@@ -92,7 +102,7 @@ const pace = () => send({do: "pace", pace: playing ? Number($("pace").value) : 0
 function toggle() {
   playing = !playing;
   $("play").textContent = playing ? "Pause" : "Play";
-  replay.play(playing);
+  (scene?.mode === "place" ? visits : replay).play(playing);
   pace();
 }
 $("play").addEventListener("click", toggle);
@@ -112,13 +122,19 @@ $("link").addEventListener("click", async () => {
 });
 replay.chosen = moment;
 replay.busy = say;
+visits.chosen = moment;
 svg.addEventListener("dblclick", (e) => {
   if (e.target.closest(".handle") || scene?.mode !== "scene") return;
   const [x, y] = view.metres(e);
   send({do: "add", x, y});
 });
 keys.listen((v, omega) => {
-  if (scene?.steer && scene.steer.by !== "keys") {
+  if (scene?.mode !== "scene") {
+    $("moment").value = Number($("moment").value) + (scene.mode === "place" ? 1 : LEAP) * Math.sign(v - omega);
+    moment();
+    return;
+  }
+  if (scene.steer.by !== "keys") {
     $("by").value = "keys";
     $("by").dispatchEvent(new Event("change"));
   }

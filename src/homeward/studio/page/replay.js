@@ -7,7 +7,7 @@ const SLIDERS = [
   ["x", "camera ahead", -1, 1, 0.02, " m", 1],
   ["y", "camera to the left", -1, 1, 0.02, " m", 1],
   ["yaw", "camera turned", -180, 180, 1, "°", 1 / DEG],
-  ["lag", "bearings late by", -1, 1, 0.02, " s", 1],
+  ["bearings_late", "bearings late by", -1, 1, 0.02, " s", 1],
   ["bearing_sigma", "noise of bearings", 0.05, 10, 0.05, "°", 1 / DEG],
 ];
 const SETTLED_MS = 250;

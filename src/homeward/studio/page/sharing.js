@@ -21,7 +21,7 @@ export function fromFragment(text) {
   return JSON.parse(new TextDecoder().decode(Uint8Array.from(bytes, (c) => c.charCodeAt(0))));
 }
 
-const KEPT = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linejoin", "font"];
+const KEPT = ["display", "fill", "fill-opacity", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linejoin", "font"];
 
 /** The picture as a file of its own: styles written into the elements, handles no more than drawn. */
 export function svgText(svg) {

@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -38,6 +39,11 @@ class ImageDrive(Drive):
     pictures: tuple[tuple[float, Comparison | None], ...] = ()
     """Stamp [s] of each picture, in order, and how it compares with home's; None where that was not
     tried. A comparison holds some 200 bytes a match, and nothing of the pictures themselves."""
+
+    def seen_earlier(self, by: float) -> Self:
+        """Return it with bearings and pictures stamped earlier by so long [s]."""
+        pictures = tuple((t - by, compared) for t, compared in self.pictures)
+        return dataclasses.replace(super().seen_earlier(by), pictures=pictures)
 
 
 class RecordedVisualHoming(VisualHoming):
