@@ -99,7 +99,7 @@ class Page:
     def key(self, key, code, down=True):
         """Press a key, or let it go."""
         kind = "rawKeyDown" if down else "keyUp"
-        numbers = {"ArrowUp": 38, "ArrowRight": 39, " ": 32}
+        numbers = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, " ": 32}
         number = numbers.get(key, 0)
         self.call(
             "Input.dispatchKeyEvent", type=kind, key=key, code=code, windowsVirtualKeyCode=number
@@ -123,7 +123,7 @@ def studio(scratch, *words, **options):
             address = process.stdout.readline().split()[-1]
             page = Page(scratch, address, **options)
             try:
-                page.until("window.studio && studio.frame")
+                page.until("window.studio && (studio.frame || studio.scene?.visits)")
                 yield page
                 assert page.errors == []
                 wide = page.find("[document.documentElement.scrollWidth, innerWidth]")

@@ -1,10 +1,18 @@
 """The page as a hand and a keyboard meet it, in Chromium."""
 
+import base64
+import io
+import tarfile
 import time
 
+import numpy as np
 import pytest
 from chromium import studio
+from places.visited import new_place, room, told
 from report.browser import needs_chromium
+
+from homeward.places.files import save_place
+from homeward.places.visiting import merged
 
 pytest.importorskip("websockets", reason="the studio's pages need the extra `live`")
 pytestmark = needs_chromium
@@ -75,6 +83,34 @@ def test_a_scene_travels_by_its_link_and_leaves_as_pictures(tmp_path):
         )
         assert sizes[:2] == [True, False]
         assert sizes[2] > 10_000
+
+
+def test_a_film_is_a_tar_of_pictures_in_which_it_drives_on(tmp_path):
+    with studio(tmp_path, "paper-homing") as page:
+        text = page.find(
+            "import('/sharing.js').then((s) => s.film(document.querySelector('svg'), () => {}, 4))"
+            ".then((tar) => new Promise((done) => { const r = new FileReader();"
+            " r.onload = () => done(r.result); r.readAsDataURL(tar); }))"
+        )
+    with tarfile.open(fileobj=io.BytesIO(base64.b64decode(text.partition(",")[2]))) as tar:
+        pictures = [tar.extractfile(name).read() for name in tar.getnames()]
+    assert all(picture.startswith(b"\x89PNG") for picture in pictures)
+    assert len(set(pictures)) == 4
+
+
+def test_visits_of_a_place_are_slid_through(tmp_path):
+    rng, places = np.random.default_rng(0), room()
+    first = new_place(places, rng)
+    places["L0"] = places["L0"] + (0.5, -0.4)
+    save_place(merged(first, told(places, rng, 1.0)), tmp_path / "hall")
+    with studio(tmp_path, str(tmp_path / "hall"), width=390, dark=True) as page:
+        odd = "[...document.querySelectorAll('.landmark.odd')].map((c) => c.parentNode.dataset.id)"
+        assert page.find(odd) == ["L0"]
+        assert "1 moved (L0)" in page.find("document.querySelector('#said').textContent")
+        page.key("ArrowLeft", "ArrowLeft")
+        page.until(f"!{odd}.length")
+        assert "a new place" in page.find("document.querySelector('#said').textContent")
+        assert page.find("document.querySelectorAll('.handle[tabindex]').length") == 0
 
 
 def test_a_drive_is_scrubbed_and_run_with_another_camera(tmp_path):

@@ -87,5 +87,5 @@ def info_lines(place: Place) -> list[str]:
         lines.append(f"Moved most often: {listing(often)}.")
     apart = [v for v in place.visits if v.verdict == "apart"]
     if apart:
-        lines.append(f"{count(len(apart), 'visit')} contradicted it, and were kept apart.")
+        lines.append(f"Kept apart, since they contradicted it: {count(len(apart), 'visit')}.")
     return lines

@@ -51,11 +51,27 @@ export async function png(svg) {
   return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
 }
 
-export async function film(svg, tell) {
-  for (let k = 1; k <= FRAMES; k++) {
-    const began = performance.now();
-    download(`frame-${String(k).padStart(3, "0")}.png`, await png(svg));
-    tell(`Frame ${k} of ${FRAMES}.`);
+/** The next pictures as one tar file. */
+export async function film(svg, tell, frames = FRAMES) {
+  const parts = [];
+  for (let k = 1; k <= frames; k++) {
+    const began = performance.now(), image = await png(svg);
+    parts.push(tarHead(`frame-${String(k).padStart(3, "0")}.png`, image.size), image, new Uint8Array(-image.size & 511));
+    tell(`Frame ${k} of ${frames}.`);
     await new Promise((resolve) => setTimeout(resolve, Math.max(0, EVERY_MS - (performance.now() - began))));
   }
+  return new Blob([...parts, new Uint8Array(1024)], {type: "application/x-tar"});
+}
+
+/** What stands before a file in a tar (ustar): 512 bytes of text, numbers in octal. */
+function tarHead(name, size) {
+  const head = new Uint8Array(512);
+  const write = (at, text) => head.set(new TextEncoder().encode(text), at);
+  const octal = (value, digits) => value.toString(8).padStart(digits, "0");
+  write(0, name);
+  write(100, "0000644\0" + "0000000\0" + "0000000\0" + octal(size, 11) + " " + octal(Math.floor(Date.now() / 1000), 11) + " ");
+  write(148, " ".repeat(8) + "0");
+  write(257, "ustar\0" + "00");
+  write(148, octal(head.reduce((sum, byte) => sum + byte, 0), 6) + "\0 ");
+  return head;
 }

@@ -68,10 +68,10 @@ export class World {
   /** Draw a place's other homes, and its routes with their way points. */
   beside() {
     const {homes = {}, routes = {}} = this.scene, {view} = this, ground = view.layers.ground;
-    const named = (name, at, d, kind) => {
+    const named = (name, at, d, kind, below = 14) => {
       const g = make("g", {}, ground);
       make("path", {d, class: kind}, g);
-      make("text", {x: 11, y: 14}, g).textContent = name;
+      make("text", {x: 11, y: below}, g).textContent = name;
       view.place(g, at[0], at[1]);
     };
     for (const [name, {way, points}] of Object.entries(routes)) {
@@ -80,7 +80,7 @@ export class World {
       make("text", {x: x + 6, y: y + 14, class: "quiet"}, ground).textContent = name;
       for (const [point, at] of Object.entries(points)) named(point, at, DIAMOND, "waypoint");
     }
-    for (const [name, at] of Object.entries(homes)) named(name, at, HOUSE, "home");
+    Object.entries(homes).forEach(([name, at], k) => named(name, at, HOUSE, "home", 14 + 11 * k)); // they may be close together
   }
 
   landmarks() {
