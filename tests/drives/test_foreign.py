@@ -118,6 +118,114 @@ def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
     assert drive.sightings.t.tolist() == [0.0]
 
 
+TWISTS = "t,v,omega\n0,0.1,0.2\n0.5,0.2,-0.1\n1,0.3,0\n"
+SEEN = "t,landmark,bearing\n0.25,L1,0.5\n0.25,L2,-1.25\n0.75,L1,0.75\n"
+AT_HOME = "landmark,bearing\nL1,0.25\nL2,-0.5\n"
+ODDITIES = {
+    "German": {
+        "odometry": "Zeit;Geschwindigkeit;Drehrate\n0;0,1;0,2\n0,5;0,2;-0,1\n1;0,3;0\n",
+        "bearings": "Zeit;Landmarke;Peilung\n0,25;L1;0,5\n0,25;L2;-1,25\n0,75;L1;0,75\n",
+        "home": "Marke;Winkel (°)\nL1;14,32394487827058\nL2;-28,64788975654116\n",
+    },
+    "a column a landmark": {
+        "bearings": "t,L1,L2\n0.25,0.5,-1.25\n0.75,0.75,\n",
+        "home": "L1,L2\n0.25,-0.5\n",
+    },
+    "named columns of bearings": {
+        "bearings": "time,bearing_L1_rad,bearing_L2_rad\n0.25,0.5,-1.25\n0.75,0.75,NaN\n",
+    },
+    "all in one": {
+        "odometry": "t,v,omega,L1,L2\n0,0.1,0.2,,\n0.25,,,0.5,-1.25\n0.5,0.2,-0.1,,\n"
+        "0.75,,,0.75,\n1,0.3,0,,\n",
+        "bearings": None,
+    },
+    "units below": {
+        "odometry": "t,v,omega\nms,mm/s,rad/s\n0,100,0.2\n500,200,-0.1\n1000,300,0\n",
+        "bearings": "t,id,angle\n[ms],-,[rad]\n250,L1,0.5\n250,L2,-1.25\n750,L1,0.75\n",
+    },
+    "titles above": {
+        "odometry": "Log of Monday\n\nt;v;omega\n0;0.1;0.2;\n0.5;0.2;-0.1;\n1;0.3;0;\n",
+    },
+    "holes": {
+        "odometry": TWISTS + "1.2,n/a,0\n",
+        "bearings": SEEN + "0.8,L2,-\n",
+    },
+    "sorted by landmark": {
+        "bearings": "t,id,bearing\n0.25,L1,0.5\n0.75,L1,0.75\n0.25,L2,-1.25\n",
+    },
+    "a row too late": {
+        "odometry": "t,v,omega\n0,0.1,0.2\n1,0.3,0\n0.5,0.2,-0.1\n",
+    },
+    "thousands": {
+        "odometry": "t [ms];v;omega\n0;0,1;0,2\n500;0,2;-0,1\n1.000,0;0,3;0\n",
+        "bearings": SEEN.replace("t,", "t [s],"),
+    },
+    "seconds and nanoseconds": {
+        "odometry": "stamp.sec,stamp.nanosec,linear.x,angular.z\n"
+        "0,0,0.1,0.2\n0,500000000,0.2,-0.1\n1,0,0.3,0\n",
+    },
+    "velocities": {
+        "odometry": "Time (s),Linear velocity (m/s),Angular velocity (rad/s)\n"
+        + TWISTS.partition("\n")[2],
+    },
+}
+
+
+@pytest.mark.parametrize("odd", ODDITIES)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_oddities_are_understood(tmp_path, odd, encoding):
+    texts = {"odometry": TWISTS, "bearings": SEEN, "home": AT_HOME} | ODDITIES[odd]
+    for name, text in texts.items():
+        if text is not None:
+            (tmp_path / f"{name}.csv").write_bytes(text.encode(encoding))
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "odd")
+    assert drive.odometry.t == pytest.approx([0, 0.5, 1])
+    assert drive.odometry.v == pytest.approx([0.1, 0.2, 0.3])
+    assert drive.odometry.omega == pytest.approx([0.2, -0.1, 0])
+    assert drive.sightings.t.tolist() == [0.25, 0.25, 0.75]
+    assert drive.sightings.landmark.tolist() == ["L1", "L2", "L1"]
+    assert drive.sightings.bearing == pytest.approx([0.5, -1.25, 0.75])
+    assert {i: s.bearing for i, s in drive.home.items()} == pytest.approx({"L1": 0.25, "L2": -0.5})
+    lacking = {reason: n for reason, n in drive.remarks.items() if "missing" in reason}
+    assert len(lacking) == (2 if odd == "holes" else 0)
+
+
+def test_dates_are_unix_time_and_numbers_are_names(tmp_path):
+    files = {
+        "odometry.csv": "time,v,omega\n2026-11-23 12:00:00.5,0.1,0\n2026-11-23 12:00:01,0.1,0\n",
+        "bearings.csv": "time,id,bearing\n2026-11-23T13:00:00.75+01:00,3.0,0.5\n",
+        "home.csv": "id,bearing\n3,0.25\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    drive = drive_of(understand([tmp_path / name for name in files]), "dates")
+    assert drive.settings.epoch == 1795435200
+    assert drive.odometry.t.tolist() == [0.5, 1.0]
+    assert drive.sightings.t.tolist() == [0.75]
+    assert drive.sightings.landmark.tolist() == [*drive.home] == ["3"]
+
+
+def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
+    """Half a turn to the left on a circle of 1 m, as quaternions; and the truth as TUM has it."""
+    turn = np.linspace(0, np.pi, 5)
+    odom = ["t,position.x,position.y,orientation.x,orientation.y,orientation.z,orientation.w"]
+    truth = ["# timestamp tx ty tz qx qy qz qw"]
+    for t, a in enumerate(turn):
+        half = f"{math.sin(a / 2)}", f"{math.cos(a / 2)}"
+        odom.append(",".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0", "0", *half]))
+        truth.append(" ".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0 0 0", *half]))
+    texts = {"my-odom.csv": odom, "mocap.txt": truth, "b.csv": [SEEN], "h.csv": [AT_HOME]}
+    for name, lines in texts.items():
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.truth.heading == pytest.approx(turn)
+    (tmp_path / "my-odom.csv").rename(tmp_path / "wheels.csv")
+    with pytest.raises(InputError, match=r"second file with truth|nothing tells odometry"):
+        drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+
+
 def test_odometry_and_bearings_may_share_a_file(tmp_path):
     log, home = tmp_path / "log.csv", tmp_path / "home.csv"
     log.write_text("t,v,w,id,bearing\n0,0.1,0,,\n0.05,,,A,0.3\n0.1,0.2,0,,\n")
@@ -145,9 +253,13 @@ def test_units_in_names(name, quantity, unit):
     [
         ("", (), "empty file"),
         ("alone\n1\n2\n", (), "no table"),
-        ("a,b\n1,2\n", (), "none of"),
+        ("a,b\n1,2\n3,4\n", (), "none of"),
         ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v is 'x'"),
-        ("t,v,w\n0,1,0\n0.1,,0\n", (), "row 3: v is 'nan'"),
+        ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
+        ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
+        ("t,v,w\n9,1,0\n0,1,0\n", (), "nothing tells bearings"),
+        ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
+        ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields where 3 are due"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
         ("t,v,w\n0,300,0\n", (), "too fast for m/s; say its unit"),

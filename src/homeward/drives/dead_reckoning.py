@@ -1,6 +1,8 @@
-"""Where odometry alone leads."""
+"""Where odometry alone leads, and the odometry that leads along poses."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -40,3 +42,28 @@ def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     since = np.clip(t - odometry.t[last], 0.0, HOLD_S)
     begun = Pose(x[last], y[last], heading[last])
     return advance(begun, Twist(*(a[last] for a in twists)), since)
+
+
+def twists_from_poses(t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the twists that lead from each pose to the next along an arc.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Strictly increasing [s].
+    rows : ndarray, shape (n, 3)
+        x [m], y [m], heading [rad]. What a pose moves sideways is left out.
+
+    Returns
+    -------
+    v, omega : ndarray, shape (n,)
+        [m/s], [rad/s]; each holds to the next pose, the last is 0.
+    """
+    dx, dy = np.diff(rows[:, 0]), np.diff(rows[:, 1])
+    turn = np.asarray(wrap(np.diff(rows[:, 2])))
+    middle = rows[:-1, 2] + turn / 2
+    chord = dx * np.cos(middle) + dy * np.sin(middle)
+    # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
+    way = chord / np.sinc(turn / math.tau)
+    dt = np.diff(t)
+    return np.append(way / dt, 0.0), np.append(turn / dt, 0.0)

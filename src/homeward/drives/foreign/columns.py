@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from homeward.errors import InputError
@@ -26,20 +26,35 @@ _SPELT = {
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
 }
 ROLES: Mapping[str, tuple[str, str]] = {
-    "t": ("time", "t time timestamp stamp clock sec secs seconds ms"),
-    "v": ("speed", "v vel velocity speed linear.x linear vx v.x velocity.x vel.x forward"),
+    "t": ("time", "t time timestamp stamp clock sec secs seconds ms zeit zeitstempel"),
+    "v": (
+        "speed",
+        "v vel velocity speed linear.x linear vx v.x velocity.x vel.x forward linear.velocity "
+        "linear.speed geschwindigkeit",
+    ),
     "omega": (
         "rate",
-        "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity wz gyro.z gyro gz",
+        "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.speed wz "
+        "gyro.z gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
     ),
-    "landmark": ("name", "landmark id tag marker beacon feature name label subject barcode"),
-    "bearing": ("angle", "bearing azimuth angle direction beta phi theta alpha"),
+    "landmark": (
+        "name",
+        "landmark id tag marker beacon feature name label subject barcode landmarke marke",
+    ),
+    "bearing": (
+        "angle",
+        "bearing azimuth angle direction beta phi theta alpha peilung winkel richtung",
+    ),
     "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
-    "x": ("length", "x px pos.x position.x"),
-    "y": ("length", "y py pos.y position.y"),
-    "heading": ("angle", "heading yaw theta orientation psi phi angle"),
+    "x": ("length", "x px tx pos.x position.x"),
+    "y": ("length", "y py ty pos.y position.y"),
+    "heading": ("angle", "heading yaw theta orientation psi phi angle kurs"),
 }
-"""The quantity of each role, and the words for it; a dot stands for whatever parts words."""
+"""The quantity of each role, and the words for it, in English and German; a dot stands for whatever
+parts words."""
+NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
+SECONDS = ("sec", "secs", "seconds")
+ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
 KINDS: Mapping[str, tuple[str, ...]] = {
     "odometry": ("t", "v", "omega"),
     "bearings": ("t", "landmark", "bearing"),
@@ -63,6 +78,9 @@ class Column:
     sign: float = 1.0
     told: bool = False
     """Whether somebody said so, rather than its name."""
+    more: tuple[str, ...] = ()
+    """Columns that tell it together with this one: the nanoseconds of a time whose seconds it has;
+    z, x and y of a quaternion whose w it is."""
 
     @property
     def quantity(self) -> str:
@@ -114,15 +132,15 @@ def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[st
     InputError
         When two columns may be the same thing.
     """
-    found = {c.role: c for c in told if c.name in names and c.role in (*KINDS[kind], "sigma")}
-    taken = {column.name for column in told}
     roles = [*KINDS[kind], *(["sigma"] if kind in ("bearings", "home") else [])]
+    found = {c.role: c for c in _together(names) if c.role in roles}
+    found |= {c.role: c for c in told if c.name in names and c.role in (*KINDS[kind], "sigma")}
+    taken = {column.name for column in told}
+    taken |= {name for column in found.values() for name in (column.name, *column.more)}
     doubts = []
     for role in (role for role in roles if role not in found):
-        fits = {name: _likeness(name, role) for name in names if name not in taken}
-        best = max(fits.values(), default=NOTHING)
-        likeliest = [name for name, fit in fits.items() if fit == best]
-        if best == NOTHING:
+        likeliest = _likeliest(role, [name for name in names if name not in taken])
+        if not likeliest:
             continue
         if len(likeliest) > 1:
             doubts.append((role, *likeliest[:2]))
@@ -133,6 +151,56 @@ def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[st
     for role, one, other in doubts:
         raise InputError(f"{one!r} and {other!r} may both be {role}; say --columns '{role}={one}'")
     return found
+
+
+def times_in(names: Sequence[str], told: Sequence[Column]) -> Column | None:
+    """Return the column of times, if there is one, as `assigned` finds it."""
+    said = [c for c in (*told, *_together(names)) if c.role == "t" and c.name in names]
+    likeliest = _likeliest("t", names)
+    if said or not likeliest:
+        return said[0] if said else None
+    return Column("t", likeliest[0], unit_in(likeliest[0], "time"))
+
+
+def _likeliest(role: str, names: Sequence[str]) -> list[str]:
+    """Return the names that fit a role best, if any does."""
+    fits = {name: _likeness(name, role) for name in names}
+    best = max(fits.values(), default=NOTHING)
+    return [] if best == NOTHING else [name for name, fit in fits.items() if fit == best]
+
+
+def _together(names: Sequence[str]) -> Iterator[Column]:
+    """Yield what several columns tell together, as ROS writes it: a time, or a quaternion."""
+    by_words = {tuple(words_in(name)): name for name in names}
+    for words, name in by_words.items():
+        *stem, last = words or ("",)
+        whole = next((by_words[*stem, s] for s in SECONDS if (*stem, s) in by_words), None)
+        if last in NANOSECONDS and whole is not None:
+            yield Column("t", whole, "s", more=(name,))
+            break
+    for words, name in by_words.items():
+        *stem, last = words or ("",)
+        if last == "w" and stem and stem[-1] in ROTATIONS:
+            parts = [by_words.get((*stem, axis), "") for axis in "zxy"]
+        elif last == "qw":
+            parts = [by_words.get((*stem, f"q{axis}"), "") for axis in "zxy"]
+        else:
+            continue
+        if all(parts):
+            yield Column("heading", name, "rad", more=tuple(parts))
+            break
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, perhaps in brackets."""
+    plain = _unit(text.strip().strip("[]()<>"))
+    return any(plain in units for units in UNITS.values())
+
+
+def words_in(name: str) -> list[str]:
+    """Return the words and numbers of a column's name in lower case, without a unit in brackets."""
+    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(<].*", "", name))
+    return re.findall(r"[^\W\d_]+|\d+", plain.lower())
 
 
 def unit_in(name: str, quantity: str) -> str | None:
@@ -152,8 +220,7 @@ def _unit(text: str) -> str:
 
 def _likeness(name: str, role: str) -> tuple[int, int]:
     """Return how well a name fits a role: how long its word for it is, and how little is left."""
-    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(<].*", "", name))
-    words = re.findall(r"[a-z]+|\d+", plain.lower())
+    words = words_in(name)
     fit = 0
     for text in ROLES[role][1].split():
         sought = text.split(".")

@@ -1,13 +1,19 @@
-"""How a text file holds a table: its separator, its header and its decimal mark."""
+"""How a text file holds a table: its encoding, separator, header, units and decimal mark."""
 
 from __future__ import annotations
 
+import codecs
 import csv
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
+from homeward.drives.foreign.cells import NOTHING, is_number
+from homeward.drives.foreign.columns import is_unit
+from homeward.drives.text.files import naming, opened
 from homeward.drives.text.table import Form, text_lines
 from homeward.errors import InputError
 
@@ -25,6 +31,8 @@ class Sheet:
     path: Path
     form: Form
     decimal_comma: bool
+    one_row: bool
+    """Whether it has a single row below its header."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -41,36 +49,75 @@ def sheet(path: Path) -> Sheet:
     InputError
         When it cannot be read, is empty, or nothing parts its lines into fields.
     """
-    with text_lines(path) as lines:
+    encoding = _encoding(path)
+    with text_lines(path, encoding) as lines:
         first = list(itertools.islice(lines, LOOKED_AT))
     told = [line for line in first if line.strip()]
     before = list(itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), told))
     rows = told[len(before) :]
     if not rows:
         raise InputError("empty file", path)
-    delimiter = next((d for d in DELIMITERS if _parts(rows, d)), None)
-    if delimiter is None:
-        raise InputError("no table: nothing parts its lines into one number of fields", path)
+    delimiter, width = _parted(rows, path)
+    # Above the table a title may stand, and its lines may end with a separator that heads do not.
+    rows = _below_titles(rows, delimiter, width)
     head, *body = (_fields(line, delimiter) for line in rows)
     skip = first.index(rows[0])
-    numbered = any(_is_number(cell, delimiter) for cell in head)
+    numbered = any(is_number(cell, delimiter != ",") for cell in head)
     # ROS and MATLAB write the header as a comment.
     above = _fields(before[-1].lstrip().lstrip("".join(COMMENTS)), delimiter) if before else []
     if not numbered:
         names, skip = head, skip + 1
-        body = body or [head]
+        if body and _says_units(body[0]):
+            units = [cell.strip("[]()<> ") if is_unit(cell) else "" for cell in body.pop(0)]
+            names = [f"{n} [{unit}]" if unit else n for n, unit in zip(names, units, strict=False)]
+            skip = first.index(rows[1]) + 1
     else:
         names = above if len(above) == len(head) else [str(k + 1) for k in range(len(head))]
         body = [head, *body]
-    cells = [cell for row in body for cell in row]
-    decimal_comma = delimiter != "," and any("," in c and _is_number(c, ";") for c in cells)
-    return Sheet(path, Form(delimiter, tuple(name.strip() for name in names), skip), decimal_comma)
+    names = [*names, *[""] * (width - len(names))]
+    cells = [cell for row in body or [head] for cell in row]
+    comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
+    form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding)
+    return Sheet(path, form, comma, len(body) == 1)
 
 
-def _parts(rows: Sequence[str], delimiter: str) -> bool:
-    """Whether a delimiter parts most lines into as many fields as the first, two at least."""
-    sizes = [len(_fields(row, delimiter)) for row in rows]
-    return sizes[0] > 1 and 2 * sizes.count(sizes[0]) > len(sizes)
+def _encoding(path: Path) -> str:
+    """Return how its text is written: UTF-16 if a mark says so, else UTF-8 or that of Windows."""
+    with naming(path, "cannot be read"), opened(path) as stream:
+        begin = stream.read(2**16)
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(begin)
+    except UnicodeDecodeError:
+        return "cp1252" if b"\0" not in begin else "utf-8-sig"  # that it is none is said later
+    return "utf-8-sig"
+
+
+def _parted(rows: Sequence[str], path: Path) -> tuple[str, int]:
+    """Return what parts most lines into equally many fields, two at least, and how many."""
+    for delimiter in DELIMITERS:
+        sizes = Counter(len(_fields(row, delimiter)) for row in rows)
+        width, lines = max(sizes.items(), key=lambda item: (item[1], item[0]))
+        if width > 1 and 2 * lines >= len(rows):
+            return delimiter, width
+    raise InputError("no table: nothing parts its lines into one number of fields", path)
+
+
+def _below_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
+    """Return rows from the first of the table on; its head may lack the last, empty field."""
+    fields = [_fields(row, delimiter) for row in rows]
+    for k, (one, after) in enumerate(pairwise([*fields, []])):
+        closed = len(after) == width and not after[-1]
+        if len(one) == width or (len(one) == width - 1 and closed):
+            return rows[k:]
+    return rows
+
+
+def _says_units(cells: Sequence[str]) -> bool:
+    """Whether a line below the header tells units, and nothing else."""
+    told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
+    return bool(told) and all(map(is_unit, told))
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
@@ -79,11 +126,3 @@ def _fields(line: str, delimiter: str) -> list[str]:
         return next(reader, [])
     except csv.Error:  # reading the file says why
         return []
-
-
-def _is_number(cell: str, delimiter: str) -> bool:
-    try:
-        float(cell if delimiter == "," else cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True

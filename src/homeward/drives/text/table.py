@@ -101,6 +101,7 @@ class Form:
     """Of its columns, where its first line does not tell."""
     skip: int = 0
     """Lines before the first that counts."""
+    encoding: str = "utf-8-sig"
 
 
 PLAIN = Form()
@@ -122,7 +123,7 @@ def read_csv(
     InputError
         On anything that cannot be read.
     """
-    with text_lines(path) as lines:
+    with text_lines(path, form.encoding) as lines:
         list(itertools.islice(lines, form.skip))
         records = _csv_records(lines, path, form)
         row, header = (0, form.names) if form.names else next(records, (1, None))
@@ -237,10 +238,11 @@ def _is_finite_number(cell: str) -> bool:
 
 
 @contextmanager
-def text_lines(path: Path) -> Iterator[Iterator[str]]:
+def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[Iterator[str]]:
     """Open a text file to walk its lines; whatever the system says becomes an InputError."""
     # What is no UTF-8 becomes surrogates, so that the line at fault is known.
-    options = {"encoding": "utf-8-sig", "errors": "surrogateescape", "newline": ""}
+    damaged = "replace" if encoding == "utf-16" else "surrogateescape"
+    options = {"encoding": encoding, "errors": damaged, "newline": ""}
     with naming(path, "cannot be read"), opened(path, "r", **options) as stream:
         yield _checked(stream, path)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.drives.dead_reckoning import twists_from_poses
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
@@ -109,31 +109,6 @@ class Wheels:
         if self._by_position:
             left, right = _rate(t, left), _rate(t, right)
         return (left + right) / 2, (right - left) / self._track
-
-
-def twists_from_poses(t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the twists that lead from each pose to the next along an arc.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Strictly increasing [s].
-    rows : ndarray, shape (n, 3)
-        x [m], y [m], heading [rad]. What a pose moves sideways is left out.
-
-    Returns
-    -------
-    v, omega : ndarray, shape (n,)
-        [m/s], [rad/s]; each holds to the next pose, the last is 0.
-    """
-    dx, dy = np.diff(rows[:, 0]), np.diff(rows[:, 1])
-    turn = np.asarray(wrap(np.diff(rows[:, 2])))
-    middle = rows[:-1, 2] + turn / 2
-    chord = dx * np.cos(middle) + dy * np.sin(middle)
-    # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
-    way = chord / np.sinc(turn / math.tau)
-    dt = np.diff(t)
-    return np.append(way / dt, 0.0), np.append(turn / dt, 0.0)
 
 
 class OdometryRows:

@@ -1,0 +1,230 @@
+"""What files of others hold of a drive, each kind of table read in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from homeward.drives.foreign.cells import names, number_parser, time_parser
+from homeward.drives.foreign.columns import KINDS, UNITS, Column, assigned, times_in
+from homeward.drives.foreign.sheet import Sheet
+from homeward.drives.foreign.wide import landmark_columns, landmark_in, long, unit_of
+from homeward.drives.text.table import Parser, Table, read_csv
+from homeward.errors import InputError
+from homeward.estimator import HOLD_S
+
+FASTEST = 10.0
+"""No robot of ours drives so fast [m/s]; a number above it is of another unit."""
+UNIX_S = (1e9, 4.1e9)
+"""Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
+LATE_S = 1.0
+"""Rows that come later than this are not just late: a clock was set, or it is two drives [s]."""
+LEFT_OUT = "rows of {} in which something is missing, left out"
+SORTED = "rows of {} out of order, sorted by time"
+
+
+@dataclass(frozen=True)
+class Understood:
+    """What a column was taken for."""
+
+    kind: str
+    """Odometry, bearings, home or truth."""
+    table: Table
+    """Of its file, in SI units."""
+    column: Column
+    unit: str
+    how: str
+    """Whether that was told, named, or guessed."""
+    remarks: dict[str, int] = field(default_factory=dict)
+    """What was done to its table, counted, by reason in words."""
+
+    @property
+    def range(self) -> str:
+        """From where to where it goes, in SI units; for names, how many."""
+        values = self.table[self.column.role]
+        if self.column.quantity == "name":
+            return f"{len(set(values.tolist()))} names"
+        seen = values[np.isfinite(values)]
+        return f"{seen.min():.6g} to {seen.max():.6g} {self.column.si}" if seen.size else ""
+
+
+@dataclass
+class Part:
+    """One kind of table in a file, and its columns."""
+
+    sheet: Sheet
+    kind: str
+    columns: dict[str, Column]
+    """By role."""
+    wide: dict[str, str] = field(default_factory=dict)
+    """Columns of landmarks by id, where each has one."""
+    alone: bool = True
+    """Whether it is all that its file holds."""
+
+    def read(self, clock: str | None) -> list[Understood]:
+        """Read it, in SI units; `clock` is the unit of odometry's stamps."""
+        table, missing = (self._spread(), 0) if self.wide else self._plain()
+        values, units = dict(table.columns), dict[str, tuple[str, str]]()
+        for role, column in self.columns.items():
+            units[role] = "", "as it is"
+            if column.quantity != "name":
+                unit, _ = units[role] = _unit(table, column, clock)
+                values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
+        ordered, remarks = _in_order(dataclasses.replace(table, columns=values), self.kind)
+        if missing:
+            remarks[LEFT_OUT.format(self.kind)] = missing
+        return [
+            Understood(self.kind, ordered, column, unit, "told" if column.told else how, remarks)
+            for (unit, how), column in zip(units.values(), self.columns.values(), strict=True)
+        ]
+
+    def _plain(self) -> tuple[Table, int]:
+        """Read a table with a row for each sample; return how many lack something, left out."""
+        raw = self._raw()
+        values = {role: _value(raw, column) for role, column in self.columns.items()}
+        needed = [role for role in self.columns if role != "sigma"]
+        given = np.stack([_given(values[role]) for role in needed])
+        whole, some = given.all(axis=0), given.any(axis=0)
+        if some.any() and not whole.any():
+            raise InputError(f"no row has all of {', '.join(needed)}", raw.file)
+        kept = {role: column[whole] for role, column in values.items()}
+        # In a file of several kinds each has rows of its own.
+        missing = int((some & ~whole).sum()) if self.alone else 0
+        return Table(raw.file, raw.row[whole], kept), missing
+
+    def _spread(self) -> Table:
+        """Read a table with a column for each landmark."""
+        raw, t = self._raw(), self.columns.get("t")
+        return long(raw, self.wide, None if t is None else _value(raw, t))
+
+    def _raw(self) -> Table:
+        comma = self.sheet.decimal_comma
+        kinds = {"name": names, "time": time_parser(comma)}
+        parsers: dict[str, Parser] = dict.fromkeys(self.wide.values(), number_parser(comma))
+        for column in self.columns.values():
+            if not (self.wide and column.role in ("landmark", "bearing")):
+                parser = kinds.get(column.quantity, number_parser(comma))
+                parsers |= dict.fromkeys((column.name, *column.more), parser)
+        return read_csv(self.sheet.path, parsers, form=self.sheet.form)
+
+
+def parts_of(sheets: Sequence[Sheet], told: Sequence[Column]) -> list[Part]:
+    """Return what files hold of a drive: each at least one kind."""
+    parts, odd = list[Part](), list[Sheet]()
+    for one in sheets:
+        kinds = {kind: assigned(kind, one.names, told) for kind in ("odometry", "bearings")}
+        if not any(kinds.values()):  # poses beside twists are the odometry's own
+            kinds = {kind: assigned(kind, one.names, told) for kind in ("truth", "home")}
+        parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
+        if not kinds.get("bearings") and not kinds.get("home"):
+            odd.append(one)
+    ids = _ids(parts, odd)
+    for one in odd:
+        across, t = landmark_columns(one.names, ids), times_in(one.names, told)
+        if across and (t is not None or one.one_row):
+            parts.append(_wide_part(one, across, t))
+        elif all(part.sheet is not one for part in parts):
+            needs = "; ".join(", ".join(roles) for roles in KINDS.values())
+            raise InputError(
+                f"its columns {', '.join(map(repr, one.names[:12]))} are none of: {needs}. "
+                f"Say which is which, as in --columns 't={one.names[0]}'",
+                one.path,
+            )
+    if all(part.kind != "odometry" for part in parts):
+        for part in parts:
+            if part.kind == "truth" and "odom" in part.sheet.path.name.lower():
+                part.kind = "odometry"
+    return parts
+
+
+def _ids(parts: Sequence[Part], odd: Sequence[Sheet]) -> set[str]:
+    """Return the landmarks that are known by name, where a table may have a column for each."""
+    known: set[str] = set()
+    for part in parts if odd else ():
+        if part.kind == "home":
+            known |= set(part.read(None)[0].table["landmark"].tolist())
+    for one in odd:
+        if one.one_row and times_in(one.names, ()) is None:
+            known |= {landmark_in(name)[0] for name in one.names}
+    return known
+
+
+def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
+    first, *_, last = across.values()
+    span = f"{first} ... {last}"
+    columns = {"landmark": Column("landmark", span)}
+    columns["bearing"] = Column("bearing", span, unit_of(list(across.values())))
+    kind = "home" if t is None else "bearings"
+    return Part(one, kind, columns if t is None else {"t": t, **columns}, across)
+
+
+def _value(raw: Table, column: Column) -> np.ndarray:
+    """Return what a column tells, with the others that it needs; in its own unit."""
+    if column.role == "t" and column.more:
+        return np.asarray(raw[column.name] + 1e-9 * raw[column.more[0]])
+    if column.role == "heading" and column.more:
+        w, (z, x, y) = raw[column.name], (raw[name] for name in column.more)
+        return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    return raw[column.name]
+
+
+def _in_order(table: Table, kind: str) -> tuple[Table, dict[str, int]]:
+    """Return a table in order of time where it is a little out of it, or goes by landmarks."""
+    if "t" not in table.columns:
+        return table, {}
+    t = table["t"]
+    late = np.maximum.accumulate(t) - t
+    if not late.any() or (late.max() > LATE_S and not _by_landmarks(table)):
+        return table, {}  # who reads it on says what is wrong
+    order = np.argsort(t, kind="stable")
+    columns = {name: values[order] for name, values in table.columns.items()}
+    sorted_ = Table(table.file, table.row[order], columns)
+    return sorted_, {SORTED.format(kind): int((late > 0).sum())}
+
+
+def _by_landmarks(table: Table) -> bool:
+    """Whether a table goes through one landmark after the other, each in order of time."""
+    if "landmark" not in table.columns:
+        return False
+    ids, t = table["landmark"], table["t"]
+    changes = int((ids[1:] != ids[:-1]).sum()) + 1
+    return changes == len(set(ids.tolist())) and bool((np.diff(t)[ids[1:] == ids[:-1]] >= 0).all())
+
+
+def _unit(table: Table, column: Column, clock: str | None) -> tuple[str, str]:
+    """Return the unit of a column, and how it is known, unless a wrong guess would never show."""
+    values = np.abs(table[column.role][np.isfinite(table[column.role])])
+    most = float(values.max(initial=0.0))
+    if column.unit is not None:
+        return column.unit, "named"
+    if column.quantity == "time":
+        return (clock, "as odometry") if clock else (_clock(table["t"]), "guessed")
+    if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
+        return column.si.replace("rad", "deg"), "guessed: more than a turn"
+    if column.quantity == "speed" and most > FASTEST:
+        raise InputError(
+            f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "
+            f"--columns '{column.role}={column.name}[mm/s]'",
+            table.file,
+        )
+    return column.si, "guessed"
+
+
+def _clock(t: np.ndarray) -> str:
+    """Return the unit of stamps: Unix time tells it, or that twists come each second."""
+    units, middle = UNITS["time"], float(np.median(t)) if t.size else 0.0
+    for unit, seconds in units.items():
+        if UNIX_S[0] <= middle * seconds < UNIX_S[1]:
+            return unit
+    steps = np.diff(np.unique(t))
+    step = float(np.median(steps)) if steps.size else 0.0
+    return next((unit for unit, seconds in units.items() if step * seconds <= HOLD_S), "s")
+
+
+def _given(values: np.ndarray) -> np.ndarray:
+    """Return which cells hold something, shape (n,)."""
+    return np.asarray(values != "" if values.dtype == object else np.isfinite(values))
