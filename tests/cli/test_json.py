@@ -5,7 +5,10 @@ import re
 from pathlib import Path
 
 import pytest
+import typer
 from commands import call, first_seconds
+
+from homeward.cli.main import app
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/look-up/json.md").read_text("utf-8")
 
@@ -23,6 +26,36 @@ def said(*words, status=0):
     done = call(*words, "--json")
     assert done.exit_code == status, done.output
     return json.loads(done.stdout)
+
+
+WRITE = {"studio", "view", "render", "convert", "export", "live"}
+"""What these make are files, pages or a talk."""
+WRITE |= {f"place {name}" for name in ("view", "merge", "forget", "undo")}
+
+
+def test_all_commands_that_answer_do_so_for_programs():
+    command = typer.main.get_command(app)
+    every = {
+        " ".join(filter(None, (name, inner))): one
+        for name, group in command.commands.items()
+        for inner, one in getattr(group, "commands", {"": group}).items()
+    }
+    answers = {n for n, c in every.items() if any(p.name == "json" for p in c.params)}
+    assert every.keys() - answers == WRITE
+    assert answers == set(re.findall(r"^## homeward ([\w ]+) --json$", PAGE, re.MULTILINE))
+    listed = PAGE.partition("have `--json`")[0]
+    assert answers == set(re.findall(r"`([a-z ]+)`", listed))
+
+
+def test_an_import_and_a_simulation(drive, tmp_path):
+    files = [drive / f"{name}.csv" for name in ("odometry", "bearings", "home")]
+    told = said("import", *files, "--picture", tmp_path / "i.png", "--out", tmp_path / "i")
+    assert set(told) == documented("import")
+    assert [c["as"] for c in told["columns"] if c["is"] == "odometry"] == ["t", "v", "omega"]
+    assert Path(told["folder"]).is_dir()
+    told = said("simulate", "circle", "--out", tmp_path / "s")
+    assert set(told) == documented("simulate")
+    assert told["moved"].keys() <= set(told["landmarks"])
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Calibration from boards that a known lens drew."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -68,9 +70,11 @@ def test_by_command(tmp_path):
     (tmp_path / "boards").mkdir()
     boards(tmp_path / "boards", PINHOLE, CHARUCO, 8)
     asked = ["camera", "calibrate", str(tmp_path / "boards"), "--board", "7x5"]
-    asked += ["--charuco", "4x4_50", "--out", str(tmp_path / "camera")]
-    made = done(call(*asked))
-    assert "plumb_bob from" in made.output
+    asked += ["--charuco", "4x4_50", "--out", str(tmp_path / "camera"), "--json"]
+    told = json.loads(done(call(*asked)).stdout)
+    assert "plumb_bob from" in told["summary"]
+    assert told["rms_px"] < 1
+    assert len(told["used"]) == 8
     lens = read_calibration(tmp_path / "camera", "camera.yaml")
     assert lens.fx == pytest.approx(330, abs=3)
     assert (tmp_path / "camera" / "residuals.png").stat().st_size > 5000

@@ -1,5 +1,6 @@
 """Tags from pixels to bearings: exact pictures, all kinds of records, and what is left out."""
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -118,9 +119,11 @@ def record(tmp_path_factory):
 
 def test_a_folder_by_command(record, tmp_path):
     asked = ["see", str(record), "--tags", "36h11", "--out", str(tmp_path / "drive")]
-    done(call(*asked))
+    told = json.loads(done(call(*asked, "--json")).stdout)
     drive = read_folder(tmp_path / "drive")
     assert drive.sightings.landmark.tolist() == ["0", "1", "2", "3"]
+    assert told["landmarks"] == {"0": 1, "1": 1, "2": 1, "3": 1}
+    assert told["home"] == [*drive.home]
     true = np.arctan2(0.2, 1.0 + 0.1 * np.arange(4))
     assert drive.sightings.bearing == pytest.approx(true, abs=2e-4)
     assert drive.home["2"].bearing == pytest.approx(np.arctan2(0.2, 1.0), abs=2e-4)

@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, TextIO
 
 import typer
@@ -31,9 +32,9 @@ def say(text: str, indent: str = "") -> None:
 def answer(facts: dict[str, Any]) -> None:
     """Print an answer for programs: one JSON object; a number that is not finite is null.
 
-    Arrays become lists. docs/look-up/json.md says what is in each answer.
+    Arrays become lists, paths text. docs/look-up/json.md says what is in each answer.
     """
-    text = json.dumps(facts, default=lambda array: array.tolist())
+    text = json.dumps(facts, default=lambda v: str(v) if isinstance(v, Path) else v.tolist())
     plain = json.loads(text, parse_constant=lambda _: None)
     typer.echo(json.dumps(plain, indent=2))
 

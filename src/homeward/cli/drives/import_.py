@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeSpin, spin_span
-from homeward.cli.terminal import say, table, warn
+from homeward.cli.options import AsJson, HomeSpin, spin_span
+from homeward.cli.terminal import answer, say, table, warn
 
 
 def import_(
@@ -32,6 +32,7 @@ def import_(
     picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
         "out/import.png"
     ),
+    json: AsJson = False,
 ) -> None:
     """Turn CSV files of any columns, separators and units into a drive folder.
 
@@ -45,20 +46,28 @@ def import_(
     from homeward.report.imported import glance
 
     found = understand(files, columns or ())
-    head = ("file", "is", "column", "as", "unit", "", "from, to")
-    cells = (
+    keys = ("file", "is", "column", "as", "unit", "how", "range")
+    rows = [
         (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.how, u.range)
         for u in found
-    )
-    table([head, *cells], left=len(head))
+    ]
+    if not json:
+        table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     drive = drive_of(found, "import" if out is None else out.name, spin_span(home_spin))
     with naming(picture, "cannot be written"):
         picture.parent.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(png(glance(drive)))
-    for remark in drive.remark_lines:
-        warn(remark)
+    remarks = [*drive.remark_lines]
     if unknown := set(drive.sightings.landmark.tolist()) - set(drive.home):
-        warn(f"{len(unknown)} landmarks that home did not see: they help the map alone.")
+        remarks.append(f"{len(unknown)} landmarks that home did not see: they help the map alone.")
+    if json:
+        if out is not None:
+            save_drive(drive, out)
+        told = [dict(zip(keys, row, strict=True)) for row in rows]
+        answer({"columns": told, "remarks": remarks, "picture": picture, "folder": out})
+        return
+    for remark in remarks:
+        warn(remark)
     say(f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?")
     if out is None:
         say("Nothing else was written; --out FOLDER writes the drive.")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from homeward.cli.options import Changes, key_values, progress
-from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.options import AsJson, Changes, key_values, progress
+from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def simulate(
         float, typer.Option(min=0.1, max=10.0, help="With --live: so many times real time.")
     ] = 1.0,
     changes: Changes = None,
+    json: AsJson = False,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
 
@@ -86,7 +87,7 @@ def simulate(
     if out is None and chosen.trajectory.kind == "repeat":
         raise InputError("--live repeats no route: what drives the robot is homeward live")
     if out is None:
-        _play(chosen, live or "", pace)
+        _play(chosen, live or "", pace, json)
         return
     prepared = prepare(chosen)
     steering = None if chosen.estimator == "truth" else make_estimator(chosen.estimator, prepared)
@@ -95,10 +96,13 @@ def simulate(
         simulation = run_simulation(chosen, steering, tell)
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
-    say(_summary(simulation, out))
+    if json:
+        answer(_facts(simulation, out))
+    else:
+        say(_summary(simulation, out))
 
 
-def _play(scenario: Scenario, where: str, pace: float) -> None:
+def _play(scenario: Scenario, where: str, pace: float, json: bool) -> None:
     """Be a robot until it is home, or has given up."""
     from homeward.live.player import Player, play
     from homeward.live.server import address
@@ -109,9 +113,32 @@ def _play(scenario: Scenario, where: str, pace: float) -> None:
     asyncio.run(play(player, address(where), pace, token, lambda text: warn(text)))
     ending, robot = player.ending, player.robot
     state = "time up" if ending is None else f"{ending.state}: {ending.reason}"
-    say(f"{scenario.name}: {state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s")
+    if json:
+        told = {"scenario": scenario.name, "ending": state}
+        answer({**told, "duration_s": robot.t, "from_home_m": robot.distance})
+    else:
+        end = f"{state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s"
+        say(f"{scenario.name}: {end}")
     if ending is None or ending.state != "arrived":
         raise no_answer()
+
+
+def _facts(simulation: Simulation, out: Path) -> dict[str, Any]:
+    """Return for programs what was made, and how it ended."""
+    drive, world = simulation.drive, simulation.world
+    return {
+        "summary": _summary(simulation, out),
+        "scenario": simulation.scenario.name,
+        "ending": simulation.ending.value,
+        "reason": simulation.reason,
+        "duration_s": drive.span[1],
+        "from_home_m": simulation.final_distance,
+        "twists": drive.odometry.t.size,
+        "sightings": drive.sightings.t.size,
+        "landmarks": world.ids,
+        "moved": world.moved,
+        "folder": out,
+    }
 
 
 def _summary(simulation: Simulation, out: Path) -> str:

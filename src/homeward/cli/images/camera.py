@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from homeward.cli.options import progress
-from homeward.cli.terminal import say
+from homeward.cli.options import AsJson, progress
+from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def calibrate(
     model: Annotated[
         str, typer.Option(help="plumb_bob, rational_polynomial or equidistant (fisheye).")
     ] = "plumb_bob",
+    json: AsJson = False,
 ) -> None:
     """Calibrate a camera by pictures of a chessboard or a ChArUco board.
 
@@ -72,5 +73,10 @@ def calibrate(
     with progress("looking for the board"):
         found = fitted(files, Board((columns, rows), charuco, marker), cast("Model", lens))
     write_calibration(found, out)
+    if json:
+        residuals = {"rms_px": found.rms, "used": found.used, "unused": found.unused}
+        files_ = {"camera": out / CAMERA, "lens": found.lens.model_dump()}
+        answer({"summary": describe_calibration(found), **residuals, **files_})
+        return
     say(describe_calibration(found))
     say(f"Camera: {out / CAMERA}")

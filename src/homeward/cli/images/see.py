@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Topics, progress
-from homeward.cli.terminal import no_answer, say, warn
+from homeward.cli.options import AsJson, Topics, progress
+from homeward.cli.terminal import answer, no_answer, say, warn
 
 
 def see(
@@ -29,6 +30,7 @@ def see(
     force: Annotated[
         bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
     ] = False,
+    json: AsJson = False,
 ) -> None:
     """Find landmarks in panoramas, or tags in any pictures, and write a drive folder.
 
@@ -54,9 +56,14 @@ def see(
             force=force,
         )
         write_folder(drive, out)
-    say(describe_sightings(drive))
-    for line in drive.remark_lines:
-        warn(line)
-    say(f"Drive: {out}")
+    if json:
+        seen = Counter(drive.sightings.landmark.tolist())
+        known = {"landmarks": seen, "home": list(drive.home), "remarks": drive.remark_lines}
+        answer({"summary": describe_sightings(drive), "folder": out, **known})
+    else:
+        say(describe_sightings(drive))
+        for line in drive.remark_lines:
+            warn(line)
+        say(f"Drive: {out}")
     if not drive.sightings.t.size:
         raise no_answer()
