@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.simulation.render.rays.compiled import compiled
-from homeward.simulation.render.rays.raycast import Grid, cast, points, trace, viewpoint
+from homeward.simulation.render.rays.raycast import Rays, cast, points, trace, viewpoint
 from homeward.simulation.render.rays.surfaces import Skin, Surfaces, block, rectangle, upright
 
 SKIN = Skin(0, 1.0)
@@ -24,10 +24,11 @@ def shell(height=2.5):
     return [floor, rectangle(np.array([0, 0, height]), y, x, SKIN, 1), *walls]
 
 
-def panorama(width, height):
-    """Return azimuths and elevations of a panorama's columns and rows."""
+def panorama(width, height, dtype=np.float64):
+    """Return the rays of a panorama's pixels."""
     azimuth = math.pi - 2 * math.pi * (np.arange(width) + 0.5) / width
-    return azimuth, (height / 2 - np.arange(height) - 0.5) * 2 * math.pi / width
+    elevation = (height / 2 - np.arange(height) - 0.5) * 2 * math.pi / width
+    return Rays.of(*np.meshgrid(azimuth, elevation), dtype)
 
 
 def slabs(origin, direction):
@@ -40,11 +41,10 @@ def slabs(origin, direction):
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.12, -0.2)])
 def test_every_pixel_shows_the_point_where_its_ray_meets_the_room(tilt):
     view = viewpoint(2.2, 1.3, 0.5, 0.7, *tilt)
-    azimuth, elevation = panorama(256, 64)
-    rays = Grid.panorama(azimuth, elevation).directions
-    hits = cast(Surfaces.joined(shell()), view, Grid.panorama(azimuth, elevation))
-    expected = slabs(view.position, rays @ view.rotation.T)
-    np.testing.assert_allclose(points(hits, view, rays), expected, atol=1e-9)
+    rays = panorama(256, 64)
+    hits = cast(Surfaces.joined(shell()), view, rays)
+    expected = slabs(view.position, rays.directions @ view.rotation.T)
+    np.testing.assert_allclose(points(hits, view, rays.directions), expected, atol=1e-9)
 
 
 def test_a_ray_straight_ahead_goes_where_the_camera_points():
@@ -90,9 +90,8 @@ def test_windows_lose_nothing():
         surfaces = Surfaces.joined(parts)
         place = rng.uniform([0.2, 0.2, 0.1], [5.8, 3.8, 2.4])
         view = viewpoint(*place, rng.uniform(-4, 4), *rng.uniform(-0.3, 0.3, 2))
-        azimuth, elevation = panorama(128, 62)
-        found = cast(surfaces, view, Grid.panorama(azimuth, elevation))
-        every = trace(surfaces, view, Grid.panorama(azimuth, elevation).directions)
+        rays = panorama(128, 62)
+        found, every = cast(surfaces, view, rays), trace(surfaces, view, rays.directions)
         np.testing.assert_array_equal(found.surface, every.surface)
         np.testing.assert_allclose(found.distance, every.distance, rtol=1e-12)
         assert (found.surface >= 0).all()
@@ -100,9 +99,8 @@ def test_windows_lose_nothing():
 
 def test_single_precision_sees_the_same_room():
     surfaces, view = Surfaces.joined(shell()), viewpoint(2.2, 1.3, 0.5, 0.7)
-    azimuth, elevation = panorama(256, 64)
-    exact = cast(surfaces, view, Grid.panorama(azimuth, elevation))
-    quick = cast(surfaces, view, Grid.panorama(azimuth, elevation), np.float32)
+    exact = cast(surfaces, view, panorama(256, 64))
+    quick = cast(surfaces, view, panorama(256, 64, np.float32))
     np.testing.assert_allclose(quick.distance, exact.distance, rtol=1e-5)
     assert np.mean(quick.surface != exact.surface) < 1e-3
 
@@ -116,8 +114,7 @@ def test_compiled_code_sees_the_same_room(both, height):
     surfaces = Surfaces.joined(parts)
     for heading in np.linspace(-3, 3, 7):
         view = viewpoint(2.2, 1.3, 0.5, heading, 0.1, -0.05)
-        grid = Grid.panorama(*panorama(128, height))
-        native, plain = both(cast, surfaces, view, grid, np.float32)
+        native, plain = both(cast, surfaces, view, panorama(128, height, np.float32))
         same = native.surface == plain.surface
         # On an edge, rounding decides.
         assert same.mean() > 0.999
@@ -129,12 +126,9 @@ def test_compiled_code_sees_the_same_room(both, height):
 def test_turning_the_camera_rolls_the_image():
     """Nothing is special at the seam: a turn by whole columns moves the picture round it."""
     surfaces = Surfaces.joined(shell() + block((4, 1), 0.3, (0.5, 0.5, 1), 0.0, SKIN, 7, 0))
-    azimuth, elevation = panorama(120, 30)
-    ahead = cast(surfaces, viewpoint(2.2, 1.3, 0.5, 0.1), Grid.panorama(azimuth, elevation))
-    turned = cast(
-        surfaces,
-        viewpoint(2.2, 1.3, 0.5, 0.1 + math.radians(51)),
-        Grid.panorama(azimuth, elevation),
+    headings = 0.1, 0.1 + math.radians(51)
+    ahead, turned = (
+        cast(surfaces, viewpoint(2.2, 1.3, 0.5, h), panorama(120, 30)) for h in headings
     )
     np.testing.assert_allclose(np.roll(ahead.distance, 17, axis=1), turned.distance, rtol=1e-9)
 

@@ -17,7 +17,7 @@ from homeward.estimator import Estimator
 from homeward.frames import Pose
 from homeward.simulation.files import SCENARIO, scenario_yaml
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageDrive, ImageLoop, camera_of
+from homeward.simulation.render.loop import ImageDrive, ImageLoop
 from homeward.simulation.render.scene import Scene
 from homeward.simulation.render.shading.picture import PixelTruth, png
 
@@ -92,7 +92,7 @@ def write_rendered(
 
 def _image_settings(eye: Eye) -> str:
     """Return images.yaml: what a robot would know of its camera."""
-    camera = camera_of(eye)
+    camera = eye.scenario.camera.known
     known = camera.model_dump(mode="json", exclude={"axis", "horizon", "row_scale"})
     tags = {} if eye.scenario.tags is None else {"tags": eye.scenario.tags.family}
     return yaml.safe_dump({"camera": known, "home": HOME_IMAGE} | tags, sort_keys=False)

@@ -8,24 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.errors import InputError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate
 from homeward.frames import Pose
 from homeward.one_thread import one_thread
 from homeward.simulation.course import Ending, before, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
-from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
+from homeward.simulation.render.rays.raycast import trace
+from homeward.simulation.render.shading.picture import NOTHING
+from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.cameras.partial import PartialPanorama
 from homeward.vision.features.detection import View, look
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming
 from homeward.vision.tags.front_end import TagFrontEnd
-
-LEAST_TILT = 0.002
-"""A camera that is said not to tilt is still not trusted more than this [rad]."""
-
 
 Keep = Callable[[float, Pose, np.ndarray], None]
 """Told of each picture: its time [s], the robot's true pose in the home frame, the picture."""
@@ -67,13 +65,19 @@ class ImageLoop:
         self.front_end: FrontEnd | TagFrontEnd | None = None
         self._home: dict[str, HomeBearing] = {}
         if not blind and eye.scenario.tags is not None:
-            self.front_end = TagFrontEnd(camera_of(eye), eye.scenario.tags.family)
+            self.front_end = TagFrontEnd(eye.scenario.camera.known, eye.scenario.tags.family)
             stored = self.front_end.see(eye.home_picture()).home if home is None else home
             self._home = dict(stored)
         elif not blind:
             camera = panorama_of(eye)
-            self.front_end = FrontEnd(look(eye.home_picture(), camera), camera)
+            there = look(camera.panorama(eye.home_picture()), camera, camera.seen)
+            self.front_end = FrontEnd(there, camera)
             self._home = self.front_end.all_home_bearings()
+
+    def _as_seen(self, picture: np.ndarray) -> np.ndarray:
+        """Return a picture as the front-end takes it."""
+        eye = self.front_end
+        return eye.camera.panorama(picture) if isinstance(eye, FrontEnd) else picture
 
     @property
     def drive(self) -> Drive:
@@ -108,7 +112,7 @@ class ImageLoop:
             if keep is not None:
                 keep(t, robot, picture)
             if self.front_end is not None:
-                seen = self.front_end.see(picture)
+                seen = self.front_end.see(self._as_seen(picture))
                 if isinstance(sight, VisualHoming) and isinstance(seen, FrameBearings):
                     sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)
@@ -120,44 +124,24 @@ class ImageLoop:
         return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates, known)
 
 
-def camera_of(eye: Eye) -> Panorama | Lens:
-    """Return the camera of a scenario as the front-end knows it: its tilt, but not each shake."""
-    camera = eye.scenario.camera
-    tilt = {"roll": camera.roll, "pitch": camera.pitch}
-    tilt["tilt_sigma"] = max(LEAST_TILT, camera.tilt_sigma)
-    if camera.projection == "pinhole":
-        size = {"width": camera.width, "height": camera.height}
-        middle = {"cx": (camera.width - 1) / 2, "cy": (camera.height - 1) / 2}
-        return Lens(fx=camera.focal, fy=camera.focal, **middle, **size, **tilt)
-    kind = Equirectangular if camera.projection == "equirectangular" else Cylindrical
-    return kind(**tilt)
-
-
 def panorama_of(eye: Eye) -> Panorama:
-    """Return `camera_of` a scenario in which landmarks are found all round.
-
-    Raises
-    ------
-    InputError
-        When it does not see all round.
-    """
-    camera = camera_of(eye)
-    if not isinstance(camera, Panorama):
-        raise InputError("camera.projection: a pinhole camera needs tags to come home by")
-    return camera
+    """Return the camera of a scenario as one that finds landmarks in its panoramas."""
+    camera = eye.scenario.camera.known
+    return camera if isinstance(camera, Panorama) else PartialPanorama.through(camera)
 
 
 def moved_boxes(eye: Eye) -> dict[str, bool]:
     """Return the boxes moved since home was stored; True where home's picture shows one."""
-    shown = {eye.then.things[i] for i in np.unique(eye.home_truth().thing).tolist()}
+    seen = np.unique(eye.home_truth().thing)
+    shown = {eye.then.things[i] for i in seen[seen != NOTHING].tolist()}
     boxes = eye.scenario.boxes.items()
     return {name: name in shown for name, box in boxes if box.stood is not None}
 
 
 def things_seen(eye: Eye, home: View) -> list[str]:
     """Return the name of the thing on which each feature of the home view lies."""
-    truth = eye.home_truth()
-    height, width = truth.thing.shape
-    rows = np.clip(np.rint(home.row).astype(int), 0, height - 1)
-    columns = np.rint(home.column).astype(int) % width
-    return [eye.then.things[i] for i in truth.thing[rows, columns].tolist()]
+    camera, view = eye.scenario.camera, eye.home_view
+    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
+    tilt = tilt_matrix(camera.roll, camera.pitch)
+    met = trace(surfaces, view, unit_vectors(home.azimuth, home.elevation) @ tilt).surface
+    return [eye.then.things[i] for i in surfaces.thing[met].tolist()]

@@ -17,7 +17,8 @@ from homeward.frames import Polar, Pose, between, compose, from_polar
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of, things_seen
 from homeward.simulation.render.rays.raycast import points, trace
-from homeward.simulation.render.room.settings import Furnish, RenderScenario, RoomCamera, Walls
+from homeward.simulation.render.room.camera import RoomCamera
+from homeward.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world, fault_count

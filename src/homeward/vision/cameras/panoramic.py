@@ -16,6 +16,7 @@ from homeward.drives.cameras.camera import Camera
 from homeward.drives.drive import Finite
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
+from homeward.vision.cameras.mask import Mask
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -46,6 +47,11 @@ class Panorama(Camera):
         step = self.column_angle(width)
         columns = (self.axis * width - 0.5 - azimuth / step + 0.5) % width - 0.5
         return columns, self.horizon * height - 0.5 - self._above(elevation) / step
+
+    @property
+    def seen(self) -> Mask | None:
+        """Which part of a panorama the camera sees at all; None: all of it."""
+        return None
 
     @staticmethod
     def column_angle(width: int) -> float:

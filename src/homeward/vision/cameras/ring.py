@@ -8,6 +8,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
+from homeward.angles import wrap
 from homeward.drives.drive import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
@@ -88,6 +89,19 @@ class Ring(Panorama):
         columns, rows = self._map()
         cv2 = opencv()
         return np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR))
+
+    def ring_directions(
+        self, columns: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return azimuth and elevation [rad] of pixels of the ring image itself, tilted as it is.
+
+        NaN beyond the ring's edges.
+        """
+        right, up = columns - self.centre[0], self.centre[1] - rows
+        angle = np.arctan2(up, right) - self.axis_direction
+        elevation = np.interp(np.hypot(right, up), *self.elevation_table(), np.nan, np.nan)
+        azimuth = np.asarray(wrap(-angle if self.mirrored else angle))
+        return np.where(np.isnan(elevation), np.nan, azimuth), elevation
 
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
         """Return where each pixel of the panorama lies in the ring image."""

@@ -182,7 +182,7 @@ def read_view(
             require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
     except InputError as error:
         raise InputError(error.what, path) from None
-    masked = like.mask if like is not None else None
+    masked = like.mask if like is not None else camera.seen
     if mask is not None:
         masked = read_mask(mask, camera, grey.shape)
     return panorama, look(panorama, camera, masked)

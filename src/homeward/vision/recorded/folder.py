@@ -100,7 +100,7 @@ def see_folder(
     place = home_image(folder, settings)
     camera = settings.panorama
     picture, home = read_view(place, camera, mask=settings.mask)
-    if not (force or settings.force):
+    if camera.seen is None and not (force or settings.force):
         _require_panoramas(picture, images.files, camera, folder)
     if ready is not None:
         ready()
@@ -191,8 +191,10 @@ def _check_camera_settings(
 ) -> dict[str, int]:
     """Return a remark where another setting suits home and the first picture like it far better.
 
-    Of several along the drive, where none is like home.
+    Of several along the drive, where none is like home. A lens is calibrated.
     """
+    if front_end.camera.seen is not None:
+        return {}
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
     like = [pair for pair in tried if pair[1].accepted][:1]
     some = np.unique(np.linspace(0, len(tried) - 1, TESTED_SETTINGS).astype(int)).tolist()

@@ -13,8 +13,8 @@ from homeward.drives.cameras.lens import SAME, Lens
 from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
 from homeward.drives.text.settings import read_settings
-from homeward.errors import InputError
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
+from homeward.vision.cameras.partial import PartialPanorama
 from homeward.vision.cameras.ring import Ring
 
 
@@ -50,19 +50,17 @@ class ImageSettings(Strict):
 
     @property
     def panorama(self) -> Panorama:
-        """The camera where it is panoramic.
+        """The camera as a panoramic one.
 
         Raises
         ------
         InputError
-            When it is not.
+            When it has a lens, and is not calibrated for pictures of one size.
         """
-        if not isinstance(self.camera, Panorama):
-            raise InputError(
-                "a camera that does not see all round needs tags: --tags 36h11, or tags: in "
-                "images.yaml"
-            )
-        return self.camera
+        if isinstance(self.camera, Panorama):
+            return self.camera
+        assert isinstance(self.camera, Lens)
+        return PartialPanorama.through(self.camera)
 
     @model_validator(mode="before")
     @classmethod

@@ -1,8 +1,7 @@
-"""Rectangles as a panorama's camera sees them: what a ray is tried against, and where at all."""
+"""Rectangles as a camera sees them: what a ray is tried against, and where at all."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,10 @@ from homeward.simulation.render.rays.surfaces import Surfaces
 SLACK = 1e-6
 """Rectangles reach so far beyond their edges, in tiles, lest a ray slips through where two meet."""
 
-Window = tuple[int, slice, slice]
-"""A rectangle's number, rows and columns."""
+ANGLE_SLACK = 1e-4
+"""And cones, for the same reason [rad]."""
+LEAST_BLOCK, MOST_BLOCKS = 8, 64
+"""Blocks have so many columns at least, and a picture so many blocks side by side at most."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,10 @@ class Projected:
     corners: np.ndarray
     """(m, 4, 3), in the camera's frame [m]."""
 
-    def limits(self, dtype: type[np.floating]) -> np.ndarray:
-        """Return shift, least and greatest tile coordinates of each, (m, 6)."""
-        return np.hstack([self.shift, self.low, self.high]).astype(dtype)
+    @property
+    def limits(self) -> np.ndarray:
+        """Shift, least and greatest tile coordinates of each, (m, 6)."""
+        return np.hstack([self.shift, self.low, self.high])
 
 
 def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> Projected:
@@ -61,64 +63,61 @@ def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> P
     return Projected(index, rows, shift, low - SLACK, low + tiles + SLACK, sides)
 
 
-def windows(projected: Projected, azimuth: np.ndarray, elevation: np.ndarray) -> list[Window]:
-    """Return for each rectangle the one or two windows of the picture that it can cover."""
-    w = azimuth.size
-    step = 2 * math.pi / w
-    first, turn = _azimuths(projected.corners)
-    lowest, highest = _elevations(projected.corners)
-    above, below = _covers_pole(projected, 1.0), _covers_pole(projected, -1.0)
-    highest[above], lowest[below] = np.pi, -np.pi
-    turn[above | below] = 2 * np.pi
-    # Rows and columns one beyond, so that rounding loses none.
-    top = np.maximum(np.searchsorted(-elevation, -highest) - 1, 0)
-    bottom = np.minimum(np.searchsorted(-elevation, -lowest, "right") + 1, elevation.size)
-    count = np.ceil(turn / step).astype(int) + 3
-    left = (np.floor((azimuth[0] - first - turn) / step).astype(int) - 1) % w
-    found: list[Window] = []
-    for k, (a, b, c, n) in enumerate(np.stack([top, bottom, left, count], axis=1).tolist()):
-        rows = slice(a, b)
-        if n >= w:
-            found.append((k, rows, slice(0, w)))
-        elif c + n <= w:
-            found.append((k, rows, slice(c, c + n)))
-        else:
-            found += [(k, rows, slice(c, w)), (k, rows, slice(0, c + n - w))]
-    return found
+def windows(projected: Projected, blocks: Blocks) -> np.ndarray:
+    """Return where each rectangle may be in a picture: runs of blocks that its pyramid meets.
 
+    From the camera a rectangle is a pyramid between four planes, and rays of a block lie within a
+    cone: where a whole cone lies beyond one of the planes, no ray of it meets the rectangle.
 
-def _azimuths(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least azimuth of each rectangle (m, 4, 3) and how far it spreads on [rad]."""
-    angle = np.unwrap(np.arctan2(corners[..., 1], corners[..., 0]), axis=1)
-    return angle.min(axis=1), np.ptp(angle, axis=1)
-
-
-def _elevations(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return least and greatest elevation along the edges of rectangles (m, 4, 3) [rad].
-
-    An edge is an arc of a great circle: beside its ends, the circle's highest or lowest point can
-    lie on it.
+    Returns
+    -------
+    ndarray of int64, shape (k, 5)
+        The rectangle's number, first row and the one after the last, columns alike.
     """
-    ends = np.roll(corners, -1, axis=1)
-    axis = np.cross(corners, ends)
-    x, y, z = np.moveaxis(axis, -1, 0)
-    summit = np.stack([-x * z, -y * z, x * x + y * y], axis=-1)
-    after = np.einsum("mki,mki->mk", np.cross(corners, summit), axis)
-    before = np.einsum("mki,mki->mk", np.cross(summit, ends), axis)
-    slope = np.arctan2(summit[..., 2], np.hypot(summit[..., 0], summit[..., 1]))
-    angle = np.arctan2(corners[..., 2], np.hypot(corners[..., 0], corners[..., 1]))
-    highest = np.where((after > 0) & (before > 0), slope, angle)
-    lowest = np.where((after < 0) & (before < 0), -slope, angle)
-    return (
-        np.minimum(lowest, angle).min(axis=1),
-        np.maximum(highest, angle).max(axis=1),
-    )
+    corners = projected.corners
+    inwards = np.cross(np.roll(corners, -1, axis=1), corners)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=-1, keepdims=True), 1e-300)
+    (high, wide), m = blocks.sine.shape, len(corners)
+    beyond = inwards.reshape(-1, 3) @ blocks.axis.reshape(-1, 3).T < -blocks.sine.ravel()
+    met = ~beyond.reshape(m, 4, high, wide).any(axis=1)
+    edge = np.diff(np.pad(met, [(0, 0), (0, 0), (1, 1)]).astype(np.int8), axis=2)
+    k, row, left = np.nonzero(edge == 1)
+    right = np.nonzero(edge == -1)[2]
+    rows, columns = blocks.rows, blocks.columns
+    table = [k, rows[row], rows[row + 1], columns[left], columns[right]]
+    return np.stack(table, axis=1).astype(np.int64)
 
 
-def _covers_pole(projected: Projected, pole: float) -> np.ndarray:
-    """Say of each rectangle whether the ray straight up (pole 1) or down (-1) meets it."""
-    q = projected.matrix[:, :, 2] * pole
-    with np.errstate(divide="ignore", invalid="ignore"):
-        place = q[:, 1:] / q[:, :1] + projected.shift
-    inside = (place >= projected.low) & (place <= projected.high)
-    return np.asarray((q[:, 0] > 0) & inside.all(axis=1))
+@dataclass(frozen=True)
+class Blocks:
+    """A picture's rays in blocks of rows and columns, each within a cone."""
+
+    rows: np.ndarray
+    """(high + 1,), where they begin, and where the last one ends."""
+    columns: np.ndarray
+    """(wide + 1,)"""
+    axis: np.ndarray
+    """(high, wide, 3), unit vectors; zero where no pixel has a ray."""
+    sine: np.ndarray
+    """(high, wide), of the angle from there to the outermost ray; less than none without rays."""
+
+    @classmethod
+    def of(cls, rays: np.ndarray) -> Blocks:
+        """Return those of rays, (3, height, width), unit vectors or NaN."""
+        height, width = rays.shape[1:]
+        side = max(LEAST_BLOCK, -(-width // MOST_BLOCKS))
+        rows, columns = np.arange(0, height, side), np.arange(0, width, side)
+
+        def over(ufunc: np.ufunc, values: np.ndarray) -> np.ndarray:
+            return np.asarray(ufunc.reduceat(ufunc.reduceat(values, rows, -2), columns, -1))
+
+        some = np.isfinite(rays[0])
+        axis = over(np.add, np.where(some, rays, 0.0).astype(float))
+        axis /= np.maximum(np.linalg.norm(axis, axis=0), 1e-12)
+        high = np.diff(ends := np.append(rows, height))
+        wide = np.diff(sides := np.append(columns, width))
+        along = np.repeat(np.repeat(axis, high, axis=1), wide, axis=2)
+        least = over(np.minimum, np.where(some, np.einsum("khw,khw->hw", along, rays), 2.0))
+        angle = np.arccos(np.clip(least, -1.0, 1.0)) + ANGLE_SLACK
+        sine = np.where(least > 1.5, -1.0, np.where(least > 0.0, np.sin(angle), 1.0))
+        return cls(ends, sides, np.moveaxis(axis, 0, -1), sine)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -10,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
+from homeward.simulation.render.room.camera import RoomCamera
 from homeward.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
 TextureName = Literal[
@@ -139,43 +139,6 @@ class Tags(Strict):
     """Of the middle of those [m]."""
 
 
-class RoomCamera(Strict):
-    """A camera that sees all round, or (pinhole) ahead."""
-
-    projection: Literal["equirectangular", "cylindrical", "pinhole"] = "equirectangular"
-    width: Annotated[int, Field(ge=64, le=4096)] = 512
-    """Columns; of a panorama, they share the full turn."""
-    field_of_view: Annotated[float, Field(ge=0.1, le=2.6)] = 1.2
-    """Across the width of a pinhole camera's picture [rad]."""
-    height: Annotated[int, Field(ge=16, le=2048)] = 128
-    """Rows; the horizon lies in the middle, and there a pixel is as high as it is wide."""
-    above_floor: Positive = 0.5
-    """[m]"""
-    roll: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
-    """About the robot's axis [rad]."""
-    pitch: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
-    """Nose down [rad]."""
-    tilt_sigma: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Each image is rolled and pitched by chance beside that [rad]."""
-    noise: Annotated[float, Field(ge=0, le=100)] = 2.0
-    """Standard deviation of each pixel [grey levels of 255]."""
-    exposure_sigma: Annotated[float, Field(ge=0, le=1)] = 0.05
-    """Each image is brighter or darker by such a share."""
-
-    @property
-    def focal(self) -> float:
-        """Focal length of a pinhole camera [px]."""
-        return self.width / 2 / math.tan(self.field_of_view / 2)
-
-    @model_validator(mode="after")
-    def _below_the_poles(self) -> Self:
-        if self.projection == "equirectangular" and 2 * self.height > self.width:
-            raise ValueError("height: at most half the width, which is from pole to pole")
-        if self.height > 8 * self.width:
-            raise ValueError("height: too high for the width")
-        return self
-
-
 class RenderScenario(Course):
     """Everything that makes an image drive; the same one always makes the same images."""
 
@@ -196,7 +159,7 @@ class RenderScenario(Course):
     @property
     def view(self) -> float:
         """The full opening angle of the camera [rad]; a panorama's is all round."""
-        return self.camera.field_of_view if self.camera.projection == "pinhole" else math.tau
+        return self.camera.view
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from homeward.simulation.render.rays.raycast import Grid, Viewpoint, cast, points
+from homeward.simulation.render.rays.raycast import Rays, Viewpoint, cast, points
 from homeward.simulation.render.rays.surfaces import Surfaces
-from homeward.simulation.render.room.settings import RoomCamera
+from homeward.simulation.render.room.camera import RoomCamera
 from homeward.simulation.render.scene import Scene
 from homeward.simulation.render.shading.lighting import GRID
 from homeward.simulation.render.shading.textures import LEVELS, SIZE, Atlas
@@ -22,6 +23,10 @@ MEAN_GREY = 115.0
 """The exposure aims at this mean [grey levels of 255]."""
 
 
+NOTHING = 65535
+"""Is seen where a camera has no ray."""
+
+
 @dataclass(frozen=True)
 class PixelTruth:
     """What each pixel's middle shows; arrays of shape (height, width)."""
@@ -29,47 +34,28 @@ class PixelTruth:
     point: np.ndarray
     """(height, width, 3), in room coordinates [m]."""
     distance: np.ndarray
-    """From the camera [m]."""
+    """From the camera [m]; infinite where the camera has no ray."""
     thing: np.ndarray
-    """Index into the scene's `things`."""
+    """Index into the scene's `things`; `NOTHING` where there is no ray."""
 
 
-def column_azimuths(width: int) -> np.ndarray:
-    """Return the azimuth of each column's middle [rad].
-
-    The axis is in the middle of the image, left of it is positive, and the seam is behind.
-    """
-    return math.pi - 2 * math.pi * (np.arange(width) + 0.5) / width
-
-
-def row_elevations(camera: RoomCamera, oversampling: int = 1) -> np.ndarray:
-    """Return the elevation of each row's middle [rad], the horizon in the middle of the image."""
-    n = camera.height * oversampling
-    above = (n / 2 - np.arange(n) - 0.5) * 2 * math.pi / (camera.width * oversampling)
-    return above if camera.projection == "equirectangular" else np.arctan(above)
-
-
-def grid_of(camera: RoomCamera, oversampling: int = 1) -> Grid:
+@lru_cache(maxsize=2)
+def rays_of(
+    camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
+) -> Rays:
     """Return the rays of a camera's pixels, or of so many by so many parts of each."""
-    if camera.projection != "pinhole":
-        azimuth = column_azimuths(oversampling * camera.width)
-        return Grid.panorama(azimuth, row_elevations(camera, oversampling))
-    sizes = (oversampling * camera.width, oversampling * camera.height)
-    return Grid.pinhole(
-        *((np.arange(n) + 0.5 - n / 2) / (oversampling * camera.focal) for n in sizes)
-    )
+    rows, columns = np.indices((camera.height * oversampling, camera.width * oversampling))
+    middle = [(part + 0.5) / oversampling - 0.5 for part in (columns, rows)]
+    return Rays.of(*camera.directions(*middle), dtype)
 
 
 def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
     """Return the exact truth of every pixel's middle, in double precision."""
-    grid = grid_of(camera)
+    rays = rays_of(camera)
     surfaces, _ = scene.at(t, view)
-    hits = cast(surfaces, view, grid)
-    return PixelTruth(
-        points(hits, view, grid.directions),
-        hits.distance * grid.lengths,
-        surfaces.thing[hits.surface],
-    )
+    hits = cast(surfaces, view, rays)
+    thing = np.where(hits.surface >= 0, surfaces.thing[hits.surface], NOTHING)
+    return PixelTruth(points(hits, view, rays.directions), hits.distance, thing)
 
 
 def picture(
@@ -101,11 +87,11 @@ def picture(
     """
     surfaces, light = scene.at(t, view)
     rays = _samples(surfaces, view, camera)
-    wide = camera.projection != "pinhole"
-    step = 2 * math.pi / camera.width if wide else 1 / camera.focal
-    colour = _textured(rays, surfaces, view, scene.atlas, step)
+    colour = _textured(rays, surfaces, view, scene.atlas, camera.pixel_angle)
     colour *= _grey(_lit(rays, surfaces, light))
-    return _exposed(_gathered(rays, colour, camera), camera, rng)
+    colour[rays.surface < 0] = 0.0
+    seen = np.mean(rays.surface[: camera.width * camera.height] >= 0)
+    return _exposed(_gathered(rays, colour, camera), camera, float(seen), rng)
 
 
 @dataclass(frozen=True)
@@ -129,9 +115,9 @@ def _samples(surfaces: Surfaces, view: Viewpoint, camera: RoomCamera) -> _Sample
     """Cast four rays a pixel, and join those that meet one surface."""
     cv2 = opencv()
 
-    grid = grid_of(camera, 2)
-    hits = cast(surfaces, view, grid, np.float32)
-    distance = hits.distance * grid.lengths.astype(np.float32)
+    hits = cast(surfaces, view, rays_of(camera, 2, np.float32))
+    # Where there is no ray any distance will do.
+    distance = np.where(hits.surface < 0, np.float32(1.0), hits.distance)
     four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
     met = [hits.surface[i::2, j::2] for i, j in four]
     one = (met[0] == met[1]) & (met[0] == met[2]) & (met[0] == met[3])
@@ -218,11 +204,13 @@ def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(found.reshape(-1, *image.shape[2:])[:n])
 
 
-def _exposed(image: np.ndarray, camera: RoomCamera, rng: np.random.Generator | None) -> np.ndarray:
-    """Return what the sensor makes of light: exposure, noise, rounding."""
+def _exposed(
+    image: np.ndarray, camera: RoomCamera, seen: float, rng: np.random.Generator | None
+) -> np.ndarray:
+    """Return what the sensor makes of light, of which a share is seen: exposure, noise, grey."""
     cv2 = opencv()
 
-    gain = MEAN_GREY / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
+    gain = MEAN_GREY * seen / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
     if rng is None:
         return np.asarray(cv2.convertScaleAbs(image, alpha=gain))
     gain *= math.exp(camera.exposure_sigma * rng.standard_normal())

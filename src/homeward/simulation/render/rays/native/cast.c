@@ -10,17 +10,18 @@ int homeward_lanes(void) { return 1; }
 
 /* Keep of one row's hits (n) on a rectangle those that are nearer than what was met before.
  * Not inlined: compilers then still know that rows do not overlap, and take several rays at once. */
-__attribute__((noinline)) static void meet(long n, const float *restrict c0,
-                                           const float *restrict c1, const float *restrict c2,
-                                           const float *down, const float *limits, float tiny,
-                                           int16_t index, float *restrict distance,
-                                           float *restrict across, float *restrict along,
-                                           int16_t *restrict surface) {
-  const float d0 = down[0], d1 = down[1], d2 = down[2], shift_s = limits[0], shift_t = limits[1];
+__attribute__((noinline)) static void meet(long n, const float *restrict x, const float *restrict y,
+                                           const float *restrict z, const float *m,
+                                           const float *limits, float tiny, int16_t index,
+                                           float *restrict distance, float *restrict across,
+                                           float *restrict along, int16_t *restrict surface) {
+  const float a = m[0], b = m[1], c = m[2], d = m[3], e = m[4], f = m[5], g = m[6], h = m[7];
+  const float i = m[8], shift_s = limits[0], shift_t = limits[1];
   const float s0 = limits[2], t0 = limits[3], s1 = limits[4], t1 = limits[5];
   for (long j = 0; j < n; j++) {
-    const float q0 = c0[j] + d0, far = 1.0f / (q0 > tiny ? q0 : tiny);
-    const float s = (c1[j] + d1) * far + shift_s, t = (c2[j] + d2) * far + shift_t;
+    const float q0 = a * x[j] + b * y[j] + c * z[j], far = 1.0f / (q0 > tiny ? q0 : tiny);
+    const float s = (d * x[j] + e * y[j] + f * z[j]) * far + shift_s;
+    const float t = (g * x[j] + h * y[j] + i * z[j]) * far + shift_t;
     const int inside = (s >= s0) & (t >= t0) & (s <= s1) & (t <= t1);
     const int met = (q0 > 0.0f) & (far < distance[j]) & inside;
     distance[j] = met ? far : distance[j];
@@ -30,19 +31,19 @@ __attribute__((noinline)) static void meet(long n, const float *restrict c0,
   }
 }
 
-/* Find what the rays of a panorama (height, width) meet, in `count` windows on m rectangles, whose
- * sums by column (m, 3, width) and by row (m, 3, height) are given. 1 if a window lies outside. */
+/* Find what the rays of a picture, (3, height, width), meet, in `count` windows on m rectangles,
+ * each with its matrix, (m, 3, 3). 1 if a window lies outside. */
 int cast(long count, long m, long height, long width, const int64_t *windows,
-         const int64_t *indices, const float *by_column, const float *by_row, const float *limits,
+         const int64_t *indices, const float *rays, const float *matrices, const float *limits,
          double tiny, float *distance, float *across, float *along, int16_t *surface) {
+  const long plane = height * width;
   for (const int64_t *w = windows; w < windows + WINDOW * count; w += WINDOW) {
     const int64_t k = w[0], left = w[3], n = w[4] - left;
     if (k < 0 || k >= m || w[1] < 0 || w[2] > height || left < 0 || w[4] > width) return 1;
-    const float *columns = by_column + 3 * k * width + left, *rows = by_row + 3 * k * height;
     for (int64_t i = w[1]; i < w[2]; i++) {
-      const float down[3] = {rows[i], rows[height + i], rows[2 * height + i]};
       const int64_t at = i * width + left;
-      meet(n, columns, columns + width, columns + 2 * width, down, limits + TILES * k, (float)tiny,
+      const float *ray = rays + at;
+      meet(n, ray, ray + plane, ray + 2 * plane, matrices + 9 * k, limits + TILES * k, (float)tiny,
            (int16_t)indices[k], distance + at, across + at, along + at, surface + at);
     }
   }
