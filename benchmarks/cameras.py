@@ -17,6 +17,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import Pool
@@ -36,13 +37,15 @@ from homeward.frames import Pose
 from homeward.registry import make_estimator
 from homeward.simulation.course import before
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, things_seen
+from homeward.simulation.render.loop import ImageLoop, panorama_of, things_seen
 from homeward.simulation.render.rays.raycast import Viewpoint, points, trace
 from homeward.simulation.render.room.presets import PLANS
 from homeward.simulation.render.room.settings import RenderScenario
 from homeward.simulation.render.scene import tag_places
 from homeward.simulation.sensing import Wheels
 from homeward.vision.cameras.grey import as_grey
+from homeward.vision.comparison import compare
+from homeward.vision.features.detection import look
 from homeward.vision.opencv import opencv
 from homeward.vision.tags.detector import family_of
 from homeward.vision.tags.front_end import TagFrontEnd
@@ -67,6 +70,8 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "fisheye": AHEAD | {"field_of_view": 3.2, "distortion": [-0.02, 0.01, -0.003, 0.0]},
     "pinhole": AHEAD | {"field_of_view": 2.0},
 }
+SMALL = {"width": 640, "height": 320}
+FAR, TURNS = (0.3, 1.0), (0.0, 20.0, 40.0)
 AHEAD_ONLY = ("fisheye", "pinhole")
 """These see tags."""
 
@@ -199,6 +204,49 @@ def timed(times: list[float], call: Callable[[np.ndarray], Any], picture: np.nda
     return made
 
 
+def print_overlaps(rooms: int, view: float | None) -> None:
+    """Print how often a lens without tags knows home's picture again, and how well."""
+    for camera in AHEAD_ONLY:
+        for far in FAR:
+            for turn in TURNS:
+                seen = [s for k in range(rooms) if (s := overlap(k, camera, view, far, turn))]
+                words = f"{camera}, {far:g} m off, turned {turn:g} deg: {len(seen)} of {rooms}"
+                if seen:
+                    heading, direction, nees = np.abs(seen).T
+                    words += f"; heading {np.median(heading):.2f} deg, direction "
+                    words += f"{np.median(direction):.1f}, at worst {heading.max():.2f} and "
+                    words += f"{direction.max():.0f}; NEES {nees.mean():.1f}"
+                print(words, flush=True)
+
+
+def overlap(
+    number: int, camera: str, view: float | None, far: float, turn: float
+) -> tuple[float, float, float] | None:
+    """Return errors of heading and direction [deg], and their NEES; None where home is not known.
+
+    The camera is `far` [m] from home, on any side of it, and turned by so much [deg].
+    """
+    made = scenario(number, camera, view)
+    changes = {"tags": None, "camera": made.camera.model_copy(update=SMALL)}
+    eye = Eye(made.model_copy(update=changes))
+    wide, rng = panorama_of(eye), np.random.default_rng(number)
+    now_picture = None
+    while now_picture is None:
+        theta = rng.uniform(-math.pi, math.pi)
+        robot = Pose(far * math.cos(theta), far * math.sin(theta), math.radians(turn))
+        with suppress(InputError):  # something stands there
+            now_picture = eye.look(0.0, robot, 1)
+    pictures = eye.home_picture(), now_picture
+    home, now = (look(wide.panorama(picture), wide, wide.seen) for picture in pictures)
+    seen = compare(home, now, wide)
+    if not seen.accepted:
+        return None
+    error = wrap(np.array([seen.direction - theta, seen.heading - robot.heading]))
+    nees = float(error @ np.linalg.solve(seen.covariance, error))
+    direction, heading = np.degrees(error).tolist()
+    return heading, direction, nees
+
+
 def main() -> None:
     """Print a line a homing, and one for each camera."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -208,7 +256,11 @@ def main() -> None:
     parser.add_argument("--view", type=float, help="of a camera that looks ahead [rad]")
     parser.add_argument("--spin", action="store_true", help="such a one's home is a turn")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--overlaps", type=int, help="rooms; pictures of lenses without tags")
     asked = parser.parse_args()
+    if asked.overlaps:
+        print_overlaps(asked.overlaps, asked.view)
+        return
     for camera in asked.camera:
         turns = asked.spin and camera in AHEAD_ONLY
         drive = partial(home_from, camera=camera, view=asked.view, turns=turns)

@@ -80,7 +80,7 @@ def test_two_pictures_tell_how_the_camera_turned_and_went(lens):
 
 def test_a_record_without_tags_is_followed(tmp_path):
     ahead = {"start_R": "0.6", "start_theta": "3.1416", "start_alpha": "0.0"}
-    short = {"rates_bearings": "3", "trajectory_duration": "4"}
+    short = {"rates_bearings": "5", "trajectory_duration": "4"}
     write_rendered(Eye(room("fisheye", **ahead, **short)), tmp_path)
     drive = see_recording(tmp_path)
     assert drive.sightings.t.size >= 50
