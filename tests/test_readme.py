@@ -102,8 +102,9 @@ def test_python_of_routes_runs(capsys):
 
 
 def test_python_on_a_robot_runs(capsys):
-    (text,) = blocks(doc("do/online.md"), "python")
-    exec(compile(text, "online.md", "exec"), {})
+    names = {}
+    for text in blocks(doc("do/online.md"), "python"):
+        exec(compile(text, "online.md", "exec"), names)
     assert "Status." in capsys.readouterr().out
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         Start,
         Truth,
     )
+    from homeward.drives.home.looks import HomeLooks
     from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
     from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
@@ -47,6 +48,7 @@ _NAMES = {
         *("Drive", "DriveSettings", "HomeBearing", "Mount", "Odometry", "OdometryNoise"),
         *("Robot", "Sensor", "Sightings", "Start", "Truth"),
     ),
+    "drives.home.looks": ("HomeLooks",),
     "drives.opening": ("open_drive",),
     "drives.saving": ("save_drive",),
     "engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
@@ -76,6 +78,7 @@ __all__ = [
     "Estimator",
     "FilterSettings",
     "HomeBearing",
+    "HomeLooks",
     "HomewardError",
     "Innovation",
     "InputError",

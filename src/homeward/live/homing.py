@@ -30,6 +30,8 @@ class State(enum.Enum):
     HELD = "held"
     """Standing, for a reason; it goes on by itself."""
     ARRIVED = "arrived"
+    TURNED = "turned"
+    """Once round, where home is stored by a turn."""
     FAILED = "failed"
 
 
@@ -94,16 +96,24 @@ class Homing:
             over = self.state is State.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
         hindrance = faults[0] if faults else self._doubt(now, belief)
-        if hindrance is not None or belief.pose is None:
-            return self._hold(hindrance or "", now)
+        if hindrance is not None:
+            return self._hold(hindrance, now)
+        return self._act(now, dt, belief)
+
+    def _act(self, now: float, dt: float, belief: Belief) -> Twist:
+        """Drive on by a belief that there is no doubt of, or end."""
+        assert belief.pose is not None
         x, y, heading = compose(inverse(self.goal), belief.pose)
         if math.hypot(x, y) < self._limits.radius:
             if belief.status is Status.LOCALISED:
                 return self._stand(State.ARRIVED, f"{math.hypot(x, y):.3f} m from home", now)
             return self._hold(f"at home, but {belief.status.value}", now)
+        wanted = steer(-x, -y, heading, self._limits.speed, self._limits.turn_rate)
+        return self._drive(wanted, now, dt)
+
+    def _drive(self, wanted: Twist, now: float, dt: float) -> Twist:
         if self.state is not State.DRIVING:
             self._enter(State.DRIVING, "", now)
-        wanted = steer(-x, -y, heading, self._limits.speed, self._limits.turn_rate)
         self._twist = self._limited(wanted, dt)
         return self._twist
 

@@ -19,17 +19,22 @@ from homeward.drives.drive import (
     Sightings,
 )
 from homeward.drives.drive import Start as StartPrior
+from homeward.drives.home.choosing import spin_words
+from homeward.drives.home.looks import HomeLooks
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.messages import (
     Answer,
     BearingsIn,
+    Cancel,
+    EStop,
     Event,
     GoHome,
     Input,
     LandmarkOut,
     Landmarks,
+    LookRound,
     MountIs,
     OdometryIn,
     Output,
@@ -38,6 +43,7 @@ from homeward.live.messages import (
     SetHome,
     Start,
     StoreHome,
+    TurnHome,
 )
 from homeward.live.visiting import Visiting
 from homeward.localizer.localizer import Localizer
@@ -51,7 +57,11 @@ STORE_S, STANDING = 1.0, 0.01
 """Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
 AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
 """Of a robot that stores home where it stands."""
-NO_HOME = "no home yet: store_home while the robot stands there, or send one"
+AFTER_TURN = StartPrior(
+    R=0.001, theta=0.0, alpha=0.0, sigma_R=0.05, sigma_theta=3.0, sigma_alpha=0.02
+)
+"""Of one that turned there: wheels that slip take it so far."""
+NO_HOME = "no home yet: store_home or turn_home while the robot is there, or send one"
 ANEW = "the map was begun anew"
 NO_PLACE = "there is no place: homeward live --place, or place of the node"
 
@@ -103,6 +113,8 @@ class Localisation:
         """The last one."""
         self._lately: deque[BearingsIn] = deque(maxlen=400)
         self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
+        self._looks: HomeLooks | None = None
+        """What was seen from home, while it is looked at."""
         if place is not None and place.place is not None:
             self.homes, self.home = {}, place.place.origin
         if self.in_place or FIRST in homes:
@@ -123,8 +135,12 @@ class Localisation:
         InputError
             When it cannot be done; nothing is changed then.
         """
+        if isinstance(message, Cancel | EStop | GoHome):
+            self._looks = None
         match message:
             case OdometryIn():
+                if self._looks is not None:
+                    self._looks.odometry(message.t, message.v, message.omega)
                 self._twists.append((message.t, message.v, message.omega))
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
@@ -141,8 +157,12 @@ class Localisation:
                 )
             case StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
+            case StoreHome(name=name) if self._looks is not None:
+                return self._store_looks(name, self._looks)
             case StoreHome(name=name):
                 return self._new(name, self._view(), AT_HOME)
+            case LookRound() | TurnHome():
+                self._looks = HomeLooks(**self._robot.robot)
             case SavePlace():
                 return Event(type="event", text=self._merge())
             case GoHome(name=str(name)) if self.place is not None:
@@ -211,6 +231,8 @@ class Localisation:
 
     def _answer(self, message: BearingsIn, odom: Pose | None) -> Answer:
         self._lately.append(message)
+        if self._looks is not None:
+            self._looks.bearings(message.t, message.bearings, message.sigmas)
         if self.estimator is None:
             return _said(Estimate(message.t, Status.WAITING, NO_HOME))
         estimate = self.estimator.bearings(message.t, message.bearings, message.sigmas or None)
@@ -238,10 +260,27 @@ class Localisation:
     def _store(self, name: str) -> Event:
         """Store one more home of the place, where the robot is."""
         assert self.place is not None
+        self._looks = None  # its landmarks are in the map
         if not self._lately:
             raise InputError("home cannot be stored: nothing is seen")
         now = self._lately[-1], self.fix.estimate
         return Event(type="event", text=self.place.store_home(name, self.home, *now))
+
+    def _store_looks(self, name: str, looks: HomeLooks) -> Event:
+        """Take a home that was looked at since the robot came there."""
+        self._looks = None
+        found = looks.spin()
+        R, theta, _ = map(float, to_polar(found.end))
+        start = AFTER_TURN.model_copy(
+            update={
+                "R": max(R, AFTER_TURN.R),
+                "theta": theta,
+                "alpha": float(found.end.heading),
+                "sigma_alpha": math.hypot(AFTER_TURN.sigma_alpha, found.heading_sigma),
+            }
+        )
+        self._new(name, found.home, start)
+        return Event(type="event", text=f"home {name} is stored: {spin_words(found)}")
 
     def _view(self) -> dict[str, HomeBearing]:
         """Return what is seen from where the robot stands: the mean of some views."""
@@ -272,6 +311,7 @@ class Localisation:
 
     def _begin(self, start: StartPrior | None) -> None:
         """Begin the map anew."""
+        self._looks = None
         if self.place is not None:
             self.place.begin()
         if not self.in_place and self.home not in self.homes:

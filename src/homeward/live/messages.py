@@ -80,12 +80,27 @@ class SetHome(Strict):
 
 
 class StoreHome(Strict):
-    """Home is here: what is seen now, standing, is stored; the map begins anew.
+    """Home is here: what is seen now, standing, is stored, or what was seen since `LookRound`.
+
+    The map begins anew.
 
     In a place it is one home more, stored without standing, and the map goes on.
     """
 
     type: Literal["store_home"] = "store_home"
+    name: Name = "home"
+
+
+class LookRound(Strict):
+    """Home is here: what is seen until `StoreHome` is home's; the robot turns, but stays."""
+
+    type: Literal["look_round"] = "look_round"
+
+
+class TurnHome(Strict):
+    """Home is here: turn round once, and store what is seen meanwhile; the map begins anew."""
+
+    type: Literal["turn_home"] = "turn_home"
     name: Name = "home"
 
 
@@ -169,7 +184,7 @@ class Command(Strict):
     """[m/s]"""
     omega: float
     """[rad/s]"""
-    state: Literal["driving", "held", "arrived", "failed"]
+    state: Literal["driving", "held", "arrived", "turned", "failed"]
     reason: str
     hold: float
     """[s]"""
@@ -222,6 +237,8 @@ Input = (
     | BearingsIn
     | SetHome
     | StoreHome
+    | LookRound
+    | TurnHome
     | GoHome
     | SavePlace
     | Cancel

@@ -21,6 +21,7 @@ from homeward.live.messages import (
     Input,
     OdometryIn,
     SetHome,
+    TurnHome,
     line_of,
     parse_output,
 )
@@ -37,6 +38,8 @@ CIRCLES = 0.15
 class Player:
     """Drives in circles until it is localised, and then home as it is told.
 
+    One that turns at home does that first, as it is told, too.
+
     Parameters
     ----------
     robot : LiveRobot
@@ -49,7 +52,8 @@ class Player:
         self.robot, self._longest = robot, longest
         self.ending: Command | None = None
         """The last command, "arrived" or "failed"."""
-        self._search = Search(CIRCLES)
+        self._search = Search(CIRCLES, robot.view)
+        self._turning = robot.turns
         self._status = Status.WAITING
         self._asked, self._began = False, 0.0
 
@@ -58,8 +62,10 @@ class Player:
         self.ending, self._asked, self._began = None, False, self.robot.t
         self._search.end()
 
-    def home(self) -> SetHome:
-        """Return what the robot's camera saw at home."""
+    def home(self) -> SetHome | TurnHome:
+        """Return what the robot's camera saw at home, or that it turns there."""
+        if self.robot.turns:
+            return TurnHome()
         home = self.robot.drive.home
         return SetHome(
             bearings={i: seen.bearing for i, seen in home.items()},
@@ -68,13 +74,13 @@ class Player:
 
     def step(self) -> Iterator[Input]:
         """Drive for one period of the odometry; yield what is to be said."""
-        if not self._asked:
+        if not self._asked and not self._turning:
             self.robot.command(self._search.twist(self.robot.t), hold=1.0)
         sensed = self.robot.step()
         yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
         if sensed.seen is not None:
             yield BearingsIn(t=sensed.t, bearings=sensed.seen)
-        looked = sensed.t - self._began > LOOKS_ROUND_S
+        looked = not self._turning and sensed.t - self._began > LOOKS_ROUND_S
         if looked and not self._asked and self._status is Status.LOCALISED:
             self._asked = True
             yield GoHome()
@@ -83,10 +89,12 @@ class Player:
         """Take what the session said."""
         if isinstance(said, Answer):
             self._status = said.status
-        elif isinstance(said, Command) and self._asked:
+        elif isinstance(said, Command) and (self._asked or self._turning):
             self.robot.command(Twist(said.v, said.omega), said.hold)
             if said.state in ("arrived", "failed"):
                 self.ending = said
+            elif said.state == "turned" and not self._asked:
+                self._turning, self._began = False, self.robot.t
 
     @property
     def done(self) -> bool:

@@ -14,12 +14,13 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
+from homeward.control import Twist
 from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError
 from homeward.estimator import Status
 from homeward.frames import Pose, compose
-from homeward.live.homing import Belief, Homing
+from homeward.live.homing import Belief, Homing, State
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,
@@ -34,8 +35,11 @@ from homeward.live.messages import (
     Obstacle,
     OdometryIn,
     Output,
+    StoreHome,
+    TurnHome,
 )
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
+from homeward.live.turning import Turning
 from homeward.live.visiting import Visiting
 from homeward.live.watchdog import StampGate, Watchdog
 from homeward.live.way import Way
@@ -70,7 +74,9 @@ class Session:
         known = robot or DriveSettings(), homes or {}, place
         self.localisation = Localisation(told.estimator, *known)
         self._late = (robot and robot.bearings_late) or 0.0
-        self.homing = Homing(told.limits)
+        self.homing, self._turning = Homing(told.limits), Turning(told.limits)
+        self._driver = self.homing
+        self._turned_for = StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
         self._keepers = [] if keep is None else [keep]
@@ -114,19 +120,19 @@ class Session:
             case EStop(engaged=engaged):
                 self._stopped = engaged
                 if engaged:
-                    self.homing.fail("emergency stop", now)
+                    self._driver.fail("emergency stop", now)
             case Cancel():
-                self.homing.fail("cancelled", now)
+                self._driver.fail("cancelled", now)
             case Obstacle(distance=distance):
                 self._obstacle = distance, now
                 return
             case GoHome():
                 self._sent = message
-                self.homing.go(now)
-        with self._lock:
-            self._queue.append((message, odom, t))
-            if len(self._queue) > self.settings.queue:
-                self._shed()
+                self._hand_to(self.homing, now)
+            case TurnHome(name=name):
+                self._turned_for = StoreHome(name=name)
+                self._hand_to(self._turning, now)
+        self._put(message, odom, t)
 
     def process(self) -> Iterator[Output]:
         """Do what is queued, and yield what is to be said. As slow as the estimator."""
@@ -161,19 +167,21 @@ class Session:
         if self._refused:
             self.homing.fail(self._refused, now)
             self._refused = ""
-        if self._sent is None:
+        if self._driver is self._turning:
+            twist = self._turn(now)
+        elif self._sent is None:
             self.homing.goal = self.localisation.goal
-            belief = self.belief(now)
+            twist = self.homing.command(now, self.belief(now), self.faults(now))
         else:
-            belief = Belief(Status.WAITING, None, None)
-        twist = self.homing.command(now, belief, self.faults(now))
+            nowhere = Belief(Status.WAITING, None, None)
+            twist = self.homing.command(now, nowhere, self.faults(now))
         if twist is None:
             return None
         return Command(
             v=twist.v,
             omega=twist.omega,
-            state=self.homing.state.value,
-            reason=self.homing.reason,
+            state=self._driver.state.value,
+            reason=self._driver.reason,
             hold=STOPS_WITHIN_S,
         )
 
@@ -214,12 +222,42 @@ class Session:
         return Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
-            homing=": ".join(filter(None, (self.homing.state.value, self.homing.reason))),
+            homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
             faults=self.faults(now),
             counts=counts,
             waiting=self.waiting,
             work_ms=1e3 * work,
         )
+
+    @property
+    def driving(self) -> bool:
+        """Whether the robot is commanded."""
+        return self._driver.active
+
+    def _hand_to(self, driver: Homing, now: float) -> None:
+        """Let another one drive."""
+        if driver is not self._driver:
+            self._driver.fail("something else was asked for", now)
+        self._driver = driver
+        driver.go(now)
+
+    def _turn(self, now: float) -> Twist | None:
+        """Turn on; once round, home is stored, and after any other end it is not."""
+        began = self._turning.active
+        here = None if self._way.newest == -math.inf else self._way.at(self._way.newest)
+        belief = Belief(Status.WAITING, here, None)
+        twist = self._turning.command(now, belief, self.faults(now))
+        if began and not self._turning.active:
+            whole = self._turning.state is State.TURNED
+            self._put(self._turned_for if whole else Cancel(), None, math.nan)
+        return twist
+
+    def _put(self, message: Input, odom: Pose | None, t: float) -> None:
+        """Queue a message for `process`."""
+        with self._lock:
+            self._queue.append((message, odom, t))
+            if len(self._queue) > self.settings.queue:
+                self._shed()
 
     def _watch(self, sample: OdometryIn | BearingsIn, now: float) -> float:
         """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""

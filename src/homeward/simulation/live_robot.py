@@ -34,6 +34,10 @@ class LiveRobot:
     """
 
     def __init__(self, scenario: Scenario) -> None:
+        self.view = scenario.view
+        """Of the camera [rad]."""
+        self.turns = scenario.trajectory.spin is not None
+        """Whether home is where it begins, and is stored by a turn."""
         self.drive = prepare(scenario)
         """Before it begins: home and settings, no samples."""
         self.world = build_world(scenario)
@@ -41,6 +45,7 @@ class LiveRobot:
         """[s]"""
         self.pose = scenario.start.in_home_frame(scenario.home.pose)
         """True, in the home frame; for scoring alone."""
+        self._home = self.pose if self.turns else Pose(0.0, 0.0, 0.0)
         self.period = 1.0 / scenario.rates.odometry
         """Of `step` [s]."""
         self._looks = 1.0 / scenario.rates.bearings
@@ -51,7 +56,7 @@ class LiveRobot:
     @property
     def distance(self) -> float:
         """True distance from home [m]."""
-        return math.hypot(self.pose.x, self.pose.y)
+        return math.hypot(self.pose.x - self._home.x, self.pose.y - self._home.y)
 
     def command(self, twist: Twist, hold: float) -> None:
         """Drive by `twist` from the next step on, for `hold` [s]."""

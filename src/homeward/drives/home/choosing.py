@@ -64,6 +64,11 @@ def _seen_from(drive: Drive, t: float) -> Drive:
     return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)
 
 
+def spin_words(found: Spin) -> str:
+    """Say what a spin told."""
+    return "; ".join(f"{number} {why}" for why, number in _remarks(found).items())
+
+
 def _remarks(found: Spin) -> dict[str, int]:
     """Return what is to be said of a spin."""
     turned, seen = abs(math.degrees(found.turned)), math.degrees(found.seen)

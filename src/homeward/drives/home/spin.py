@@ -15,6 +15,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, HomeBearing, Odometry, Sightings
 from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
 from homeward.errors import InputError
+from homeward.frames import Pose
 
 TOLERATES = 1.0, 0.5, 0.25, 0.1, 0.0, 0.0
 """Shares of what odometry may be off by, a priori, which sightings may be off in each step: at
@@ -42,6 +43,8 @@ class Spin(NamedTuple):
     """[rad], as corrected; positive anti-clockwise."""
     seen: float
     """Angle that came into view, at most a full turn [rad]."""
+    end: Pose
+    """Of the robot at the last sighting, from home."""
 
     @property
     def home(self) -> dict[str, HomeBearing]:
@@ -126,4 +129,5 @@ def spin(
         tuple(turn.names[i] for i in np.flatnonzero(share < MAJORITY)),
         float(headings[-1]),
         float(min(np.ptp(turn.bearing) + np.ptp(headings), math.tau)),
+        turn.end(x),
     )

@@ -20,6 +20,7 @@ from homeward.drives.home.least_squares import LeastSquares
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
 from homeward.estimator import HOLD_S
+from homeward.frames import Pose
 
 UNTOLD_SIGMA = 0.02
 """Of bearings whose noise nobody told, at first [rad]; their residuals tell it then."""
@@ -175,6 +176,11 @@ class Turn:
     def headings(self, x: np.ndarray) -> np.ndarray:
         """Return the heading at each stamp since home, (K,) [rad]."""
         return self._split(x)[0][:, 0]
+
+    def end(self, x: np.ndarray) -> Pose:
+        """Return the last pose, in the frame of home."""
+        heading, east, north = self._split(x)[0][-1].tolist()
+        return Pose(east, north, wrap(heading))
 
     def home_bearings(self, x: np.ndarray) -> np.ndarray:
         """Return what the camera saw of the landmarks at home, (n,) [rad]."""

@@ -1,0 +1,164 @@
+"""Home stored by a turn on the spot, or by several looks, while the session goes."""
+
+import math
+
+import pytest
+from live_rig import Rig, driving
+
+from homeward import HomeLooks, InputError, Localizer
+from homeward.estimator import Status
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Cancel,
+    EStop,
+    Event,
+    GoHome,
+    LookRound,
+    OdometryIn,
+    StoreHome,
+    TurnHome,
+)
+from homeward.live.recording import SESSION, Recorder, read_drive, replay
+from homeward.live.session import Session
+from homeward.live.settings import LiveSettings
+
+NARROW = {
+    "trajectory.spin": 0.5,
+    "landmarks.count": 16,
+    "visibility.field_of_view": 1.2,
+}
+
+
+def events(rig):
+    return [e.text for e in rig.answers if isinstance(e, Event)]
+
+
+def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp_path):
+    robot = Rig(0, **NARROW).robot.drive.settings
+    recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {})
+    rig = Rig(0, keep=recorder.keep, **NARROW)
+    rig.until(lambda r: events(r))
+    assert "home is stored: 16 home bearings by a turn of 37" in events(rig)[0]
+    turned = rig.robot.t
+    assert 12.0 < turned < 16.0
+    assert all(c.v == 0.0 and 0.0 <= c.omega <= 0.5 for _, c in rig.commands)
+    rig.until(lambda r: r.player.ending, 110.0)
+    assert rig.player.ending.state == "arrived", rig.player.ending
+    assert rig.robot.distance < 0.06
+    recorder.close()
+    file = tmp_path / "drive" / SESSION
+    answers = sum(isinstance(a, Answer) for a in rig.answers)
+    assert replay(file) == (answers, None)
+    drive = read_drive(file)
+    assert len(drive.home) == 16
+    assert drive.odometry.t[0] == pytest.approx(turned, abs=0.1)
+
+
+@pytest.mark.parametrize("message", [Cancel(), EStop(engaged=True)])
+def test_a_turn_that_is_broken_off_stores_nothing(message):
+    rig = Rig(1, **NARROW).until(lambda r: r.robot.t > 3.0)
+    assert rig.commands[-1][1].state == "driving"
+    rig.session.receive(message, rig.robot.t)
+    rig.step()
+    assert rig.standing()
+    assert rig.commands[-1][1].state == "failed"
+    assert rig.session.localisation.homes == {}
+    rig.session.receive(EStop(engaged=False), rig.robot.t)
+    rig.session.receive(GoHome(), rig.robot.t)
+    for _ in range(50):
+        rig.step()
+        assert rig.standing()
+
+
+def test_the_robot_stands_in_time_when_a_sensor_dies_while_it_turns_and_turns_on_afterwards():
+    rig = Rig(1, **NARROW).until(lambda r: r.robot.t > 3.0)
+    sound, died = rig.spoil, rig.robot.t
+    rig.spoil = lambda m: [] if isinstance(m, BearingsIn) else [m]
+    rig.until(lambda r: r.standing())
+    assert rig.commands[-1][0] - died <= 0.2
+    assert "no bearings for" in rig.commands[-1][1].reason
+    rig.spoil = sound
+    rig.until(lambda r: events(r))
+    assert "home is stored" in events(rig)[0]
+
+
+def test_who_drives_away_meanwhile_has_no_home_and_is_told():
+    session = Session()
+    session.receive(LookRound(), 0.0)
+    for k in range(100):
+        session.receive(OdometryIn(t=0.1 * k, v=0.2, omega=0.1), 0.1 * k)
+        session.receive(BearingsIn(t=0.1 * k, bearings={"a": 0.1 * k}), 0.1 * k)
+        list(session.process())
+    session.receive(StoreHome(), 10.0)
+    (said,) = session.process()
+    assert (said.type, said.text[:24]) == ("error", "the robot does not turn ")
+    assert session.localisation.homes == {}
+
+
+def short_looks(take, bearings, view=1.0):
+    """Stand and look 1 s, turn by 45 deg, and so on, once round; what each sample is given to."""
+    heading, t = 0.0, 0.0
+    for _ in range(9):
+        for k in range(40):
+            omega = math.pi / 4 if k >= 20 else 0.0
+            take(OdometryIn(t=t, v=0.0, omega=omega))
+            if k < 20 and k % 2 == 0:
+                seen = {i: math.remainder(b - heading, math.tau) for i, b in bearings.items()}
+                seen = {i: b for i, b in seen.items() if abs(b) < view / 2}
+                take(BearingsIn(t=t, bearings=seen))
+            heading += 0.05 * omega
+            t += 0.05
+
+
+BEARINGS = {str(k): math.remainder(0.3 + 0.7 * k, math.tau) for k in range(9)}
+
+
+def test_several_short_looks_are_a_home_too():
+    session = Session()
+    session.receive(LookRound(), 0.0)
+
+    def take(message):
+        session.receive(message, message.t)
+        list(session.process())
+
+    short_looks(take, BEARINGS)
+    session.receive(StoreHome(name="dock"), 99.0)
+    (said,) = session.process()
+    assert said.text.startswith("home dock is stored: 9 home bearings by a turn of 3")
+    home = session.localisation.homes["dock"]
+    assert {i: h.bearing for i, h in home.items()} == pytest.approx(BEARINGS, abs=0.01)
+    assert session.localisation.fix.estimate.status is Status.WAITING
+
+
+def test_from_python():
+    looks = HomeLooks(sensor={"bearing_sigma": 0.01})
+
+    def take(message):
+        if isinstance(message, OdometryIn):
+            looks.odometry(message.t, message.v, message.omega)
+        else:
+            looks.bearings(message.t, message.bearings)
+
+    short_looks(take, BEARINGS)
+    home = looks.home()
+    assert {i: h.bearing for i, h in home.items()} == pytest.approx(BEARINGS, abs=0.01)
+    Localizer(home, sensor={"bearing_sigma": 0.01})
+
+
+def test_looks_that_never_end_are_refused_and_so_are_none():
+    looks = HomeLooks()
+    with pytest.raises(InputError, match="nothing was seen"):
+        looks.home()
+    for k in range(80):
+        looks.odometry(10.0 * k, 0.0, 0.0)
+    with pytest.raises(InputError, match="more than 600 s"):
+        looks.home()
+
+
+def test_who_turned_at_home_may_be_sent_there_again():
+    rig = Rig(2, **NARROW).until(driving, 110.0)
+    rig.session.receive(TurnHome(name="other"), rig.robot.t)
+    rig.step()
+    assert rig.commands[-1][1].v == 0.0
+    assert rig.session.homing.state.value == "failed"
