@@ -73,15 +73,18 @@ def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray
     Parameters
     ----------
     polar : Polar
-        Where to linearise.
-    covariance : ndarray, shape (3, 3)
+        Where to linearise: numbers, or arrays of one shape.
+    covariance : ndarray, shape (..., 3, 3)
         Of (R [m], theta [rad], alpha [rad]).
 
     Returns
     -------
-    ndarray, shape (3, 3)
+    ndarray, shape (..., 3, 3)
         Of (x [m], y [m], heading [rad]).
     """
     c, s = np.cos(polar.theta), np.sin(polar.theta)
-    jacobian = np.array([[c, -polar.R * s, 0.0], [s, polar.R * c, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(jacobian @ covariance @ jacobian.T)
+    jacobian = np.zeros((*np.shape(c), 3, 3))
+    jacobian[..., 0, 0], jacobian[..., 0, 1] = c, -polar.R * s
+    jacobian[..., 1, 0], jacobian[..., 1, 1] = s, polar.R * c
+    jacobian[..., 2, 2] = 1.0
+    return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))

@@ -147,8 +147,8 @@ def run(
     """
     began = time.perf_counter()
     stamps = np.unique(drive.sightings.t)
-    grid = _grid(drive.span, stamps)
-    order = _order(drive.odometry.t, stamps, grid)
+    grid = grid_times(drive.span, stamps)
+    order = in_order(drive.odometry.t, stamps, grid)
     rows = _Rows(stamps.size + grid.size)
     every = max(REMEMBER_S, (drive.span[1] - drive.span[0]) / MOST_REMEMBERED)
     update_seconds: list[float] = []
@@ -163,9 +163,9 @@ def run(
     grid_points = iter(grid.tolist())
     told = began
     for done, kind in enumerate(order):
-        if kind == _ODOMETRY:
+        if kind == ODOMETRY:
             estimator.odometry(*next(odometry))
-        elif kind == _BEARINGS:
+        elif kind == BEARINGS:
             t, seen, sigmas = next(sightings)
             start = time.perf_counter()
             estimate = estimator.bearings(t, seen, sigmas or None)
@@ -174,7 +174,7 @@ def run(
         else:
             t = next(grid_points)
             rows.keep(t, estimator.estimate(t))
-        if kind != _ODOMETRY:
+        if kind != ODOMETRY:
             rows.remember(t, estimator, every)
         if progress is not None and time.perf_counter() - told > PROGRESS_S:
             told = time.perf_counter()
@@ -200,12 +200,18 @@ def track_of(estimator: Estimator, answers: Sequence[Estimate]) -> Track:
     return rows.track(estimator, np.empty(0), 0.0)
 
 
-_ODOMETRY, _BEARINGS, _GRID = 0, 1, 2
+ODOMETRY, BEARINGS, GRID = 0, 1, 2
 """What to do next, in the order in which it is done at equal times."""
 
 
-def _grid(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
-    """Return the grid times [s] of a drive that do not clash with its bearing stamps."""
+def grid_times(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
+    """Return the grid times [s] of a drive that do not clash with its bearing stamps.
+
+    Raises
+    ------
+    InputError
+        As `run`.
+    """
     first, last = span
     if np.isnan(first):
         return np.empty(0)
@@ -224,10 +230,10 @@ def _grid(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
     return np.asarray(grid[np.minimum(np.abs(gap_after), np.abs(gap_before)) > CLASH_S])
 
 
-def _order(odometry: np.ndarray, stamps: np.ndarray, grid: np.ndarray) -> list[int]:
-    """Return what to do, in order of time."""
+def in_order(odometry: np.ndarray, stamps: np.ndarray, grid: np.ndarray) -> list[int]:
+    """Return what to do, `ODOMETRY`, `BEARINGS` or `GRID`, in order of time."""
     times = np.concatenate([odometry, stamps, grid])
-    kinds = np.repeat([_ODOMETRY, _BEARINGS, _GRID], [odometry.size, stamps.size, grid.size])
+    kinds = np.repeat([ODOMETRY, BEARINGS, GRID], [odometry.size, stamps.size, grid.size])
     return [int(k) for k in kinds[np.lexsort((kinds, times))]]
 
 

@@ -77,6 +77,24 @@ class OnlineFilter:
         """What executes it: native or interpreter."""
         return self._carrier.engine
 
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Landmarks, in the order of the states."""
+        return tuple(self._ids)
+
+    @property
+    def carrier(self) -> Carrier:
+        """What its belief is, and its steps."""
+        return self._carrier
+
+    def adopt(self, belief: Any, t: float, sightings: np.ndarray) -> None:
+        """Take over what the same filter, run elsewhere, had come to at `t` [s].
+
+        `sightings` (q,) are how many of each landmark it used.
+        """
+        self._belief, self._t, self._sightings = belief, t, sightings
+        self.counts.used = int(sightings.sum())
+
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""

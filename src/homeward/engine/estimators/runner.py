@@ -71,6 +71,14 @@ class Tuning:
     """M, (n, q); empty unless the filter has an integral."""
 
 
+def in_steps(interval: float) -> list[float]:
+    """Return the equal steps [s] in which an interval is predicted; none unless it is positive."""
+    if interval <= 0.0:
+        return []
+    steps = min(math.ceil(interval / LONGEST_STEP_S), MOST_STEPS)
+    return [interval / steps] * steps
+
+
 class FilterRunner:
     """Carries beliefs in the paper's state (`homeward.filters.carrier`), and keeps them finite.
 
@@ -121,11 +129,8 @@ class FilterRunner:
         twist : (float, float) or None
             v [m/s] and omega [rad/s]; None without odometry: it stands, with large noise.
         """
-        if interval <= 0.0:
-            return belief
-        steps = min(math.ceil(interval / LONGEST_STEP_S), MOST_STEPS)
-        self._set_step(interval / steps, twist)
-        for _ in range(steps):
+        for step in in_steps(interval):
+            self._set_step(step, twist)
             self._predict.given[: self._size] = belief.memory
             self._predict()
             belief = self._sane(self._predict.found, belief)

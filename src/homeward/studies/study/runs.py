@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
 from homeward.registry import make_estimator
-from homeward.scoring import Errors, accuracy, errors, score
+from homeward.scoring import Accuracy, Errors, errors, score
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.simulate import prepare, simulate
 from homeward.studies.blocks.store import Arrays
@@ -21,6 +24,10 @@ from homeward.studies.study.recordings import Recording, recorded_trial
 from homeward.studies.study.trial import Trial, simulated_trial
 from homeward.track import Track, track_of
 from homeward.track import run as follow
+
+if TYPE_CHECKING:
+    from homeward.filters.ekf import ExtendedKalmanFilter
+    from homeward.filters.settings import Engine
 
 
 class Quantity(NamedTuple):
@@ -68,7 +75,8 @@ SERIES: dict[str, Quantity] = {
 FAILURE = "failure"
 """Why a run failed, in words; empty where it did not."""
 
-
+TOGETHER = 100
+"""Runs whose drives are held at once."""
 LONGEST_REASON = 200
 """Letters of the reason of a failure that are kept."""
 
@@ -92,66 +100,135 @@ def run_block(block: StudyBlock) -> Arrays:
     kept: Arrays = {name: np.full(shape, np.nan) for name in RUN}
     kept |= {name: np.full((*shape, block.times.size), np.nan, np.float32) for name in SERIES}
     failures = [[""] * shape[1] for _ in range(shape[0])]
-    for i, run in enumerate(range(block.first, block.last)):
-        seed, case = run_seed(block.study.seed, run), block.case.scenario
-        shared = None
-        for j, contender in enumerate(block.contenders):
-            try:
-                if block.study.loop == "open" and shared is None:
-                    shared = _open_loop(case, seed)
-                found = _run(case, seed, contender, block, shared)
-            except Exception as error:
-                # Whatever goes wrong in one of a million runs must not end the others.
-                failures[j][i] = _reason(error)
+    each = _open_loop if block.study.loop == "open" else _closed_loop
+    for first in range(block.first, block.last, TOGETHER):
+        for j, run, found in each(block, range(first, min(first + TOGETHER, block.last))):
+            i = run - block.first
+            if isinstance(found, Exception):
+                failures[j][i] = _reason(found)
             else:
                 for name, value in found.items():
                     kept[name][j, i] = value
     return {**kept, FAILURE: np.array(failures, dtype=np.str_)}
 
 
+Found = dict[str, float | np.ndarray]
+"""What is known of one run, by the names of `RUN` and `SERIES`."""
+T = TypeVar("T")
+
+
+def _tried(function: Callable[[], T]) -> T | Exception:
+    """Return what a function returns or raises: one of a million runs must not end the others."""
+    try:
+        return function()
+    except Exception as error:
+        return error
+
+
 def _reason(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
 
 
-def _open_loop(case: Scenario | Recording, seed: int) -> Trial:
+def _closed_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
+    """Yield estimator, run and what came of it, where each estimator steers its own drives."""
+    for run in runs:
+        for j, contender in enumerate(block.contenders):
+            yield j, run, _tried(partial(_steered, contender, block, run))
+
+
+def _steered(contender: Contender, block: StudyBlock, run: int) -> Found:
+    began, case = time.process_time(), block.case.scenario
+    assert isinstance(case, Scenario)  # who steers cannot do so in a log
+    seed = run_seed(block.study.seed, run)
+    own = case.model_copy(update={"seed": seed, "estimator": contender.estimator})
+    estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
+    simulation = simulate(own, estimator)
+    track = track_of(estimator, simulation.estimates)
+    seconds = time.process_time() - began
+    return _measure(simulated_trial(simulation), estimator, track, block) | {"seconds": seconds}
+
+
+def _open_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
+    """Yield the same where all run over the same drives: compiled filters side by side."""
+    together: dict[Any, list[tuple[int, int, Trial, Drive, Any]]] = {}
+    for run in runs:
+        trial = _tried(partial(_recorded, block.case.scenario, run_seed(block.study.seed, run)))
+        for j, contender in enumerate(block.contenders):
+            if isinstance(trial, Exception):
+                yield j, run, trial
+                continue
+            made = _tried(partial(_made, contender, block.case.scenario, trial.drive))
+            if isinstance(made, Exception):
+                yield j, run, made
+            elif key := _alike(contender, made[1]):
+                together.setdefault(key, []).append((j, run, trial, *made))
+            else:
+                yield j, run, _tried(partial(_followed, trial, *made, block))
+    for (_, engine), entries in together.items():
+        yield from _side_by_side(entries, engine, block, len(runs))
+
+
+def _recorded(case: Scenario | Recording, seed: int) -> Trial:
     if isinstance(case, Recording):
         return recorded_trial(case, seed)
     return simulated_trial(simulate(case.model_copy(update={"seed": seed, "estimator": "truth"})))
 
 
-def _run(
-    case: Scenario | Recording,
-    seed: int,
-    contender: Contender,
-    block: StudyBlock,
-    shared: Trial | None,
-) -> dict[str, float | np.ndarray]:
-    """Run one estimator once; over the shared drive, or over one that it steers itself."""
+def _made(
+    contender: Contender, case: Scenario | Recording, drive: Drive
+) -> tuple[Drive, Estimator]:
+    """Return the drive with the start prior that an estimator gets, and the estimator."""
+    if isinstance(case, Recording):
+        _, drive = with_start(drive, contender.estimator)
+    return drive, make_estimator(contender.estimator, drive, contender.settings)
+
+
+def _followed(trial: Trial, drive: Drive, estimator: Estimator, block: StudyBlock) -> Found:
     began = time.process_time()
-    if shared is not None:
-        trial, drive = shared, shared.drive
-        if isinstance(case, Recording):
-            _, drive = with_start(drive, contender.estimator)
-        estimator = make_estimator(contender.estimator, drive, contender.settings)
-        track = follow(drive, estimator)
-        seconds = time.process_time() - began
-    else:
-        assert isinstance(case, Scenario)  # who steers cannot do so in a log
-        own = case.model_copy(update={"seed": seed, "estimator": contender.estimator})
-        estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
-        simulation = simulate(own, estimator)
-        track = track_of(estimator, simulation.estimates)
-        seconds = time.process_time() - began
-        trial = simulated_trial(simulation)
+    track = follow(drive, estimator)
+    seconds = time.process_time() - began
     return _measure(trial, estimator, track, block) | {"seconds": seconds}
 
 
-def _measure(
-    trial: Trial, estimator: Estimator, track: Track, block: StudyBlock
-) -> dict[str, float | np.ndarray]:
+def _alike(
+    contender: Contender, estimator: Estimator
+) -> tuple[ExtendedKalmanFilter, Engine] | None:
+    """Return what filters have in common that run side by side; None for what does not."""
+    engine: Engine = getattr(contender.settings, "engine", "interpreter")
+    if engine == "interpreter":
+        return None
+    # Imported here alone: whoever studies the localiser needs nothing symbolic.
+    from homeward.engine.estimators.side_by_side import batch_kind
+
+    kind = batch_kind(estimator)
+    return None if kind is None else (kind, engine)
+
+
+def _side_by_side(
+    entries: list[tuple[int, int, Trial, Drive, Any]],
+    engine: Engine,
+    block: StudyBlock,
+    runs: int,
+) -> Iterator[tuple[int, int, Found | Exception]]:
+    from homeward.engine.estimators.side_by_side import run_side_by_side
+
+    began = time.process_time()
+    drives, filters = [e[3] for e in entries], [e[4] for e in entries]
+    tracks = _tried(lambda: run_side_by_side(drives, filters, engine, block.case.runs / runs))
+    seconds: Found = {"seconds": (time.process_time() - began) / len(entries)}
+    alone = [None] * len(entries) if isinstance(tracks, Exception) else tracks
+    for (j, run, trial, drive, own), track in zip(entries, alone, strict=True):
+        if track is None:
+            yield j, run, _tried(partial(_followed, trial, drive, own, block))
+        else:
+            found = _tried(partial(_measure, trial, own, track, block))
+            yield j, run, found if isinstance(found, Exception) else found | seconds
+
+
+def _measure(trial: Trial, estimator: Estimator, track: Track, block: StudyBlock) -> Found:
     """Return every quantity of one run that is known."""
     begin, end = trial.drive.span
-    found: dict[str, float | np.ndarray] = {
+    found: Found = {
         "duration": end - begin,
         "final_distance": trial.final_distance,
         "pose_share": 0.0,
@@ -175,16 +252,15 @@ def _measure(
     }
     if trial.bound is not None:
         found |= _bounds(times, trial.bound, longest)
-    return found | _errors(e)
+    return found | _errors(e, metrics.accuracy)
 
 
 def _known(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _errors(e: Errors) -> dict[str, float | np.ndarray]:
+def _errors(e: Errors, total: Accuracy | None) -> Found:
     """Return errors over the whole run, and how they split into bias and oscillation."""
-    total = accuracy(e)
     if total is None:
         return {}
     late = e.t >= (e.t[0] + e.t[-1]) / 2
@@ -203,9 +279,7 @@ def _errors(e: Errors) -> dict[str, float | np.ndarray]:
     }
 
 
-def _bounds(
-    times: np.ndarray, bound: tuple[np.ndarray, np.ndarray], longest: float
-) -> dict[str, float | np.ndarray]:
+def _bounds(times: np.ndarray, bound: tuple[np.ndarray, np.ndarray], longest: float) -> Found:
     stamps, covariances = bound
     position = covariances[:, 0, 0] + covariances[:, 1, 1]
     heading = covariances[:, 2, 2]
@@ -231,10 +305,10 @@ def _latest(
     return np.asarray(np.where((row >= 0) & (age < longest), values[np.maximum(row, 0)], np.nan))
 
 
-def _landmarks(trial: Trial, estimator: Estimator) -> dict[str, float | np.ndarray]:
+def _landmarks(trial: Trial, estimator: Estimator) -> Found:
     """Return what became of the moved landmarks, as far as the estimator says."""
     known, home, true = estimator.landmarks(), trial.drive.home_bearings(), trial.true_home
-    found: dict[str, float | np.ndarray] = {}
+    found: Found = {}
     judged = {m.landmark: m.moved for m in known if m.moved is not None}
     if judged and trial.none_else:
         named = {landmark for landmark, moved in judged.items() if moved}
