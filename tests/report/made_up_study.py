@@ -4,8 +4,8 @@ import numpy as np
 import yaml
 
 from homeward.studies.study.plan import make_plan
+from homeward.studies.study.quantities import RUN, SERIES
 from homeward.studies.study.results import Results
-from homeward.studies.study.runs import RUN, SERIES
 from homeward.studies.study.settings import load_study
 
 

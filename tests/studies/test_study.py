@@ -24,8 +24,9 @@ from homeward.simulation.simulate import simulate
 from homeward.studies.blocks.finish import Where
 from homeward.studies.study import runs as runs_module
 from homeward.studies.study.plan import make_plan
+from homeward.studies.study.quantities import RUN, SERIES
 from homeward.studies.study.results import _gather, open_study, to_dataset, write_netcdf
-from homeward.studies.study.runs import RUN, SERIES, run_block, run_seed
+from homeward.studies.study.runs import run_block, run_seed
 from homeward.studies.study.settings import StudySettings, load_study, shipped
 from homeward.studies.study.summary import lines, over_time, quantiles, wilson
 from homeward.studies.study.tabulated import summary, table

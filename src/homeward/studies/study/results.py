@@ -15,7 +15,8 @@ from homeward.errors import InputError, needs_extra
 from homeward.studies.blocks.finish import Where, finish
 from homeward.studies.blocks.store import BlockStore, our_version
 from homeward.studies.study.plan import Plan, block_name
-from homeward.studies.study.runs import FAILURE, RUN, SERIES, run_block, run_seed
+from homeward.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.studies.study.runs import run_block, run_seed
 
 MARKER = "study.yaml"
 """The settings of a study; a folder that holds it is one of ours."""
