@@ -40,15 +40,12 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
 
 
-def _engine(module: str, name: str) -> Callable[..., Estimator]:
+def _engine(module: str, name: str) -> Any:
     """Return what makes a symbolic filter; `InputError` where what it needs is not installed."""
     try:
-        make: Callable[..., Estimator] = getattr(
-            import_module(f"homeward.engine.estimators.{module}"), name
-        )
+        return getattr(import_module(f"homeward.engine.estimators.{module}"), name)
     except ModuleNotFoundError as error:
         raise without(error) or error from None
-    return make
 
 
 def _filter(name: str) -> _Maker:
@@ -57,7 +54,8 @@ def _filter(name: str) -> _Maker:
     def for_drive(drive: Drive, settings: NoiseSettings) -> Estimator:
         # Imported here alone, as peers are: whoever uses the localiser needs nothing symbolic.
         make, robot = _engine("paper", name), drive.settings.robot
-        return make(drive.home, settings=settings, samples=_samples(drive), **robot)
+        made: Estimator = make(drive.home, settings=settings, samples=_samples(drive), **robot)
+        return made
 
     return for_drive
 
@@ -65,9 +63,11 @@ def _filter(name: str) -> _Maker:
 def _peer(name: str) -> _Maker:
     """Return what makes one of their peers for a drive."""
 
-    def for_drive(drive: Drive, told: Strict) -> Estimator:
-        make = _engine("peers", name)
-        return make(known_home(drive.home), drive.settings, told, _samples(drive))
+    def for_drive(drive: Drive, settings: Strict) -> Estimator:
+        make, told = _engine("peers", name), _engine("told", "Told")
+        known = name, known_home(drive.home), drive.settings
+        made: Estimator = make(told(*known, settings, _samples(drive)))
+        return made
 
     return for_drive
 

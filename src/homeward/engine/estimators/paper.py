@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 
 from homeward.drives.drive import Robot
 from homeward.drives.known import Home, known_home, known_robot, known_settings
 from homeward.engine.estimators.online import OnlineFilter
-from homeward.engine.estimators.told import places, polar_filter
+from homeward.engine.estimators.told import Told
 from homeward.errors import InputError
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -20,7 +20,8 @@ from homeward.filters.settings import (
     Matrix,
     ProportionalIntegralSettings,
 )
-from homeward.model import PolarModel
+
+Checked = TypeVar("Checked", bound=FilterSettings)
 
 
 def ekf(
@@ -48,10 +49,8 @@ def ekf(
     InputError
         When something of it cannot be used, home is empty, or there is no start prior.
     """
-    told = known_settings(FilterSettings, settings)
-    seen = known_home(home)
-    kind = ExtendedKalmanFilter(PolarModel(len(seen), guard=told.guard), told.integration)
-    return polar_filter("ekf", kind, seen, known_robot(robot), told, samples)
+    told = _told("ekf", home, known_settings(FilterSettings, settings), robot, samples)
+    return told.filter(ExtendedKalmanFilter(told.model(), told.settings.integration))
 
 
 def a_ekf(
@@ -62,19 +61,13 @@ def a_ekf(
     **robot: Unpack[Robot],
 ) -> OnlineFilter:
     """Return the paper's A-EKF; parameters and errors as of `ekf`."""
-    told = known_settings(AugmentedSettings, settings)
-    seen = known_home(home)
-    indices = places("parameters", told.parameters, seen)
-    kind = augmented_ekf(len(seen), indices, told.integration, told.guard)
-    return polar_filter(
-        "a-ekf",
-        kind,
-        seen,
-        known_robot(robot),
-        told,
-        samples,
-        parameter_variance=told.parameter_sigma**2,
-        parameter_density=told.parameter_walk**2,
+    told = _told("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
+    own, q = told.settings, len(told.home)
+    indices = told.places("parameters", own.parameters)
+    return told.filter(
+        augmented_ekf(q, indices, own.integration, own.guard),
+        parameter_variance=own.parameter_sigma**2,
+        parameter_density=own.parameter_walk**2,
     )
 
 
@@ -86,26 +79,22 @@ def pi_ekf(
     **robot: Unpack[Robot],
 ) -> OnlineFilter:
     """Return the paper's PI-EKF; parameters and errors as of `ekf`."""
-    told = known_settings(ProportionalIntegralSettings, settings)
-    seen = known_home(home)
-    q = len(seen)
-    model = PolarModel(q, guard=told.guard)
-    kind = ProportionalIntegralFilter(model, told.integration)
-    scale = np.eye(model.n)
+    checked = known_settings(ProportionalIntegralSettings, settings)
+    told = _told("pi-ekf", home, checked, robot, samples)
+    own, model = told.settings, told.model()
+    n, q = model.n, model.q
     # The paper counts R in cm: one unit of an innovation moves it by cm, not by m.
-    scale[0, 0] = 0.01
-    pi = _matrix("proportional", told.proportional, (model.n, model.n), scale)
-    m = _matrix("integral_gain", told.integral_gain, (model.n, q), np.ones((model.n, q)))
-    return polar_filter(
-        "pi-ekf",
-        kind,
-        seen,
-        known_robot(robot),
-        told,
-        samples,
-        proportional=pi / told.sample_time,
-        integral_gain=m,
+    scale = np.diag([0.01, *[1.0] * (n - 1)])
+    pi = _matrix("proportional", own.proportional, (n, n), scale)
+    return told.filter(
+        ProportionalIntegralFilter(model, own.integration),
+        proportional=pi / own.sample_time,
+        integral_gain=_matrix("integral_gain", own.integral_gain, (n, q), np.ones((n, q))),
     )
+
+
+def _told(name: str, home: Home, settings: Checked, robot: Robot, samples: int) -> Told[Checked]:
+    return Told(name, known_home(home), known_robot(robot), settings, samples)
 
 
 def _matrix(

@@ -1,29 +1,16 @@
 """Filters that readers of the paper would name as its peers, ready to run.
 
-Each is made of what home saw, what is known of the robot, its settings, and how many samples are
-coming, and raises `InputError` where home is empty or there is no start prior.
+Each is made of what it is told, and raises `InputError` where home is empty or there is no start
+prior.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings
 from homeward.engine.estimators.adaptive import AdaptiveRunner
 from homeward.engine.estimators.online import OnlineFilter
-from homeward.engine.estimators.told import (
-    Seen,
-    bearing_sigma,
-    first,
-    input_density,
-    online,
-    places,
-    polar_filter,
-    polar_runner,
-    prior_sigmas,
-    start_prior,
-    stored,
-)
+from homeward.engine.estimators.told import Told, first
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.invariant import CartesianPrior, InvariantFilter, SensorNoise
 from homeward.filters.particle import ParticleFilter, ParticlePrior
@@ -36,67 +23,50 @@ from homeward.filters.settings import (
 )
 from homeward.filters.unscented import UnscentedFilter
 from homeward.frames import from_polar, polar_covariance_to_pose
-from homeward.model import PolarModel
 
 
-def adaptive(home: Seen, known: DriveSettings, told: FilterSettings, samples: int) -> OnlineFilter:
+def adaptive(told: Told[FilterSettings]) -> OnlineFilter:
     """Return the EKF that identifies its noise."""
-    kind = ExtendedKalmanFilter(PolarModel(len(home), guard=told.guard), told.integration)
-    runner = polar_runner("adaptive", kind, home, known, told, samples)
-    return online("adaptive", AdaptiveRunner(runner), home, known)
+    kind = ExtendedKalmanFilter(told.model(), told.settings.integration)
+    return told.online(AdaptiveRunner(told.runner(kind)))
 
 
-def schmidt(home: Seen, known: DriveSettings, told: SchmidtSettings, samples: int) -> OnlineFilter:
+def schmidt(told: Told[SchmidtSettings]) -> OnlineFilter:
     """Return the EKF that considers doubtful home bearings."""
-    model = PolarModel(len(home), places("doubtful", told.doubtful, home), told.guard)
-    kind, doubt = SchmidtFilter(model, told.integration), told.doubt_sigma**2
-    return polar_filter("schmidt", kind, home, known, told, samples, parameter_variance=doubt)
+    own = told.settings
+    kind = SchmidtFilter(told.model(told.places("doubtful", own.doubtful)), own.integration)
+    return told.filter(kind, parameter_variance=own.doubt_sigma**2)
 
 
-def ukf(home: Seen, known: DriveSettings, told: FilterSettings, samples: int) -> OnlineFilter:
+def ukf(told: Told[FilterSettings]) -> OnlineFilter:
     """Return the UKF."""
-    kind = UnscentedFilter(PolarModel(len(home), guard=told.guard), told.integration)
-    return polar_filter("ukf", kind, home, known, told, samples)
+    return told.filter(UnscentedFilter(told.model(), told.settings.integration))
 
 
-def invariant(home: Seen, known: DriveSettings, told: CartesianSettings, _: int) -> OnlineFilter:
+def invariant(told: Told[CartesianSettings]) -> OnlineFilter:
     """Return the invariant EKF."""
-    start, expected = start_prior("invariant", home, known), 1 / (2 * told.nearest)
-    spread = np.diag(np.square(prior_sigmas(start)))
+    start, expected = told.start, 1 / (2 * told.settings.nearest)
+    spread = np.diag(np.square(told.start_sigmas))
     prior = CartesianPrior(
         from_polar(start.polar),
         polar_covariance_to_pose(start.polar, spread),
-        stored(home, known),
-        _home_sigma(home, known, told),
-        expected,
-        expected,
+        *(told.stored, _home_sigma(told), expected, expected),
     )
-    carrier = InvariantFilter(prior, _sensor_noise(known, told), told.minimum_visible)
-    return online("invariant", carrier, home, known)
+    return told.online(InvariantFilter(prior, _sensor_noise(told), told.settings.minimum_visible))
 
 
-def particle(home: Seen, known: DriveSettings, told: ParticleSettings, _: int) -> OnlineFilter:
+def particle(told: Told[ParticleSettings]) -> OnlineFilter:
     """Return the particle filter."""
-    start = start_prior("particle", home, known)
-    prior = ParticlePrior(
-        start.polar,
-        prior_sigmas(start),
-        stored(home, known),
-        _home_sigma(home, known, told),
-        1 / (2 * told.nearest),
-    )
-    count, share, seed = told.particles, told.outliers, told.seed
-    noise = _sensor_noise(known, told)
-    carrier = ParticleFilter(prior, noise, count, share, seed, told.minimum_visible)
-    return online("particle", carrier, home, known)
+    own, landmarks = told.settings, (told.stored, _home_sigma(told))
+    prior = ParticlePrior(told.start.polar, told.start_sigmas, *landmarks, 1 / (2 * own.nearest))
+    noise, chance = _sensor_noise(told), (own.particles, own.outliers, own.seed)
+    return told.online(ParticleFilter(prior, noise, *chance, own.minimum_visible))
 
 
-def _home_sigma(home: Seen, known: DriveSettings, settings: CartesianSettings) -> np.ndarray:
-    default = first(settings.home_sigma, bearing_sigma(known, settings))
-    own = np.array([b.sigma for b in home.values()])
-    return np.where(own > 0, own, default)
+def _home_sigma(told: Told[CartesianSettings]) -> np.ndarray:
+    own = np.array([b.sigma for b in told.home.values()])
+    return np.where(own > 0, own, first(told.settings.home_sigma, told.bearing_sigma))
 
 
-def _sensor_noise(known: DriveSettings, settings: CartesianSettings) -> SensorNoise:
-    sigma = bearing_sigma(known, settings)
-    return SensorNoise(input_density(known, settings), sigma, settings.gate_threshold)
+def _sensor_noise(told: Told[CartesianSettings]) -> SensorNoise:
+    return SensorNoise(told.input_density, told.bearing_sigma, told.settings.gate_threshold)
