@@ -37,6 +37,7 @@ from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.definitions import DEFINITIONS, ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
+from homeward.drives.text.files import shipped as shipped_data
 from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import HomewardError
 from homeward.frames import Pose
@@ -45,7 +46,7 @@ from homeward.simulation.files import load_scenario, scenario_yaml
 from homeward.simulation.presets import PRESETS
 from homeward.simulation.render.room.presets import load_room, room
 from homeward.studies.blocks.store import BlockStore
-from homeward.studies.planning.settings import load_plan, plans_folder
+from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import load_run
 from homeward.studies.study.plan import make_plan
 from homeward.studies.study.settings import load_study, shipped
@@ -185,7 +186,7 @@ def _all_settings() -> list[bytes]:
         scenario_yaml(PRESETS["warehouse"]),
         scenario_yaml(room("attic", 0)),
     ]
-    shipped_files = [plans_folder() / "warehouse.yaml", *shipped().values()]
+    shipped_files = [shipped_data("plans", "warehouse.yaml"), *shipped().values()]
     return [text.encode() for text in texts] + [file.read_bytes() for file in shipped_files]
 
 

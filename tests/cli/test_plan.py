@@ -6,9 +6,10 @@ import pytest
 import yaml
 from commands import call, done, refused
 
+from homeward.drives.text.files import shipped
 from homeward.report.plan.words import plan_summary
 from homeward.studies.planning.analysis import analyse
-from homeward.studies.planning.settings import load_plan, plans_folder
+from homeward.studies.planning.settings import load_plan
 
 FILES = {
     "plan.html",
@@ -23,7 +24,7 @@ def example(tmp_path):
     """The example, on a coarse grid, with one change."""
 
     def write(**changes):
-        tree = yaml.safe_load((plans_folder() / "warehouse.yaml").read_text())
+        tree = yaml.safe_load(shipped("plans", "warehouse.yaml").read_text())
         file = tmp_path / "plan.yaml"
         file.write_text(yaml.safe_dump({**tree, "grid": 0.8, "further": 1, **changes}))
         return file

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 from homeward.drives.drive import Drive, HomeWhen
@@ -15,7 +14,7 @@ from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.containers.bag_folder import is_log
-from homeward.drives.text.files import is_there
+from homeward.drives.text.files import is_there, shipped
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose
@@ -122,7 +121,7 @@ def located(path: str | os.PathLike[str]) -> Path:
 
 def sample_drive() -> Path:
     """Return the folder of the sample drive that ships inside the package."""
-    return Path(str(files("homeward").joinpath("data", SAMPLE)))
+    return shipped(SAMPLE)
 
 
 def reader_of(place: Path) -> Reader:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-
 import yaml
 
-GLOSSARY: dict[str, str] = yaml.safe_load(
-    files("homeward").joinpath("data", "glossary.yaml").read_text(encoding="utf-8")
-)
+from homeward.drives.text.files import shipped
+
+GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(encoding="utf-8"))
 """Each term and its meaning."""

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
-
+from homeward.drives.text.files import shipped
 from homeward.drives.text.settings import read_settings
 from homeward.simulation.scenario import Circle, Moved, Scenario
 
-
-def _shipped(name: str) -> Scenario:
-    folder = Path(str(files("homeward").joinpath("data", "scenarios")))
-    return read_settings(folder / f"{name}.yaml", Scenario)
-
-
-WAREHOUSE, PAPER_HOMING = map(_shipped, ("warehouse", "paper-homing"))
+WAREHOUSE, PAPER_HOMING = (
+    read_settings(shipped("scenarios", f"{name}.yaml"), Scenario)
+    for name in ("warehouse", "paper-homing")
+)
 CIRCLE = PAPER_HOMING.model_copy(
     update={
         "name": "circle",

@@ -161,20 +161,20 @@ def _missing(plan: LogSettings) -> Iterator[str]:
         yield f"Nothing tells what the camera saw at home: {NAME_HOME}."
 
 
+_SERVES: tuple[tuple[tuple[str, ...], str], ...] = (
+    ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
+    ((JOINT_STATE,), "odometry, given wheel_radius and track_width"),
+    (TWISTS, "odometry"),
+    (POSES, "odometry, or the truth"),
+    (IN_IMAGE, "bearings, given a camera model"),
+    ((POINT,), "the bearings of one landmark"),
+    (tuple(READERS), "bearings"),
+)
+"""Types, and what they tell; the first that holds counts."""
+
+
 def _candidates(known: Survey) -> Iterator[str]:
     """Say what each topic could serve as."""
     for topic in known.topics:
-        if topic.type == NAV_ODOMETRY:
-            yield f"{topic.name} can tell odometry (use: twist, or use: pose)."
-        elif topic.type == JOINT_STATE:
-            yield f"{topic.name} can tell odometry, given wheel_radius and track_width."
-        elif topic.type in TWISTS:
-            yield f"{topic.name} can tell odometry."
-        elif topic.type in POSES:
-            yield f"{topic.name} can tell odometry, or the truth."
-        elif topic.type in IN_IMAGE:
-            yield f"{topic.name} can tell bearings, given a camera model."
-        elif topic.type == POINT:
-            yield f"{topic.name} can tell the bearings of one landmark."
-        elif topic.type in READERS:
-            yield f"{topic.name} can tell bearings."
+        if words := next((words for types, words in _SERVES if topic.type in types), ""):
+            yield f"{topic.name} can tell {words}."

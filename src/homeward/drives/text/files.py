@@ -6,6 +6,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
@@ -55,6 +56,11 @@ def naming(path: Path, trouble: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{trouble}: {error.strerror or error}", path) from error
+
+
+def shipped(*names: str) -> Path:
+    """Return a file or folder of the data that come with homeward."""
+    return Path(str(files("homeward").joinpath("data", *names)))
 
 
 def require_folder(path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -11,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.drives.text.files import is_there
+from homeward.drives.text.files import is_there, shipped
 from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
 from homeward.simulation.scenario import Interval, Point, RoomPose
@@ -126,13 +125,8 @@ def load_plan(source: str) -> Plan:
     """
     path = Path(source)
     if not is_there(path):
-        path = Path(str(files("homeward").joinpath("data", "plans", f"{source}.yaml")))
+        path = shipped("plans", f"{source}.yaml")
     if not is_there(path) or not source:
-        there = sorted(p.stem for p in plans_folder().glob("*.yaml"))
+        there = sorted(p.stem for p in shipped("plans").glob("*.yaml"))
         raise InputError(f"neither a file nor one of the plans {', '.join(there)}", Path(source))
     return read_settings(path, Plan)
-
-
-def plans_folder() -> Path:
-    """Return the folder of the plans that come with homeward."""
-    return Path(str(files("homeward").joinpath("data", "plans")))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -11,6 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
+from homeward.drives.text import files
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
@@ -109,8 +109,7 @@ class StudySettings(Strict):
 
 def shipped() -> dict[str, Path]:
     """Return the studies that come with homeward, by name."""
-    folder = Path(str(files("homeward").joinpath("data", "studies")))
-    return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+    return {file.stem: file for file in sorted(files.shipped("studies").glob("*.yaml"))}
 
 
 def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:

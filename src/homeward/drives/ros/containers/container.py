@@ -148,6 +148,11 @@ class RecordFile(ABC):
     def _walk(self) -> Iterator[Message]:
         """Walk the messages behind the first line."""
 
+    def _require(self, fits: bool) -> None:
+        """Refuse a file whose index does not fit what was met."""
+        if not fits:
+            raise InputError("damaged: its index tells of other messages", self.path)
+
 
 class Budget:
     """What one file may come to in all; more is no recording, but meant to keep us busy."""
@@ -236,6 +241,15 @@ def walking(path: Path) -> Iterator[None]:
         ) from error
     except (struct.error, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"damaged: {in_short(error)}", path) from error
+
+
+def sized(data: memoryview, at: int, length: str = "<I") -> tuple[memoryview, int]:
+    """Return what a length at `at`, of a format of `struct`, announces, and where that ends."""
+    (size,) = struct.unpack_from(length, data, at)
+    begin = at + struct.calcsize(length)
+    if size > len(data) - begin:
+        raise ValueError(f"{size} bytes announced where {len(data) - begin} are left")
+    return data[begin : begin + size], begin + size
 
 
 def in_short(error: Exception) -> str:

@@ -6,7 +6,7 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 
-from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type
+from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
 from homeward.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -87,21 +87,17 @@ class Mcap(RecordFile):
 
     def _check_index(self) -> None:
         counted = self._met if self._counted is None else self._counted
-        if (self._indexed and self._indexed != self._chunks) or counted != self._met:
-            raise InputError("damaged: its index tells of other messages", self._source.path)
+        self._require(self._indexed in (set(), self._chunks) and counted == self._met)
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield the kind and content of each record in a chunk."""
     at = 0
     while at < len(data):
-        op, size = struct.unpack_from("<BQ", data, at)
+        op = data[at]
         _check(op)
-        end = at + 9 + size
-        if end > len(data):
-            raise ValueError(f"{size} bytes announced where {len(data) - at - 9} are left")
-        yield op, data[at + 9 : end]
-        at = end
+        content, at = sized(data, at + 1, "<Q")
+        yield op, content
 
 
 def _check(op: int) -> None:
@@ -112,8 +108,5 @@ def _check(op: int) -> None:
 
 def _string(data: memoryview, at: int) -> tuple[str, int]:
     """Return the text at `at`, and where it ends."""
-    (size,) = struct.unpack_from("<I", data, at)
-    end = at + 4 + size
-    if end > len(data):
-        raise ValueError(f"a text of {size} bytes where {len(data) - at - 4} are left")
-    return str(data[at + 4 : end], "utf-8"), end
+    text, end = sized(data, at)
+    return str(text, "utf-8"), end

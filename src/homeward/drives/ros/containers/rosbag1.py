@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type
+from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
 from homeward.errors import InputError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -89,16 +89,15 @@ class Rosbag1(RecordFile):
 
     def _check_index(self) -> None:
         whole = self._declared is not None and self._declared[1] == len(self._chunks)
-        if not whole or self._indexed != self._chunks or self._counted != self._met:
-            raise InputError("damaged: its index tells of other messages", self._source.path)
+        self._require(whole and self._indexed == self._chunks and self._counted == self._met)
 
 
 def _records(data: memoryview) -> Iterator[tuple[Fields, memoryview]]:
     """Yield header and data of each record in a chunk."""
     at = 0
     while at < len(data):
-        header, at = _sized(data, at)
-        content, at = _sized(data, at)
+        header, at = sized(data, at)
+        content, at = sized(data, at)
         yield _fields(header), content
 
 
@@ -107,21 +106,12 @@ def _fields(header: memoryview) -> Fields:
     fields: Fields = {}
     at = 0
     while at < len(header):
-        field, at = _sized(header, at)
+        field, at = sized(header, at)
         name, equals, _ = bytes(field).partition(b"=")
         if not equals:
             raise ValueError("a header field without a name")
         fields[name] = field[len(name) + 1 :]
     return fields
-
-
-def _sized(data: memoryview, at: int) -> tuple[memoryview, int]:
-    """Return what a length field at `at` announces, and where that ends."""
-    (size,) = struct.unpack_from("<I", data, at)
-    end = at + 4 + size
-    if end > len(data):
-        raise ValueError(f"{size} bytes announced where {len(data) - at - 4} are left")
-    return data[at + 4 : end], end
 
 
 def _channel(fields: Fields, data: memoryview) -> Channel:
