@@ -27,7 +27,7 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.room.presets import load_room
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import load_plan
-from homeward.studies.single_run import SAMPLE, RunSettings, execute
+from homeward.studies.single_run import SAMPLE, RunSettings, finish, prepare
 from homeward.vision.opencv import opencv
 
 IMAGES = Path(__file__).parent / "images"
@@ -47,7 +47,8 @@ def main() -> None:
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
     _picture_studio(IMAGES / "studio.png")
-    drive, track, settings = execute(RunSettings(drive=SAMPLE))
+    drive, estimator, settings = prepare(RunSettings(drive=SAMPLE))
+    track = finish(drive, estimator, settings)
     with tempfile.TemporaryDirectory() as scratch:
         write_run(Path(scratch) / "run", drive, track, settings.model_dump(mode="json"))
         _picture_page(Path(scratch) / "run" / "report.html", IMAGES / "sample-report.png")

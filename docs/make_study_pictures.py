@@ -10,7 +10,7 @@ from pathlib import Path
 from homeward.report.canvas import png
 from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.study.maps import draw_maps, grids
-from homeward.studies.blocks.finish import Where
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.layout_study import study_layouts
 from homeward.studies.paper.layouts import LayoutSettings, open_store
 from homeward.studies.study.plan import make_plan
@@ -23,7 +23,7 @@ DPI = 110
 
 def layouts(out: Path) -> None:
     """Draw the figures of `homeward reproduce --study`."""
-    study = study_layouts(LayoutSettings(), open_store(out / "paper-study"), Where())
+    study = study_layouts(LayoutSettings(), Work(open_store(out / "paper-study")))
     for name, (_, draw) in FIGURES.items():
         keep(f"layouts-{name}", draw(study))
 
@@ -31,7 +31,7 @@ def layouts(out: Path) -> None:
 def tuning(name: str, out: Path) -> None:
     """Draw the map of a tuning study."""
     plan = make_plan(load_study(name))
-    results = run_study(plan, open_study(plan, out / name), Where())
+    results = run_study(plan, Work(open_study(plan, out / name)))
     for grid in grids(results):
         keep(name, draw_maps(results, grid))
 

@@ -13,6 +13,7 @@ from homeward.cli import options
 from homeward.report.paper.claims import verdict
 from homeward.report.paper.figures import FIGURES, figures_of
 from homeward.report.paper.page import found, sentences
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
 from homeward.studies.paper.layouts import open_store
 from homeward.studies.paper.reproduction import reproduce
@@ -38,7 +39,7 @@ def here(monkeypatch):
 
 
 def reproduced(folder, **settings):
-    return reproduce(PaperSettings(**settings), open_store(folder))
+    return reproduce(PaperSettings(**settings), Work(open_store(folder)))
 
 
 @pytest.fixture(scope="module")

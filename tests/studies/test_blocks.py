@@ -14,7 +14,7 @@ import pytest
 from studies import chores
 
 from homeward.errors import HomewardError, InputError
-from homeward.studies.blocks.finish import Where, finish
+from homeward.studies.blocks.finish import Where, Work
 from homeward.studies.blocks.pool import on_processes
 from homeward.studies.blocks.store import BlockStore
 
@@ -82,7 +82,7 @@ def test_only_missing_blocks_are_computed(tmp_path):
     store = store_in(tmp_path)
     store.save("2", {"square": np.array([-1])})
     told = []
-    finish(store, chores.square, {str(x): x for x in range(4)}, Where(), told.append)
+    Work(store, Where(), told.append).finish(chores.square, {str(x): x for x in range(4)})
     assert [int(store.load(str(x))["square"][0]) for x in range(4)] == [0, 1, -1, 9]
     assert told == [0.25, 0.5, 0.75, 1.0]
 

@@ -14,7 +14,7 @@ from studies import chores
 
 from homeward.errors import HomewardError, InputError
 from homeward.studies.blocks.cluster import on_cluster
-from homeward.studies.blocks.finish import Where, finish
+from homeward.studies.blocks.finish import Where, Work
 from homeward.studies.blocks.store import BlockStore
 
 dask = pytest.importorskip("dask")
@@ -52,7 +52,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(tmp_path):
     store = BlockStore(tmp_path / "out", {"runs": 10}, "study.yaml")
     told = []
     with cluster(2) as address:
-        finish(store, chores.die_once, work, Where(scheduler=address), told.append)
+        Work(store, Where(scheduler=address), told.append).finish(chores.die_once, work)
     assert (tmp_path / "died").exists()
     assert told == sorted(set(told))
     assert len(told) == 11
@@ -71,7 +71,7 @@ def test_an_interrupted_cluster_study_goes_on_elsewhere(tmp_path):
         results.close()
     assert not multiprocessing.active_children()
     told = []
-    finish(store, chores.square, work, Where(), told.append)
+    Work(store, Where(), told.append).finish(chores.square, work)
     assert told == [0.25, 0.5, 0.75, 1.0]
 
 
@@ -102,5 +102,5 @@ def test_processes_of_this_machine_open_no_port(tmp_path):
             found = process.net_connections()
             listening.extend(c for c in found if c.status == psutil.CONN_LISTEN)
 
-    finish(store, chores.square, {str(x): x for x in range(3)}, Where(workers=2), look)
+    Work(store, Where(workers=2), look).finish(chores.square, {str(x): x for x in range(3)})
     assert not listening

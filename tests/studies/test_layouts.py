@@ -12,7 +12,7 @@ from studies.chores import in_this_process
 from homeward.report.paper.claims import claims, command
 from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.paper.layout_page import CLAIMED, grid_table, headline
-from homeward.studies.blocks.finish import Where
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.cases import FILTERS, run_filter
 from homeward.studies.paper.layout_study import layout_settings, study_layouts
 from homeward.studies.paper.layouts import (
@@ -223,7 +223,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)
     values = {"assumed": {"longest": 1, "circle_time": 1}, "varied": 2, "searched": 2, "robust": 2}
     values["grid"] = {"stop_radius": [0.15], "faults": [1]}
-    study = study_layouts(layout_settings(values, 4), open_store(tmp_path / "out"), Where())
+    study = study_layouts(layout_settings(values, 4), Work(open_store(tmp_path / "out")))
     assert headline(study) in answer.stdout
     for _, draw in FIGURES.values():
         assert faults(draw(study)) == [], draw.__name__

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from markupsafe import Markup
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -160,6 +161,22 @@ def uncrowd(figure: Figure) -> None:
         if step > 1:
             kept = shown[::step]
             axis.set_ticks([t.get_loc() for t in kept], [t.label1.get_text() for t in kept])
+
+
+def quantile_bar(
+    axes: Axes, place: float, values: np.ndarray, colour: str, hollow: bool = False
+) -> None:
+    """Draw five quantiles as a thin and a thick line and a dot, or `hollow` without the thick one.
+
+    What is infinite is drawn up to 1e12.
+    """
+    shown = np.clip(values, 1e-12, 1e12)
+    axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
+    if not hollow:
+        half = shown[[1, 3]]
+        axes.plot(half, (place, place), color=colour, lw=4, solid_capstyle="butt", alpha=0.6)
+    face, edge = ("white", colour) if hollow else (colour, "white")
+    axes.plot(shown[2], place, "o", ms=5, color=face, mec=edge, mew=0.8)
 
 
 def bare(axes: Axes) -> None:

@@ -86,36 +86,6 @@ def load_run(file: Path) -> RunSettings:
     return validated(RunSettings, tree, file)
 
 
-def execute(
-    run: RunSettings, progress: Callable[[float], None] | None = None
-) -> tuple[Drive, Track, RunSettings]:
-    """Run an estimator over its drive.
-
-    Parameters
-    ----------
-    run : RunSettings
-        Which, over what, and how.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-
-    Returns
-    -------
-    drive : Drive
-        What was fed.
-    track : Track
-        What came out.
-    complete : RunSettings
-        The same run with every setting of the estimator spelt out.
-
-    Raises
-    ------
-    InputError
-        As `prepare`.
-    """
-    drive, estimator, complete = prepare(run, progress)
-    return drive, finish(drive, estimator, complete, progress), complete
-
-
 def finish(
     drive: Drive,
     estimator: Estimator,

@@ -88,7 +88,7 @@ def _cases(
         sentences,
         write_reproduction,
     )
-    from homeward.studies.blocks.finish import Where
+    from homeward.studies.blocks.finish import Where, Work
     from homeward.studies.paper.layouts import open_store
     from homeward.studies.paper.reproduction import reproduce as run_cases
     from homeward.studies.paper.settings import PaperSettings
@@ -98,7 +98,7 @@ def _cases(
     check_output(out, SETTINGS_FILE)
     store = open_store(out, SETTINGS_FILE)
     with resumable(), progress("the paper's cases") as tell:
-        result = run_cases(settings, store, where, tell)
+        result = run_cases(settings, Work(store, where, tell))
         write_reproduction(out, result)
 
     if json:
@@ -144,7 +144,7 @@ def _study(
         search_table,
         write_layouts,
     )
-    from homeward.studies.blocks.finish import Where
+    from homeward.studies.blocks.finish import Where, Work
     from homeward.studies.paper.layout_study import layout_settings, study_layouts
     from homeward.studies.paper.layouts import MARKER, open_store
 
@@ -153,7 +153,7 @@ def _study(
     check_output(out, MARKER)
     store = open_store(out)
     with resumable(), progress("layouts of the paper's cases") as tell:
-        result = study_layouts(settings, store, where, tell)
+        result = study_layouts(settings, Work(store, where, tell))
         write_layouts(out, result)
     tables = (error_table, ratio_table, order_table, search_table, claim_table)
     if json:

@@ -35,7 +35,7 @@ def study(
     """
     from homeward.report.output import check_output
     from homeward.report.study.page import DATA, PAGE, headline, write_study
-    from homeward.studies.blocks.finish import Where
+    from homeward.studies.blocks.finish import Where, Work
     from homeward.studies.study.plan import make_plan
     from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
     from homeward.studies.study.settings import load_study
@@ -49,7 +49,7 @@ def study(
     check_output(folder, MARKER)
     store = open_study(plan, folder)
     with resumable(), progress(plan.study.name) as tell:
-        results = run_study(plan, store, where, tell)
+        results = run_study(plan, Work(store, where, tell))
         rows = write_study(folder, results)
     if json:
         told = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}

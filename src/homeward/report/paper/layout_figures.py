@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
-from homeward.report.canvas import legend_below, new_figure, style, uncrowd
+from homeward.report.canvas import legend_below, new_figure, quantile_bar, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
 from homeward.report.paper.claims import start_words
 from homeward.report.paper.figures import COLOURS, QUANTITIES
@@ -22,6 +22,7 @@ from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Star
 from homeward.studies.paper.search import FAMILIES, SEARCHED
 from homeward.studies.paper.tables import TO_PAPER_UNITS, better_shares, printed_of
 from homeward.studies.paper.world import CaseName
+from homeward.studies.study.summary import quantiles
 
 ROWS = (*FILTERS, ROBUST, BOUND)
 TITLES = {
@@ -53,7 +54,9 @@ def draw_distributions(study: LayoutStudy) -> Figure:
                     for j, start in enumerate(study.starts):
                         rmse = errors_of(study, case, name, start)[:, k]
                         colour = COLOURS.get(name, SKY if name == ROBUST else GREEN)
-                        _bar(axes, place + 0.3 * j, rmse[~np.isnan(rmse)], colour, hollow=j > 0)
+                        values = quantiles(rmse)
+                        shown = np.where(np.isfinite(values), values, 1e6)
+                        quantile_bar(axes, place + 0.3 * j, shown, colour, hollow=j > 0)
                     printed = printed_of(case, name)
                     if printed is not None:
                         axes.plot(printed[k], place, "x", ms=7, mew=1.6, color=GREEN, zorder=5)
@@ -72,17 +75,6 @@ def draw_distributions(study: LayoutStudy) -> Figure:
         legend_below(figure, entries)
         uncrowd(figure)
     return figure
-
-
-def _bar(axes: Axes, place: float, values: np.ndarray, colour: str, hollow: bool) -> None:
-    quantiles = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95], method="inverted_cdf")
-    shown = np.where(np.isfinite(quantiles), quantiles, 1e6)
-    axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
-    if not hollow:
-        half = shown[[1, 3]]
-        axes.plot(half, (place, place), color=colour, lw=4, solid_capstyle="butt", alpha=0.6)
-    face, edge = ("white", colour) if hollow else (colour, "white")
-    axes.plot(shown[2], place, "o", ms=5, color=face, mec=edge, mew=0.8)
 
 
 def _log_axis(axes: Axes) -> None:

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
 from homeward.report.below_bound import MARK, below_bound
-from homeward.report.canvas import legend_below, new_figure, plain, style, uncrowd
+from homeward.report.canvas import legend_below, new_figure, plain, quantile_bar, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
 from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.study.results import Results
@@ -89,14 +89,15 @@ def draw_overview(results: Results) -> Figure:
         )
         for place, line in zip(places, rows, strict=True):
             colour = colours[line.estimator]
-            _bar(panels[0], place, line.quantiles, colour)
+            for axes, values in ((panels[0], line.quantiles), (panels[-1], line.nees)):
+                if np.isfinite(values[0]):
+                    quantile_bar(axes, place, values, colour)
             if np.isfinite(line.bound):
                 panels[0].plot(line.bound, place, "|", color=INK, ms=9, mew=1.4)
             if closed:
                 low, high = 100 * np.array(line.home_interval)
                 panels[1].plot((low, high), (place, place), color=colour, lw=1.6)
                 panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
-            _bar(panels[-1], place, line.nees, colour)
         for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
             axes.set(xscale="log", xlabel=words)
             axes.xaxis.set_minor_formatter(NullFormatter())
@@ -144,16 +145,6 @@ def _places(rows: list[Line]) -> list[float]:
         places.append(at)
         at += 1.0
     return places
-
-
-def _bar(axes: Axes, place: float, values: np.ndarray, colour: str) -> None:
-    """Draw quantiles as a thin and a thick line and a dot; what is infinite, up to a large one."""
-    if not np.isfinite(values[0]):
-        return
-    shown = np.maximum(np.where(np.isfinite(values), values, 1e12), 1e-12)
-    axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
-    axes.plot(shown[[1, 3]], (place, place), color=colour, lw=4, solid_capstyle="butt", alpha=0.6)
-    axes.plot(shown[2], place, "o", ms=5, color=colour, mec="white", mew=0.8)
 
 
 def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:

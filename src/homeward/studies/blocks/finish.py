@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from homeward.errors import InputError
@@ -30,38 +30,45 @@ class Where:
             raise InputError("--scheduler and --workers: one of them; a scheduler has its workers")
 
 
-def finish(
-    store: BlockStore,
-    function: Callable[[Argument], Arrays],
-    arguments: Mapping[str, Argument],
-    where: Where,
-    progress: Callable[[float], None] | None = None,
-) -> None:
-    """Compute every block that the store does not hold yet, and keep it there.
+@dataclass(frozen=True)
+class Work:
+    """A study's blocks: where they are kept and where computed, and who is told how far that is."""
 
-    The function makes of an argument what its block leaves; it is of a module, so that workers can
-    import it. Progress is told at the beginning and after each block.
+    store: BlockStore
+    where: Where = Where()
+    progress: Callable[[float], None] = lambda fraction: None
+    """Told the fraction done, in [0, 1]."""
 
-    Raises
-    ------
-    HomewardError
-        When the workers are lost, or the folder cannot be written; finished blocks are kept.
-    """
-    missing = {name: a for name, a in arguments.items() if name not in store}
-    done = len(arguments) - len(missing)
-    if progress is not None:
-        progress(done / len(arguments))
-    if not missing:
-        return
-    if where.scheduler is None:
-        # Pipes alone: a scheduler of our own would listen to whoever else works on this machine.
-        count = () if where.workers is None else (where.workers,)
-        results: Generator[tuple[str, Arrays]] = on_processes(function, missing, *count)
-    else:
-        results = on_cluster(function, missing, where.scheduler)
-    with closing(results):
-        for name, arrays in results:
-            store.save(name, arrays)
-            done += 1
-            if progress is not None:
-                progress(done / len(arguments))
+    def part(self, begin: float, end: float) -> Work:
+        """Return the work between two fractions of all of it."""
+        return replace(self, progress=lambda f: self.progress(begin + (end - begin) * f))
+
+    def finish(
+        self, function: Callable[[Argument], Arrays], arguments: Mapping[str, Argument]
+    ) -> None:
+        """Compute every block that the store does not hold yet, and keep it there.
+
+        The function makes of an argument what its block leaves; it is of a module, so that workers
+        can import it. Progress is told at the beginning and after each block.
+
+        Raises
+        ------
+        HomewardError
+            When the workers are lost, or the folder cannot be written; finished blocks are kept.
+        """
+        missing = {name: a for name, a in arguments.items() if name not in self.store}
+        done = len(arguments) - len(missing)
+        self.progress(done / len(arguments))
+        if not missing:
+            return
+        if self.where.scheduler is None:
+            # Pipes alone: a scheduler of our own would listen to whoever else works on this one.
+            count = () if self.where.workers is None else (self.where.workers,)
+            results: Generator[tuple[str, Arrays]] = on_processes(function, missing, *count)
+        else:
+            results = on_cluster(function, missing, self.where.scheduler)
+        with closing(results):
+            for name, arrays in results:
+                self.store.save(name, arrays)
+                done += 1
+                self.progress(done / len(arguments))

@@ -46,19 +46,18 @@ class Run:
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3).
+        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3)."""
+        return polar_errors(self.state, self.pose)
 
-        An estimate with R below zero counts as the same place said with a positive R.
-        """
-        x, y, heading = self.pose.T
-        R, theta = self.state[:, 0], self.state[:, 1]
-        return np.column_stack(
-            [
-                np.abs(R) - np.hypot(x, y),
-                wrap(theta + np.pi * (R < 0) - np.arctan2(y, x)),
-                wrap(self.state[:, 2] - heading),
-            ]
-        )
+
+def polar_errors(state: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return estimates (k, 3 or more) minus true poses (k, 3) of R [m], theta, alpha [rad]: (k, 3).
+
+    An estimate with R below zero counts as the same place said with a positive R.
+    """
+    (x, y, heading), (R, theta, alpha) = pose.T, state[:, :POLAR].T
+    away, direction = np.abs(R) - np.hypot(x, y), theta + np.pi * (R < 0) - np.arctan2(y, x)
+    return np.column_stack([away, wrap(direction), wrap(alpha - heading)])
 
 
 def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings) -> Run:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from homeward.drives.text.settings import validated
-from homeward.studies.blocks.finish import Where
-from homeward.studies.blocks.store import BlockStore
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.layouts import (
     LayoutSettings,
     Outcome,
@@ -66,29 +65,15 @@ def layout_settings(
     return validated(LayoutSettings, {**own, "paper": validated(PaperSettings, paper)})
 
 
-def study_layouts(
-    settings: LayoutSettings,
-    store: BlockStore,
-    where: Where,
-    progress: Callable[[float], None] | None = None,
-) -> LayoutStudy:
+def study_layouts(settings: LayoutSettings, work: Work) -> LayoutStudy:
     """Compute what the store does not hold yet, and return all of it."""
-
-    def part(begin: float, end: float) -> Callable[[float], None]:
-        def tell(fraction: float) -> None:
-            if progress is not None:
-                progress(begin + (end - begin) * fraction)
-
-        return tell
-
-    grid = ask(store, grid_questions(settings), where, part(0.0, 0.5))
-    bounds = ask(store, bound_questions(settings), where, part(0.5, 0.7))
-    varied = ask(store, varied_questions(settings), where, part(0.7, 0.85))
-    starts = settings.axis("initial_error")
+    grid = ask(work.part(0.0, 0.5), grid_questions(settings))
+    bounds = ask(work.part(0.5, 0.7), bound_questions(settings))
+    varied = ask(work.part(0.7, 0.85), varied_questions(settings))
+    starts, rest = settings.axis("initial_error"), work.part(0.85, 1.0)
     found = {}
     for k, start in enumerate(starts):
         paper = settings.read(settings.readings("2")[0]._replace(initial_error=start))
         own = settings.model_copy(update={"paper": paper})
-        width = 0.15 / len(starts)
-        found[start] = search(own, store, where, part(0.85 + k * width, 0.85 + (k + 1) * width))
+        found[start] = search(own, rest.part(k / len(starts), (k + 1) / len(starts)))
     return LayoutStudy(settings, grid, bounds, varied, found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from itertools import product
@@ -21,7 +21,7 @@ from pydantic import Field
 
 from homeward.drives.drive import NonNegative, Positive, Strict
 from homeward.drives.text.settings import validated
-from homeward.studies.blocks.finish import Where, finish
+from homeward.studies.blocks.finish import Work
 from homeward.studies.blocks.store import Arrays, BlockStore
 from homeward.studies.paper.cases import FILTERS, draw, run_filter
 from homeward.studies.paper.many import Errors, errors_over, run_many
@@ -224,18 +224,12 @@ def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
     return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
 
 
-def ask(
-    store: BlockStore,
-    questions: Mapping[Any, Question],
-    where: Where,
-    progress: Callable[[float], None] | None = None,
-) -> dict[Any, Outcome]:
+def ask(work: Work, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
     """Answer questions, block by block; what the store holds already is not computed again."""
     blocks = {label: question.blocks() for label, question in questions.items()}
-    everything = {name: b for some in blocks.values() for name, b in some.items()}
-    finish(store, run_block, everything, where, progress)
+    work.finish(run_block, {name: b for some in blocks.values() for name, b in some.items()})
     return {
-        label: _outcome(questions[label].names, [store.load(name) for name in some])
+        label: _outcome(questions[label].names, [work.store.load(name) for name in some])
         for label, some in blocks.items()
     }
 

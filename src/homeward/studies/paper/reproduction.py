@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.studies.blocks.finish import Where
-from homeward.studies.blocks.store import BlockStore
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.cases import FILTERS, Run, draw, run_filter
 from homeward.studies.paper.layouts import Outcome, Question, ask
 from homeward.studies.paper.settings import PaperSettings
@@ -37,15 +35,10 @@ class Reproduction:
     shown: dict[CaseName, Shown]
 
 
-def reproduce(
-    settings: PaperSettings,
-    store: BlockStore,
-    where: Where | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Reproduction:
+def reproduce(settings: PaperSettings, work: Work) -> Reproduction:
     """Run the paper's Cases 1 to 4 with its filters over random layouts."""
     asked = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
-    outcomes = ask(store, asked, where or Where(), progress)
+    outcomes = ask(work, asked)
     shown = {case: _shown(case, settings, outcomes[case]) for case in CASES}
     return Reproduction(settings, outcomes, shown)
 

@@ -22,6 +22,7 @@ from homeward.drives.drive import (
 from homeward.estimator import Status
 from homeward.frames import Polar, Pose, bearing, from_polar, polar_covariance_to_pose, to_polar
 from homeward.registry import make_estimator
+from homeward.studies.paper.cases import polar_errors
 from homeward.studies.paper.many import Errors, errors_over
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
@@ -71,13 +72,13 @@ def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
     printed, assumed = settings.printed, settings.assumed
     estimator = make_estimator("robust", drive_of(world, settings))
     speed, dt, pose = printed.speed_cm / 100, printed.sample_time, world.start
-    errors: list[np.ndarray] = []
+    answers: list[Polar] = []
     poses: list[Pose] = []
     for k, visible in enumerate(world.visible):
         answer = estimator.estimate(k * dt)
         believed = answer.polar
         if believed is not None:
-            errors.append(polar_error(believed, pose))
+            answers.append(believed)
             poses.append(pose)
         twist = Twist(speed, assumed.circle_turn_rate)
         if case != "4":
@@ -92,18 +93,12 @@ def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
         if sightings:
             estimator.bearings((k + 1) * dt, sightings)
     distance = np.array([np.hypot(pose.x, pose.y)])
-    if not errors:
+    if not answers:
         nothing = np.full((1, 3), np.nan)
         return Errors(nothing, nothing[:, 0], nothing, distance)
-    return replace(errors_over(np.array(errors), np.array(poses)), final_distance=distance)
-
-
-def polar_error(believed: Polar, true: Pose) -> np.ndarray:
-    """Return estimate minus truth of R [m], theta, alpha [rad], shape (3,)."""
-    at = to_polar(true)
-    return np.array(
-        [believed.R - at.R, wrap(believed.theta - at.theta), wrap(believed.alpha - at.alpha)]
-    )
+    true = np.array(poses)
+    errors = polar_errors(np.array(answers, float), true)
+    return replace(errors_over(errors, true), final_distance=distance)
 
 
 def bound_errors(case: CaseName, world: World, settings: PaperSettings) -> Errors:

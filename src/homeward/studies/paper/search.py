@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 
-from homeward.studies.blocks.finish import Where
-from homeward.studies.blocks.store import BlockStore
+from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.layouts import LayoutSettings, Outcome, Question, ask, changed
 from homeward.studies.paper.world import CaseName
 
@@ -76,29 +76,23 @@ def cost(pi_ekf: np.ndarray, ekf: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(np.median(ratio, axis=0)))))
 
 
-def search(
-    settings: LayoutSettings,
-    store: BlockStore,
-    where: Where,
-    progress: Callable[[float], None] | None = None,
-) -> Search:
+def search(settings: LayoutSettings, work: Work) -> Search:
     """Search the best Pi and M from the start of `settings.paper`.
 
     With Pi times the identity one number is searched, otherwise gains of their own for each kind of
     state. The first `searched` layouts choose, the next as many judge.
     """
-    rounds = _Rounds(settings, store, where, progress)
+    rounds = _Rounds(settings, work)
     ekf = rounds.reference()
     one, another, *free = FAMILIES
-    tried = rounds.costs([(f, g, FAMILIES[f]) for f in (one, another) for g in SCALES], ekf)
+    tried = rounds.costs(list(product((one, another), SCALES, SEARCHED)), ekf)
     rng = np.random.default_rng(0)
     drawn = [_draw(rng) for _ in range(DRAWN)]
     for family in free:
-        M = FAMILIES[family]
-        found = rounds.costs([(family, g, M) for g in drawn], ekf)
+        found = rounds.costs(list(product((family,), drawn, SEARCHED)), ekf)
         for width in (0.5, 0.2):
-            near = [(family, _near(rng, t.Pi, width), M, t.case) for t in _leaders(found)]
-            found += rounds.costs_of(near, ekf)
+            near = [(family, _near(rng, t.Pi, width), t.case) for t in _leaders(found)]
+            found += rounds.costs(near, ekf)
         tried += found
     return Search(tuple(tried), tuple(rounds.judge(tried)))
 
@@ -108,15 +102,8 @@ class _Rounds:
 
     NUMBER = 9
 
-    def __init__(
-        self,
-        settings: LayoutSettings,
-        store: BlockStore,
-        where: Where,
-        progress: Callable[[float], None] | None,
-    ) -> None:
-        self._settings, self._store, self._where = settings, store, where
-        self._progress, self._done = progress, 0
+    def __init__(self, settings: LayoutSettings, work: Work) -> None:
+        self._settings, self._work, self._done = settings, work, 0
         self._n = min(settings.searched, settings.layouts)
 
     def reference(self) -> dict[CaseName, np.ndarray]:
@@ -128,25 +115,16 @@ class _Rounds:
 
     def costs(
         self,
-        gains: Sequence[tuple[str, float | Gains, Integral]],
+        gains: Sequence[tuple[str, float | Gains, CaseName]],
         ekf: dict[CaseName, np.ndarray],
     ) -> list[Tried]:
-        """Return the costs of gains in every case."""
-        return self.costs_of([(*g, case) for g in gains for case in SEARCHED], ekf)
-
-    def costs_of(
-        self,
-        gains: Sequence[tuple[str, float | Gains, Integral, CaseName]],
-        ekf: dict[CaseName, np.ndarray],
-    ) -> list[Tried]:
-        """Return the costs of gains, each in its case."""
-        n = self._n
+        """Return the costs of gains of a family, each in its case."""
         answers = self._ask(
-            {i: self._question(Pi, M, case, n) for i, (_, Pi, M, case) in enumerate(gains)}
+            {i: self._question(Pi, FAMILIES[f], c, self._n) for i, (f, Pi, c) in enumerate(gains)}
         )
         return [
-            Tried(family, case, Pi, M, cost(answers[i].of("PI-EKF"), ekf[case]))
-            for i, (family, Pi, M, case) in enumerate(gains)
+            Tried(family, case, Pi, FAMILIES[family], cost(answers[i].of("PI-EKF"), ekf[case]))
+            for i, (family, Pi, case) in enumerate(gains)
         ]
 
     def judge(self, tried: list[Tried]) -> list[Best]:
@@ -175,11 +153,8 @@ class _Rounds:
         return Question(paper, case, ("PI-EKF",), layouts)
 
     def _ask(self, asked: Mapping[Any, Question]) -> dict[Any, Outcome]:
-        def tell(fraction: float) -> None:
-            if self._progress is not None:
-                self._progress((self._done + fraction) / self.NUMBER)
-
-        answers = ask(self._store, asked, self._where, tell)
+        part = self._work.part(self._done / self.NUMBER, (self._done + 1) / self.NUMBER)
+        answers = ask(part, asked)
         self._done += 1
         return answers
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import InputError, needs_extra
-from homeward.studies.blocks.finish import Where, finish
+from homeward.studies.blocks.finish import Work
 from homeward.studies.blocks.store import BlockStore, our_version
 from homeward.studies.study.plan import Plan, block_name
 from homeward.studies.study.quantities import FAILURE, RUN, SERIES
@@ -66,32 +65,16 @@ def open_study(plan: Plan, folder: Path) -> BlockStore:
     return BlockStore(folder, settings, MARKER)
 
 
-def run_study(
-    plan: Plan,
-    store: BlockStore,
-    where: Where,
-    progress: Callable[[float], None] | None = None,
-) -> Results:
+def run_study(plan: Plan, work: Work) -> Results:
     """Compute what is left of a study, and return all of it.
-
-    Parameters
-    ----------
-    plan : Plan
-        What to compute.
-    store : BlockStore
-        Of `open_study`; holds what is finished.
-    where : Where
-        Which workers.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
 
     Raises
     ------
     HomewardError
-        As `homeward.studies.blocks.finish.finish`.
+        As `homeward.studies.blocks.finish.Work.finish`.
     """
-    finish(store, run_block, plan.blocks(), where, progress)
-    return _gather(plan, store)
+    work.finish(run_block, plan.blocks())
+    return _gather(plan, work.store)
 
 
 def _gather(plan: Plan, store: BlockStore) -> Results:
