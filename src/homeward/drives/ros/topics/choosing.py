@@ -43,9 +43,10 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
     bearings = told.bearings or _guess_bearings(survey, home, types)
     truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(_with_camera(survey, topic) for topic in bearings)
-    _check(survey, odometry, bearings, home, truth, types)
     given = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
-    return told.model_copy(update={k: v for k, v in given.items() if v})
+    plan = told.model_copy(update={k: v for k, v in given.items() if v})
+    _check(survey, plan, types)
+    return plan
 
 
 def _guess_odometry(survey: Survey) -> OdometryTopic | None:
@@ -102,23 +103,18 @@ def _has(survey: Survey, name: str, kind: str) -> bool:
     return any(t.name == name and t.type == kind and t.count for t in survey.topics)
 
 
-def _check(
-    survey: Survey,
-    odometry: OdometryTopic | None,
-    bearings: tuple[BearingsTopic, ...],
-    home: HomeFrom | None,
-    truth: TruthTopic | None,
-    types: tuple[str, ...],
-) -> None:
+def _check(survey: Survey, plan: LogSettings, types: tuple[str, ...]) -> None:
     """Refuse topics whose types do not serve."""
-    wanted: list[tuple[str, str | None, tuple[str, ...]]] = [
-        ("odometry", odometry.topic if odometry else None, (*TWISTS, *POSES, JOINT_STATE)),
-        *(("bearings", topic.topic, (*types, *READERS)) for topic in bearings),
-        *(("camera", t.camera, (CAMERA_INFO,)) for t in bearings if isinstance(t.camera, str)),
-        ("home", home.topic if home else None, (BEARINGS,)),
-        ("truth", truth.topic if truth else None, POSES),
+    wanted = [
+        ("odometry", plan.odometry, (*TWISTS, *POSES, JOINT_STATE)),
+        *(("bearings", topic, (*types, *READERS)) for topic in plan.bearings),
+        ("home", plan.home, (BEARINGS,)),
+        ("truth", plan.truth, POSES),
     ]
-    for what, name, serve in wanted:
+    named = [(what, told.topic, serve) for what, told, serve in wanted if told is not None]
+    cameras = (t.camera for t in plan.bearings if isinstance(t.camera, str))
+    named += [("camera", camera, (CAMERA_INFO,)) for camera in cameras]
+    for what, name, serve in named:
         if name is not None and survey.topic(name).type not in serve:
             kind = survey.topic(name).type
             raise InputError(f"{name} is a {kind}, which tells no {what}", survey.log.path)
