@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote, urlparse
 
 import pytest
 from browser import needs_chromium, open_page
@@ -96,6 +97,26 @@ def test_pages_are_found_read_and_left(site, tmp_path, width, dark):
     assert found["scheme"] == ("slate" if dark else "default")
     assert found["wide"][0] <= found["wide"][1]
     assert all(address.startswith("file:") for address in found["fetched"])
+
+
+@needs_chromium
+def test_no_page_scrolls_sideways_on_a_phone_and_none_leads_nowhere(site, tmp_path):
+    pytest.importorskip("websockets", reason="Chromium is told by its own protocol")
+    from studio.chromium import Page
+
+    script = """[document.documentElement.scrollWidth - innerWidth, [...document.querySelectorAll(
+      'a[href]')].map((a) => a.href.split('#')[0]).filter((link) => link.startsWith('file:'))]"""
+    phone = Page(tmp_path, (site / "index.html").as_uri(), width=390, dark=True)
+    try:
+        for page in {*site.rglob("*.html")} - {site / "404.html"}:
+            phone.open(page.as_uri())
+            wider, links = phone.find(script)
+            assert wider <= 0, page
+            gone = [link for link in set(links) if not Path(unquote(urlparse(link).path)).exists()]
+            assert not gone, page
+        assert phone.errors == []
+    finally:
+        phone.close()
 
 
 @needs_chromium

@@ -63,6 +63,14 @@ class Page:
     def reload(self):
         """Load the page again, and wait until it is there: till then nothing can be asked."""
         self.call("Page.reload")
+        self._loaded()
+
+    def open(self, address):
+        """Go to another page, and wait until it is there."""
+        self.call("Page.navigate", url=address)
+        self._loaded()
+
+    def _loaded(self):
         while self._hear().get("method") != "Page.loadEventFired":
             pass
 
