@@ -68,6 +68,12 @@ def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
     assert copied.sightings.t.tolist() == drive.sightings.t.tolist()
 
 
+def test_tables_that_are_no_drive_yet_are_sent_to_import(tmp_path):
+    (tmp_path / "wheels.CSV").write_text("time;speed\n")
+    for place in (tmp_path, tmp_path / "wheels.CSV"):
+        assert "homeward import makes one" in refusal(open_drive, place)
+
+
 def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):
     folder, late = tmp_path / "run", b"home: {during: [0.2, 0.57]}\nbearings_late: 0.05\n"
     drive = open_drive(put(folder, home_csv=None, truth_csv=None, drive_yaml=late))

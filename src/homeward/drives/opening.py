@@ -21,6 +21,8 @@ from homeward.frames import Pose
 
 SAMPLE = "sample"
 """The word for the drive that ships inside the package."""
+TABLES = (".csv", ".tsv")
+"""Files that may be made a drive."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,8 @@ def reader_of(place: Path) -> Reader:
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
         ways = "homeward place tells of it, homeward run DRIVE --place uses it"
         raise InputError(f"a place, not a drive: {ways}", place)
+    if any(file.suffix.lower() in TABLES for file in (place, *place.glob("*"))):
+        raise InputError("no drive yet: homeward import makes one of tables of any columns", place)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
