@@ -1,7 +1,7 @@
 """The camera front-end on images: direction home, honest uncertainty, false accepts, speed.
 
-`python -m benchmarks.vision [--part antworld|chain|route|speed|rooms|strangers ...]` prints the
-figures of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in
+`python -m benchmarks.vision [--part antworld|chain|route|speed|rooms|strangers|light ...]` prints
+the figures of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in
 HOMEWARD_DATA, else in ../shared/data; rooms are rendered here.
 """
 
@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,12 @@ from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 
 CHI_SQUARE_2_95 = 5.991
+SAME = "light as it was"
+LIGHTS = SAME, "exposure", "lamp", "sun"
+"""Of the second picture; home's has a lamp in the middle."""
+TILTS = {"tilt of 2 deg": 0.035, "tilt of 5 deg": 0.087}
+"""Roll and pitch of both pictures, one standard deviation [rad]."""
+LEAST_TILT = 0.005
 ROUTE = Equirectangular(tilt_sigma=0.05)
 
 
@@ -74,23 +82,25 @@ def speed(rounds: int = 15) -> None:
         )
 
 
-def rooms(seeds: int) -> None:
-    """Goals 1 and 5: rendered sparse rooms, three boxes moved since home."""
+def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)) -> None:
+    """Goals 1 and 5: rendered sparse rooms, three boxes moved since home, and perhaps the light."""
     from homeward.simulation.render.room.presets import PLANS
 
-    for width in (1024, 512):
+    for light, width in product(lights, widths):
         errors, sigmas, refused, total = [], [], 0, 0
         for name in PLANS:
             for seed in range(seeds):
-                home, now, truth = rendered(name, seed, width)
+                home, now, truth = rendered(name, seed, width, light)
                 total += 1
-                seen = _compared(home, now)
+                seen = _compared(home, now, TILTS.get(light, LEAST_TILT))
                 if not seen.knows_direction:
                     refused += 1
                     continue
                 errors.append(wrap(np.array([seen.direction, seen.heading]) - truth))
                 sigmas.append(seen.covariance)
-        _print_rooms(f"rooms, {width}x{width // 4}", np.array(errors), np.array(sigmas), refused)
+        _print_rooms(
+            f"rooms, {light}, {width}x{width // 4}", np.array(errors), np.array(sigmas), refused
+        )
 
 
 def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused: int) -> None:
@@ -108,42 +118,67 @@ def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused
     )
 
 
-def strangers(seeds: int) -> None:
+def strangers(seeds: int, light: str) -> None:
     """Goal 5: false accepts between rooms that have nothing in common but kinds of texture."""
     from homeward.simulation.render.room.presets import PLANS
 
     views = [
-        (name, seed, look(rendered(name, seed, 512)[0], Equirectangular()))
+        (name, seed, *(look(p, Equirectangular()) for p in rendered(name, seed, 512, light)[:2]))
         for name in PLANS
         for seed in range(seeds)
     ]
     false = total = 0
-    for k, (name, seed, a) in enumerate(views):
-        for other, other_seed, b in views[:k]:
+    for k, (name, seed, a, changed) in enumerate(views):
+        for other, other_seed, b, _ in views[:k]:
             if (name, seed) == (other, other_seed):
                 continue
             total += 1
-            if compare(a, b, Equirectangular()).accepted:
+            if compare(b, a if light == SAME else changed, Equirectangular()).accepted:
                 false += 1
                 print(f"  false accept: {name} {seed}, {other} {other_seed}")
-    print(f"unrelated rooms: {false} false accepts of {total} ({false / total:.2%}, goal 0.5 %)")
+    print(
+        f"unrelated rooms, {light}: {false} false accepts of {total} ({false / total:.2%}, "
+        "goal 0.5 %)"
+    )
 
 
-def _compared(home: np.ndarray, now: np.ndarray) -> Comparison:
-    camera = Equirectangular(tilt_sigma=0.005)
+def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Comparison:
+    camera = Equirectangular(tilt_sigma=tilt_sigma)
     return compare(look(home, camera), look(now, camera), camera)
 
 
+def relit(scenario: Any, light: str) -> Any:
+    """Return a scenario whose light is another one than when home was stored."""
+    from homeward.simulation.render.room.light import Light, Lighting, Sun
+
+    changes: dict[str, Any] = {"home_light": Lighting()}
+    outline, home = np.array(scenario.room.outline), scenario.home
+    if light == "exposure":
+        changes["camera"] = scenario.camera.model_copy(update={"exposure_sigma": 0.5})
+    if light == "lamp":  # in a corner
+        x, y = (outline[0] + 0.2 * (np.array([home.x, home.y]) - outline[0])).tolist()
+        changes["lights"] = (Light(at=(x, y, 0.8 * scenario.room.height), power=1.5),)
+    if light == "sun":  # through the longest wall
+        along = np.roll(outline, -1, axis=0) - outline
+        wall = int(np.hypot(*along.T).argmax())
+        outwards = math.atan2(-along[wall, 0], along[wall, 1])
+        middle = math.hypot(*along[wall]) / 2
+        changes["sun"] = Sun(wall=wall, along=middle, azimuth=outwards + 0.4, elevation=0.5)
+    return scenario.model_copy(update=changes)
+
+
 @cache
-def rendered(name: str, seed: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rendered(
+    name: str, seed: int, width: int, light: str = SAME
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a room's home image, one from up to 3 m away, and true direction and heading."""
     from homeward.frames import Polar, from_polar
     from homeward.simulation.render.eye import Eye
     from homeward.simulation.render.room.presets import room
 
-    scenario = room(name, seed, distance=(0.3, 3.0))
+    scenario = relit(room(name, seed, distance=(0.3, 3.0)), light)
     camera = scenario.camera.model_copy(
-        update={"width": width, "height": width // 4, "tilt_sigma": 0.005}
+        update={"width": width, "height": width // 4, "tilt_sigma": TILTS.get(light, LEAST_TILT)}
     )
     eye = Eye(scenario.model_copy(update={"camera": camera}))
     start = eye.scenario.start
@@ -170,8 +205,11 @@ def main() -> None:
         "chain": lambda _: chained(Grid()),
         "route": lambda _: route(),
         "speed": lambda _: speed(),
-        "rooms": lambda o: rooms(o.seeds),
-        "strangers": lambda o: strangers(o.seeds),
+        "rooms": lambda o: rooms(o.seeds, [SAME]),
+        "strangers": lambda o: strangers(o.seeds, SAME),
+        "light": lambda o: rooms(o.seeds, LIGHTS, [1024]),
+        "tilt": lambda o: rooms(o.seeds, list(TILTS), [1024]),
+        "light-strangers": lambda o: strangers(o.seeds, "sun"),
     }
     parser.add_argument("--part", nargs="*", default=list(parts), choices=list(parts))
     options = parser.parse_args()

@@ -163,6 +163,37 @@ def test_shadows_fall_behind_a_box():
     assert (shaded <= without + 1e-6).all()
 
 
+SUN = {"wall": 0, "along": 3.0, "height": 1.4, "size": [1.0, 0.8], "azimuth": -1.5708}
+
+
+def test_the_sun_comes_in_by_its_window_alone():
+    """Due south at 45 deg: the patch on the floor is the window, moved by its height."""
+    sun = SUN | {"elevation": math.pi / 4}
+    floor = [build_scene(scenario(**more)).light[0] for more in ({}, {"sun": sun})]
+    brighter = floor[1] > cv2.resize(floor[0], (64, 64)) + 0.5
+    up, across = np.argwhere(brighter).T
+    step = np.array([6.0, 4.0]) / 63
+    assert across.min() * step[0] == pytest.approx(2.5, abs=0.1)
+    assert across.max() * step[0] == pytest.approx(3.5, abs=0.1)
+    assert up.min() * step[1] == pytest.approx(1.0, abs=0.1)
+    assert up.max() * step[1] == pytest.approx(1.8, abs=0.1)
+
+
+def test_a_box_in_the_sun_casts_a_shadow():
+    sun = SUN | {"elevation": math.pi / 4}
+    free, shaded = (
+        build_scene(scenario(sun=sun, boxes=crate(at=[x, 0.9]))).light[0] for x in (5.5, 3.0)
+    )
+    assert (shaded > free[32, 0] + 0.5).sum() < 0.7 * (free > free[32, 0] + 0.5).sum()
+
+
+def test_light_when_home_was_stored_is_another():
+    made = scenario(ambient=0.9, sun=SUN, home_light={"ambient": 0.2})
+    now, then = build_scene(made), build_scene(made, at_home=True)
+    assert now.light.min() - then.light.min() == pytest.approx(0.7, abs=0.02)
+    assert then.light.max() < now.light.max() - 1
+
+
 @pytest.mark.parametrize("name", PLANS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rooms_hold_what_they_say_and_leave_the_way_free(name, seed):
@@ -212,6 +243,8 @@ def test_furnishing_twice_changes_nothing():
         ({"movers": {"m": {"path": []}}}, "path"),
         ({"movers": {"m": {"path": [[50, 50]]}}}, "outside the room"),
         ({"lights": [{"at": [1, 1, 7]}]}, "lights.0"),
+        ({"home_light": {"lights": [{"at": [1, 1, 7]}]}}, "home_light.lights.0"),
+        ({"sun": SUN | {"wall": 7}}, "sun.wall: the room has 4 walls"),
         (
             {
                 "boxes": {"x": {"at": [1, 1], "size": [1, 1, 1]}},

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely import Polygon, contains_xy
 
+from homeward.drives.cameras.camera import unit_vectors
 from homeward.simulation.render.rays.raycast import Viewpoint
 from homeward.simulation.render.rays.surfaces import (
     Skin,
@@ -18,8 +19,9 @@ from homeward.simulation.render.rays.surfaces import (
     rectangle,
     upright,
 )
-from homeward.simulation.render.room.settings import Light, Mover, RenderScenario
-from homeward.simulation.render.shading.lighting import bake, shine
+from homeward.simulation.render.room.light import Light, Lighting
+from homeward.simulation.render.room.settings import Mover, RenderScenario
+from homeward.simulation.render.shading.lighting import FAR, Lamp, bake, shine
 from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
 POSTER_GAP = 0.002
@@ -42,10 +44,11 @@ class Scene:
     """Names of everything that surfaces belong to, movers last."""
     still: Surfaces
     light: np.ndarray
-    """(surfaces, GRID, GRID), brightness at a grid of places on each, rows along `up`."""
+    """(surfaces, g, g), brightness at a grid of places on each, rows along `up`."""
     textures: tuple[Texture, ...]
     atlas: Atlas
-    lights: tuple[Light, ...]
+    lamps: tuple[Lamp, ...]
+    ambient: float
 
     def at(self, t: float, view: Viewpoint) -> tuple[Surfaces, np.ndarray]:
         """Return all surfaces and their light, movers where they are at time `t` [s].
@@ -55,7 +58,7 @@ class Scene:
         people = self._people(t, view)
         if people is None:
             return self.still, self.light
-        shone = shine(people, self.lights)
+        shone = shine(people, self.lamps, self.ambient)
         return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
 
     def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
@@ -104,16 +107,18 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
             stand.at, stand.yaw, box.size, box.base, skin, names.index(name), _seed(scenario, name)
         )
     still = Surfaces.joined(parts)
-    lights = scenario.lights or (_lamp(scenario),)
+    light = scenario.light(at_home)
+    lamps = _lamps(scenario, light)
     return Scene(
         scenario,
         at_home,
         tuple(names),
         still,
-        bake(still, lights),
+        bake(still, lamps, light.ambient),
         tuple(textures),
         build_atlas(tuple(textures)),
-        lights,
+        lamps,
+        light.ambient,
     )
 
 
@@ -274,6 +279,22 @@ def _tags(
         edges = tag.left, tag.right, tag.middle - half, tag.middle + half
         parts.append(upright(*edges, skin, names.index(tag.thing)))
     return parts
+
+
+def _lamps(scenario: RenderScenario, light: Lighting) -> tuple[Lamp, ...]:
+    """Return everything that shines: lamps, and the sun."""
+    lamps = [Lamp(np.array(lamp.at), lamp.power) for lamp in light.lights or (_lamp(scenario),)]
+    if (sun := light.sun) is not None:
+        outline = np.array(scenario.room.outline)
+        a, b = outline[sun.wall], outline[(sun.wall + 1) % len(outline)]
+        along, half = (b - a) / math.dist(a, b), np.array(sun.size) / 2
+        left, right = (a + (sun.along + side * half[0]) * along for side in (-1, 1))
+        edges = left, right, sun.height - half[1], sun.height + half[1]
+        window = upright(*edges, Skin(0, None), 0)
+        towards = unit_vectors(np.array(sun.azimuth), np.array(sun.elevation))
+        middle = window.at(np.array([0.5]), np.array([0.5]))[0, 0]
+        lamps.append(Lamp(middle + FAR * towards, sun.power, window))
+    return tuple(lamps)
 
 
 def _lamp(scenario: RenderScenario) -> Light:

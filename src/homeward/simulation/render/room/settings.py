@@ -10,14 +10,12 @@ from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.simulation.render.room.camera import RoomCamera
+from homeward.simulation.render.room.light import Length, Lighting, Where
 from homeward.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
 TextureName = Literal[
     "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
 ]
-Length = Annotated[float, Field(ge=0.01, le=1000.0)]
-"""[m]"""
-Where = Annotated[float, Field(ge=-1e4, le=1e4)]
 Place = tuple[Where, Where]
 """x, y in room coordinates [m]."""
 
@@ -104,14 +102,6 @@ class Mover(Strict):
     texture: TextureName = "cloth"
 
 
-class Light(Strict):
-    """A lamp without a shape."""
-
-    at: tuple[Where, Where, Where]
-    """x, y, height [m]."""
-    power: Positive = 1.0
-
-
 class Furnish(Strict):
     """What is put into the room by chance, beside what is listed."""
 
@@ -139,7 +129,7 @@ class Tags(Strict):
     """Of the middle of those [m]."""
 
 
-class RenderScenario(Course):
+class RenderScenario(Course, Lighting):
     """Everything that makes an image drive; the same one always makes the same images."""
 
     room: Walls
@@ -148,13 +138,17 @@ class RenderScenario(Course):
     posters: dict[str, Poster] = Field(default_factory=dict)
     movers: dict[str, Mover] = Field(default_factory=dict)
     tags: Tags | None = None
-    lights: tuple[Light, ...] = ()
-    """None: one under the middle of the ceiling."""
+    home_light: Lighting | None = None
+    """When home was stored; None: as now."""
     camera: RoomCamera = RoomCamera()
     home_time: Finite = -100.0
     """When the home image was taken [s]; movers were elsewhere then."""
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
     """`bearings` counts images."""
+
+    def light(self, at_home: bool) -> Lighting:
+        """Return the light of the drive, or that when home was stored."""
+        return self.home_light if at_home and self.home_light is not None else self
 
     @property
     def view(self) -> float:
@@ -190,7 +184,13 @@ class RenderScenario(Course):
         for name, mover in self.movers.items():
             if not contains_xy(floor, mover.path).all():
                 raise ValueError(f"movers.{name}: outside the room")
-        for i, light in enumerate(self.lights):
-            if not contains_xy(floor, *light.at[:2]) or not 0 < light.at[2] < self.room.height:
-                raise ValueError(f"lights.{i}: outside the room")
+        times: dict[str, Lighting] = {"": self}
+        if self.home_light is not None:
+            times["home_light."] = self.home_light
+        for key, light in times.items():
+            for i, lamp in enumerate(light.lights):
+                if not contains_xy(floor, *lamp.at[:2]) or not 0 < lamp.at[2] < self.room.height:
+                    raise ValueError(f"{key}lights.{i}: outside the room")
+            if light.sun is not None and light.sun.wall >= len(outline):
+                raise ValueError(f"{key}sun.wall: the room has {len(outline)} walls")
         return self

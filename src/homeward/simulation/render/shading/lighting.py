@@ -1,51 +1,73 @@
-"""Light on surfaces: a share from everywhere, lamps by Lambert's law, and the shadows they cast."""
+"""Light on surfaces: a share from everywhere, lamps by Lambert's law, and the shadows they cast.
+
+The sun is a lamp far away that shines through a window alone: from outside, walls are not seen.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.simulation.render.rays.raycast import Viewpoint, trace
 from homeward.simulation.render.rays.surfaces import Surfaces
-from homeward.simulation.render.room.settings import Light
 
-GRID = 16
-"""Light is known at so many places along each side of a surface, and smooth between them."""
-AMBIENT = 0.45
-"""Light from everywhere, beside which one lamp gives up to about 1."""
+GRID, SUN_GRID = 16, 64
+"""Light is known at so many places along each side of a surface, and smooth between them; where the
+sun draws edges, at so many."""
 REACH = 2.5
 """A lamp's light has fallen to half at this distance [m]."""
+FAR = 100.0
+"""The sun is so far away [m]."""
+NEAR_SURFACE = 1e-4
+"""Light reaches a place that is met but for this share of its way: the place is on a surface."""
 
 
-def bake(surfaces: Surfaces, lights: Sequence[Light]) -> np.ndarray:
+@dataclass(frozen=True)
+class Lamp:
+    """A point that shines."""
+
+    at: np.ndarray
+    """(3,) [m]"""
+    power: float
+    window: Surfaces | None = None
+    """The sun's: one rectangle, seen from outside; its light does not fall with the distance."""
+
+
+def bake(surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float) -> np.ndarray:
     """Return the light on surfaces with the shadows that they cast on each other.
 
     Returns
     -------
-    ndarray, shape (n, GRID, GRID), float32
+    ndarray, shape (n, g, g), float32
         Rows along `up`, columns along `right`.
     """
-    return _light(surfaces, lights, surfaces)
+    return _light(surfaces, lamps, ambient, surfaces)
 
 
-def shine(surfaces: Surfaces, lights: Sequence[Light]) -> np.ndarray:
+def shine(surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float) -> np.ndarray:
     """Return the light on surfaces as if nothing cast shadows; as `bake`."""
-    return _light(surfaces, lights, None)
+    return _light(surfaces, lamps, ambient, None)
 
 
-def _light(surfaces: Surfaces, lights: Sequence[Light], casting: Surfaces | None) -> np.ndarray:
-    b, a = np.mgrid[0 : 1 : GRID * 1j, 0 : 1 : GRID * 1j].reshape(2, -1)
+def _light(
+    surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None
+) -> np.ndarray:
+    grid = SUN_GRID if any(lamp.window is not None for lamp in lamps) else GRID
+    b, a = np.mgrid[0 : 1 : grid * 1j, 0 : 1 : grid * 1j].reshape(2, -1)
     places, normal = surfaces.at(a, b), surfaces.normal
-    total = np.full(places.shape[:2], AMBIENT)
-    for light in lights:
-        towards = np.asarray(light.at) - places
+    total = np.full(places.shape[:2], ambient)
+    for lamp in lamps:
+        towards, seen = lamp.at - places, Viewpoint(lamp.at, np.eye(3))
         distance = np.maximum(np.linalg.norm(towards, axis=-1), 1e-6)
-        slant = np.maximum(np.einsum("nmi,ni->nm", towards, normal) / distance, 0.0)
-        lit = light.power * slant / (1.0 + (distance / REACH) ** 2)
-        if casting is not None:
-            lamp = Viewpoint(np.asarray(light.at, float), np.eye(3))
-            # Just short of the place itself, which is on a surface.
-            lit *= trace(casting, lamp, -towards).distance > 0.999
+        lit = lamp.power * np.maximum(np.einsum("nmi,ni->nm", towards, normal) / distance, 0.0)
+        if lamp.window is None:
+            lit /= 1.0 + (distance / REACH) ** 2
+        else:
+            lit *= trace(lamp.window, seen, -towards).surface >= 0
+        if casting is not None and lit.any():
+            bright = lit > 0
+            lit[bright] *= trace(casting, seen, -towards[bright]).distance > 1.0 - NEAR_SURFACE
         total += lit
-    return total.reshape(-1, GRID, GRID).astype(np.float32)
+    return total.reshape(-1, grid, grid).astype(np.float32)

@@ -12,7 +12,6 @@ from homeward.simulation.render.rays.raycast import Rays, Viewpoint, cast, point
 from homeward.simulation.render.rays.surfaces import Surfaces
 from homeward.simulation.render.room.camera import RoomCamera
 from homeward.simulation.render.scene import Scene
-from homeward.simulation.render.shading.lighting import GRID
 from homeward.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
 
@@ -184,13 +183,14 @@ def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> 
 
 def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
     """Return the light that falls on each sample, float32."""
-    scale = ((GRID - 1) / surfaces.tiles).astype(np.float32)
-    first = -surfaces.offset * (GRID - 1) / surfaces.tiles
-    first[:, 1] += GRID * np.arange(len(first))
+    grid = light.shape[1]
+    scale = ((grid - 1) / surfaces.tiles).astype(np.float32)
+    first = -surfaces.offset * (grid - 1) / surfaces.tiles
+    first[:, 1] += grid * np.arange(len(first))
     first = first.astype(np.float32)
     x = rays.across * scale[:, 0].take(rays.surface) + first[:, 0].take(rays.surface)
     y = rays.along * scale[:, 1].take(rays.surface) + first[:, 1].take(rays.surface)
-    return _looked_up(light.reshape(-1, GRID), x, y)
+    return _looked_up(light.reshape(-1, grid), x, y)
 
 
 def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
