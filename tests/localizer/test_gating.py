@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from homeward.localizer.map import gating as gate
+from homeward.localizer.map.state import HEAD, Prediction
+from homeward.localizer.motion.preintegration import NC, Motion
 
 
 def consistent_subset(residual, spread, most, likely=None):
@@ -93,3 +95,39 @@ def test_a_third_that_differs_is_left_out(m):
 
 def test_where_nothing_can_be_told_all_agree():
     assert consistent_subset(np.ones(3), -np.eye(3), 4.0, np.ones(3, bool)).all()
+
+
+def ahead(residual, sigma=0.01):
+    """Bearings of landmarks all round, 3 m away, that are off by `residual` (m,) [rad]."""
+    m = residual.size
+    angle = 2.0 * np.pi * np.arange(m) / m
+    jacobian = np.zeros((m, HEAD + 2))
+    jacobian[:, HEAD:] = np.stack([-np.sin(angle), np.cos(angle)], axis=1) / 3.0
+    return Prediction(residual, jacobian, np.zeros((m, HEAD + 2)), sigma**2 * np.eye(m))
+
+
+def by_shift(m, shift):
+    """How far bearings of `ahead` are off where the robot is so much farther along [rad]."""
+    return -shift * ahead(np.zeros(m)).jacobian[:, HEAD]
+
+
+def stands(sigma):
+    """No motion, as uncertain as that [m]."""
+    return Motion(np.zeros(3), np.diag([sigma, sigma, 0.0]) ** 2, np.zeros((3, NC)))
+
+
+def test_a_motion_is_denied_by_all_together_where_none_is_far_off():
+    off = by_shift(12, 0.08)
+    assert np.abs(off).max() < 3.0 * 0.01
+    assert gate.denies_motion(ahead(off), stands(0.0), 0.3)
+    assert not gate.denies_motion(ahead(off), stands(0.08), 0.3)
+    assert not gate.denies_motion(ahead(off[:2]), stands(0.0), 0.3)
+
+
+def test_a_right_motion_is_seldom_denied():
+    rng = np.random.default_rng(0)
+    noise = 0.01 * rng.normal(size=(2000, 10))
+    for sigma in (0.0, 0.1):
+        drawn = noise + by_shift(10, 1.0) * sigma * rng.normal(size=(2000, 1))
+        denied = np.mean([gate.denies_motion(ahead(r), stands(sigma), 0.0) for r in drawn])
+        assert denied < 3.0 * gate.FALSE_ALARM

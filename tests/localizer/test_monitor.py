@@ -39,7 +39,7 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
         for i, n in enumerate(names)
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
-    gated = Gated(frame, drifted(), False, np.zeros((0, 6)), np.zeros(0), None, innovations)
+    gated = Gated(frame, drifted(), False, np.zeros((0, 6)), np.zeros(0), None, innovations, False)
     return monitor.assess_innovations(gated, known())
 
 

@@ -192,15 +192,27 @@ class Chart:
             self._last_accepted = seen.t
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
-        """Gate a frame that was seen after a motion, at a new keyframe where one is due."""
-        new_keyframe = self.map.wants_keyframe(seen.t, motion)
-        if new_keyframe:
-            self.map.add_keyframe(seen.t, motion)
-            self._begin_motion(seen.t, motion)
-        gated = self.map.gate(seen, motion, new_keyframe)
+        """Gate a frame that was seen after a motion, at a new keyframe where one is due.
+
+        One is due, too, where its bearings deny the motion: a robot that stood went all the same.
+        """
+        if self.map.wants_keyframe(seen.t, motion):
+            gated = self._gate_at_keyframe(seen, motion)
+        else:
+            gated = self.map.gate(seen, motion, False)
+            if gated.denies_motion:
+                self.map.take_back()
+                way = motion if motion.path else self.odometry.unknown(seen.t)
+                gated = self._gate_at_keyframe(seen, way)
         if any(gated.fits.values()):
             self._last_accepted = seen.t
         return gated
+
+    def _gate_at_keyframe(self, seen: WeighedFrame, motion: Motion) -> Gated:
+        """Gate a frame at a new keyframe, reached by a motion."""
+        self.map.add_keyframe(seen.t, motion)
+        self._begin_motion(seen.t, motion)
+        return self.map.gate(seen, motion, True)
 
     def _react(
         self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion

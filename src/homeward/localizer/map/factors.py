@@ -45,7 +45,17 @@ class OdometryErrors(NamedTuple):
     information: np.ndarray
     """(k, 3, 3): inverse of the covariance of the error."""
     weight: np.ndarray
-    """(k,): less than one for what is far off, as of sightings: wheels slip, robots are shoved."""
+    """(k,): of `cauchy_weights`: wheels slip, robots are shoved."""
+
+
+def cauchy_weights(squares: np.ndarray) -> np.ndarray:
+    """Weigh motions by their squared Mahalanobis errors: less than one for what is far off.
+
+    As of a Cauchy distribution in three dimensions (Lange, Little and Taylor, "Robust statistical
+    modeling using the t distribution", 1989, of one degree of freedom), so that a motion in which
+    wheels slip tells next to nothing; none counts for more than it says.
+    """
+    return np.asarray(4.0 / np.maximum(1.0 + squares, 4.0))
 
 
 def odometry_errors(
@@ -68,7 +78,7 @@ def odometry_errors(
     jacobian /= size[:, None]
     information = steps[:, INFORMATION].reshape(-1, 3, 3)
     square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
-    return OdometryErrors(error, jacobian, information, 1.0 / np.maximum(square / GATE**2, 1.0))
+    return OdometryErrors(error, jacobian, information, cauchy_weights(square))
 
 
 def add_odometry(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward.estimator import Innovation
 from homeward.localizer.geometry import rotation
@@ -12,7 +13,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.state import HEAD, Prediction
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.tunables import HEAVY_TAIL, MAJORITY, POSE
+from homeward.localizer.tunables import FALSE_ALARM, HEAVY_TAIL, MAJORITY, POSE
 
 FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
@@ -36,6 +37,8 @@ class Gated:
     """Of the landmarks that are mapped ..."""
     innovations: list[Innovation]
     """... and whether they fit that."""
+    denies_motion: bool
+    """Whether those that fit deny the motion since the newest keyframe."""
 
     @property
     def fits(self) -> dict[str, bool]:
@@ -80,6 +83,31 @@ def gate_bearings(
             among.residual, among.innovation_covariance + by_motion, gate, likely
         )
     return accepted, np.sqrt(variance)
+
+
+def denies_motion(prediction: Prediction, motion: Motion, heading: float) -> bool:
+    """Return whether bearings that fit are all the same too far off for a motion to be right.
+
+    Wheels slip, or stand while the robot goes on: a chi-square test of all innovations together.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Of those that fit, from the newest keyframe.
+    motion : Motion
+        Since then.
+    heading : float
+        Where it begins [rad].
+    """
+    count = prediction.residual.size
+    if count < POSE:
+        return False
+    covariance = prediction.innovation_covariance + _from_motion(motion, heading, prediction)
+    try:
+        square = prediction.residual @ np.linalg.solve(covariance, prediction.residual)
+    except np.linalg.LinAlgError:  # nothing can be told
+        return False
+    return bool(square > chdtri(count, FALSE_ALARM))
 
 
 def consistent_subset(

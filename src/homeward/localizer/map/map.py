@@ -11,7 +11,7 @@ from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.geometry import compose
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.map.gating import Gated, gate_bearings
+from homeward.localizer.map.gating import Gated, denies_motion, gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.sightings import (
@@ -166,6 +166,10 @@ class Map:
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
+        self._move_on(t, motion, self._process_noise.core)
+
+    def _move_on(self, t: float, motion: Motion, core: np.ndarray) -> None:
+        """Add a keyframe; see `Smoother.add_keyframe`."""
         smoother = self.smoother
         kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
         full = kept >= self._settings.window
@@ -173,7 +177,7 @@ class Map:
         if self._between and not self._due:
             seen = smoother.predict(np.concatenate(self._between))
             self._due = not self._take(self.state.update(seen))
-        smoother.add_keyframe(t, motion)
+        smoother.add_keyframe(t, motion, core)
         self._taken.clear()
         self._between = []
 
@@ -203,7 +207,12 @@ class Map:
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
-        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations)
+        denies = not new_keyframe and denies_motion(seen.only(accepted), motion, heading)
+        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, denies)
+
+    def take_back(self) -> None:
+        """Take back the frame that was gated last, of which nothing was made yet."""
+        self.smoother.frames.drop_newest()
 
     def inflate(self, gated: Gated) -> bool:
         """Inflate the noise of bearings between keyframes by that of the way; tell if it holds.
@@ -257,7 +266,7 @@ class Map:
         numpy.linalg.LinAlgError
             When nothing can be made of the map any more.
         """
-        self.add_keyframe(frame.t, motion)
+        self._move_on(frame.t, motion, np.ones(2))
         rows, eye, _ = self._rows(frame, Motion.identity())
         self._keep(frame, rows, eye[2] + frame.bearings, {})
         self._correct(None)

@@ -176,13 +176,19 @@ class Smoother:
         eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
-    def add_keyframe(self, t: float, motion: Motion) -> None:
-        """Add a keyframe at `t` [s], reached from the last one by `motion`; the state moves on."""
+    def add_keyframe(self, t: float, motion: Motion, core: np.ndarray) -> None:
+        """Add a keyframe at `t` [s], reached from the last one by `motion`; the state moves on.
+
+        Of most motions the variances of shift and turn are but so many times, `core` (2,), as large
+        as its own; how far this one is off all the same its weight says.
+        """
         self._older = self.poses
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
-        self._steps = np.concatenate([self._steps, step_row(motion)])
+        step = step_row(motion)
+        scale_steps(step, core)
+        self._steps = np.concatenate([self._steps, step])
         self.state = self.state.propagate(motion)
 
     def add_landmark(self, position: np.ndarray) -> int:
@@ -204,11 +210,11 @@ class Smoother:
             scale_noise(rows, factor)
 
     def scale_odometry(self, factors: np.ndarray) -> None:
-        """Let the variances of shift and turn (2,) be so many times as large, of all motions."""
+        """Let variances of shift and turn be so many times as large, (2, 2): of most, of all."""
         for steps in (self._steps, *(part.steps for part in self._closed or [])):
-            scale_steps(steps, factors)
-        self.shift_variances = [float(factors[0] * v) for v in self.shift_variances]
-        self.turn_variances = [float(factors[1] * v) for v in self.turn_variances]
+            scale_steps(steps, factors[0])
+        self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
+        self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
     def odometry_misfit(self) -> Misfit:
         """Compare what the solution leaves of motions with what it is expected to leave."""

@@ -11,17 +11,24 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward.localizer.map import elimination
-from homeward.localizer.map.factors import OdometryErrors
+from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
 from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.tunables import GATE
 
+CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)
+"""Quantiles of the squared Mahalanobis error of a motion."""
 PARTS = (slice(0, 2), slice(2, 3))
 """Of a motion: the way along and across, and the turn."""
 
 
 class Misfit(NamedTuple):
-    """What a solved map leaves of motions, shift and turn apart, each (2,)."""
+    """What a solved map leaves of motions, shift and turn apart, each (2, 2).
+
+    By their weights in the first row; in the second all alike, but for what is absurd.
+    """
 
     squares: np.ndarray
     """Sums of their squares over the variances that are believed."""
@@ -44,17 +51,26 @@ def misfit(
         For the signs.
     """
     covariance = np.linalg.inv(steps.information)
-    squares, redundancies = np.zeros(len(PARTS)), np.zeros(len(PARTS))
+    squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))
+    weight = steps.weight[:, None, None]
     for i, part in enumerate(PARTS):
         root = np.linalg.cholesky(np.linalg.inv(covariance[:, part, part]))
-        root = root.transpose(0, 2, 1) * np.sqrt(steps.weight)[:, None, None]
-        left = root @ steps.error[:, part, None]
+        root = root.transpose(0, 2, 1) * np.sqrt(weight)
+        left = (root @ steps.error[:, part, None]) ** 2
         by_state = root @ steps.jacobian[:, part]
         signs = rng.choice([-1.0, 1.0], left.shape)
-        fitted = _project(equations, by_state, signs)
-        squares[i] = (left**2).sum()
-        redundancies[i] = signs.size - (signs * fitted).sum()
+        free = signs * (signs - _project(equations, by_state, signs))
+        squares[:, i] = (weight * left).sum(), np.minimum(left / weight, GATE**2).sum()
+        redundancies[:, i] = (weight * free).sum(), free.sum()
+    redundancies[0] *= _kept(redundancies[1].sum() / steps.error.size)
     return Misfit(squares, redundancies)
+
+
+def _kept(redundancy: float) -> float:
+    """Return the share that weights leave of the squares of Gaussian motions, so redundant [1]."""
+    left = max(redundancy, 1e-3) * CHI_SQUARES
+    weight = cauchy_weights(left)
+    return float((weight**2 * left).mean() / (weight.mean() * left.mean()))
 
 
 def _project(

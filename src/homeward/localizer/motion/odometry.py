@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -84,7 +85,7 @@ class Odometry:
     def __init__(self, twists: Twists, noise: ProcessNoise) -> None:
         self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
-        self._done = -math.inf
+        self._done = self._since = -math.inf
         self._path_by_bend = np.zeros(BENDS)
         self._path_by_bend[0] = STRAIGHT_BEFORE_M
         self._straightest = 0.0
@@ -98,7 +99,7 @@ class Odometry:
 
     def restart(self, t: float) -> None:
         """Let the motion begin anew at `t` [s]: there is a keyframe now."""
-        self._motion, self._done = Motion.identity(), t
+        self._motion, self._done, self._since = Motion.identity(), t, t
         self._before.clear()
         share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
         straight = int((share >= STRAIGHTEST).argmax())
@@ -135,6 +136,12 @@ class Odometry:
         while len(self._before) > 1 and self._before[1].t <= t - LATE_S:
             self._before.popleft()
         self._integrate(t, calibration)
+
+    def unknown(self, t: float) -> Motion:
+        """Return the motion up to `t` [s], were odometry silent since the last keyframe."""
+        shift, swing = self._motion_prior.variance_growth(0.0, t - self._since)
+        covariance = np.diag([shift, shift, swing])
+        return dataclasses.replace(Motion.identity(), covariance=covariance)
 
     def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] can be taken: no motion up to a later one was used."""

@@ -33,9 +33,10 @@ class ProcessNoise:
     def __init__(self, given: OdometryNoise, default: OdometryDefaults) -> None:
         self._at_first = noise_rates(given, default)
         self._learns = np.array([given.speed_sigma is None, given.turn_sigma is None])
-        self.scales = np.ones(2)
-        """(2,): variances of shift and turn over what was believed at first [1]."""
-        self._squares, self._redundancies = np.zeros(2), np.zeros(2)
+        self.scales = np.ones((2, 2))
+        """Variances of shift and turn over what was believed at first, of most motions (first row)
+        and of all: wheels that slip now and then have a heavy tail [1]."""
+        self._squares, self._redundancies = np.zeros((2, 2)), np.zeros((2, 2))
 
     @property
     def learns(self) -> bool:
@@ -45,12 +46,17 @@ class ProcessNoise:
     @property
     def rates(self) -> np.ndarray:
         """(3, 3), as of `noise_rates`."""
-        return np.asarray(self._at_first * self.scales[[0, 0, 1], None])
+        return np.asarray(self._at_first * self.scales[1, [0, 0, 1], None])
+
+    @property
+    def core(self) -> np.ndarray:
+        """(2,): variances of shift and turn of most motions, over those of all [1]."""
+        return np.asarray(self.scales[0] / self.scales[1])
 
     @property
     def words(self) -> tuple[str, ...]:
         """What the user should know of it."""
-        off = np.sqrt(self.scales)
+        off = np.sqrt(self.scales[1])
         if (np.abs(np.log(off)) < math.log(NOTABLE)).all():
             return ()
         way, turn = off.tolist()
@@ -66,7 +72,7 @@ class ProcessNoise:
 
         Parameters
         ----------
-        squares, redundancies : ndarray, shape (2,)
+        squares, redundancies : ndarray, shape (2, 2)
             Of so many motions; see `Misfit`.
         motions : int
             See above.
@@ -75,12 +81,13 @@ class ProcessNoise:
 
         Returns
         -------
-        ndarray, shape (2,)
-            By how much variances of shift and turn that are kept are to be widened [1].
+        ndarray, shape (2, 2)
+            By how much variances that are kept are to be widened [1].
         """
         share, kept = keyframes / motions, np.exp(-keyframes / NOISE_MEMORY)
-        self._squares = kept * self._squares + share * squares * self.scales
+        self._squares = kept * self._squares + share * squares * self.scales[0]
         self._redundancies = kept * self._redundancies + share * np.maximum(redundancies, 0.0)
         now = (NOISE_PRIOR + self._squares) / (NOISE_PRIOR + self._redundancies)
+        now[1] = np.maximum(now[0], now[1])
         before, self.scales = self.scales, np.where(self._learns, now, 1.0)
         return np.asarray(self.scales / before)
