@@ -31,7 +31,7 @@ test-mcu: install
 	$(BIN)/python -m pytest -n 0 -rs tests/engine/test_export.py -k CortexM4F
 	$(BIN)/python -m benchmarks.mcu
 
-# Real nodes of ROS 2, from PyPI's wheels, in an environment of their own.
+# Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.
 test-ros: install
 	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 0 -rs -s tests/ros
 
@@ -76,4 +76,4 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 clean:
-	rm -rf $(VENV) .venv-ros out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-ros-* out build dist src/*.egg-info

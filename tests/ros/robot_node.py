@@ -26,9 +26,9 @@ from homeward.simulation.live_robot import LiveRobot
 
 
 class RobotNode(Node):
-    def __init__(self, seed):
+    def __init__(self, seed, **more):
         super().__init__("robot")
-        more = {"seed": seed, "landmarks.count": 12, "rates.bearings": 30.0}
+        more = {"seed": seed, "landmarks.count": 12, "rates.bearings": 30.0} | more
         self.robot = LiveRobot(load_scenario("paper-homing", SCENARIO | more))
         self.rolled = Planar(0.0, 0.0, 0.0)
         self.epoch = time.time()
@@ -79,18 +79,21 @@ class RobotNode(Node):
         self.rolled = compose(self.rolled, step)
         self.odometry.publish(message)
         if sensed.seen is not None:
-            array = PoseArray()
-            array.header.stamp, array.header.frame_id = message.header.stamp, "camera"
-            for name in self.robot.world.ids:
-                pose = Pose()  # at the origin: not seen
-                if name in sensed.seen:
-                    pose.position.x = math.cos(sensed.seen[name])
-                    pose.position.y = math.sin(sensed.seen[name])
-                array.poses.append(pose)
-            self.bearings.publish(array)
+            self.look(message.header.stamp, sensed.seen, before)
         moved = math.hypot(self.robot.pose.x - before.x, self.robot.pose.y - before.y)
         line = {"t": sensed.t, "distance": self.robot.distance, "v": moved / self.robot.period}
         print(json.dumps(line), flush=True)
+
+    def look(self, stamp, seen, pose):
+        array = PoseArray()
+        array.header.stamp, array.header.frame_id = stamp, "camera"
+        for name in self.robot.world.ids:
+            pose = Pose()  # at the origin: not seen
+            if name in seen:
+                pose.position.x = math.cos(seen[name])
+                pose.position.y = math.sin(seen[name])
+            array.poses.append(pose)
+        self.bearings.publish(array)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.bearings import SightingRows
+from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.stamps import NANO, seconds
@@ -54,16 +54,23 @@ def odometry_in(message: Any, t: float) -> OdometryIn:
 
 
 def bearings_in(
-    message: Any, t: float, kind: str, told: BearingsTopic, camera: Lens | None
+    message: Any,
+    t: float,
+    kind: str,
+    told: BearingsTopic,
+    camera: Lens | None,
+    eye: Eye | None = None,
 ) -> BearingsIn:
     """Return the bearings in a message of any type of `READERS`, as those in logs are read.
+
+    In one of `PICTURES` it is the eye that sees.
 
     Raises
     ------
     InputError
         When it tells none, or needs a camera model.
     """
-    rows = SightingRows(told, kind, Remarks(), lambda: camera)
+    rows = SightingRows(told, kind, Remarks(), lambda: camera, eye)
     rows.add(t, message)
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]

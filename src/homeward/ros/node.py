@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,14 @@ from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
+from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
-from homeward.drives.ros.measurements.bearings import READERS
+from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS, Eye
 from homeward.drives.ros.measurements.camera import from_camera_info
 from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
+from homeward.drives.ros.messages.decoding import PICTURES
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.drives.text.settings import read_settings, validated
@@ -35,12 +39,14 @@ from homeward.live.messages import (
     EStop,
     GoHome,
     Input,
+    LookRound,
     MountIs,
     Obstacle,
     Output,
     Reset,
     SavePlace,
     StoreHome,
+    TurnHome,
     line_of,
     parse,
 )
@@ -50,6 +56,7 @@ from homeward.live.settings import LiveSettings
 from homeward.live.visiting import visiting
 from homeward.one_thread import one_thread
 from homeward.ros import conversions as convert
+from homeward.ros.newest import Newest
 
 JSON = "std_msgs/msg/String"
 """The type of bearings as JSON."""
@@ -62,6 +69,8 @@ PARAMETERS: dict[str, Any] = {
     "bearings_type": "geometry_msgs/msg/PoseArray",
     "bearings_axes": "",
     "bearing_sigma": 0.0,
+    "tags": "36h11",
+    "camera": "",
     "camera_info_topic": "",
     "rectified": False,
     "camera_frame": "",
@@ -98,6 +107,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
         self._camera: Lens | None = None
+        self._eye: Eye | None = None
+        """Of pictures."""
+        self._pictures: Newest[BearingsIn] | None = None
         self._transforms = Transforms()
         self._awaited: MountFrames | None = None
         """Whose transform is not there yet; until then bearings are left out."""
@@ -116,8 +128,18 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 robot = read_settings(Path(told("robot")), DriveSettings)
             if told("home"):
                 homes["home"] = read_home(Path(told("home")), {})
-            if told("bearings_type") not in (JSON, *READERS):
-                raise InputError(f"bearings_type: one of {', '.join((JSON, *READERS))}")
+            kinds = (JSON, *READERS, *PICTURES)
+            if told("bearings_type") not in kinds:
+                raise InputError(f"bearings_type: one of {', '.join(kinds)}")
+            self._camera = None
+            if told("camera"):
+                file = Path(told("camera"))
+                self._camera = read_calibration(file.parent, file.name)
+            self._eye = None
+            if told("bearings_type") in PICTURES:
+                from homeward.vision.tags.messages import tag_eye  # the extra vision
+
+                self._eye = tag_eye(told("tags"))
             axes, sigma = told("bearings_axes") or None, told("bearing_sigma") or None
             self._topic = validated(
                 BearingsTopic,
@@ -164,7 +186,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def on_deactivate(self, state: Any) -> Any:
         """Tell the robot to stand, if it was driving home, and listen no more."""
         assert self._session is not None
-        if self._session.homing.active:
+        if self._session.driving:
             self._session.receive(Cancel(), time.monotonic())
             self._tick()
         self._stop()
@@ -208,12 +230,18 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         """Subscribe, and offer services."""
         told = self._told
         kind = told("bearings_type")
+        hear = self._line if kind == JSON else self._bearings
+        if self._eye is not None:
+            seen = self.create_guard_condition(self._guarded(self._seen))
+            self._parts.append((self.destroy_guard_condition, seen))
+            self._pictures, hear = Newest(seen.trigger), self._picture
         topics = [
             ("nav_msgs/msg/Odometry", told("odometry_topic"), self._odometry),
-            (kind, told("bearings_topic"), self._line if kind == JSON else self._bearings),
+            (kind, told("bearings_topic"), hear),
             ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
             (JSON, "~/request", self._line),
             (JSON, "~/store_home", lambda m: self._take(validated(StoreHome, {"name": m.data}))),
+            (JSON, "~/turn_home", lambda m: self._take(validated(TurnHome, {"name": m.data}))),
             (JSON, "~/go_home", lambda m: self._take(validated(GoHome, {"name": m.data}))),
         ]
         if told("camera_info_topic"):
@@ -233,8 +261,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except ImportError:
             self.get_logger().warning("no std_srvs here: ask on ~/request")
             return
-        asked = {"store_home": StoreHome, "go_home": GoHome, "save_place": SavePlace}
-        asked |= {"cancel": Cancel, "reset": Reset}
+        asked = {"store_home": StoreHome, "look_round": LookRound, "turn_home": TurnHome}
+        asked |= {"go_home": GoHome, "save_place": SavePlace, "cancel": Cancel, "reset": Reset}
         services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
         stop = self._service(lambda request: EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):
@@ -244,9 +272,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _guarded(self, callback: Any) -> Any:
         """Return a callback of which an error is told once in the log, and no more."""
 
-        def safely(message: Any) -> None:
+        def safely(*message: Any) -> None:
             try:
-                callback(message)
+                callback(*message)
             except (HomewardError, ValueError) as error:
                 words = str(error).splitlines()[0]
                 if words != self._complained:
@@ -286,9 +314,26 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 self._awaited = None
 
     def _bearings(self, message: Any) -> None:
+        self._take(self._read(message)())
+
+    def _picture(self, message: Any) -> None:
+        assert self._session is not None
+        assert self._pictures is not None
+        if self._pictures.give(self._read(message)):
+            self._session.counts["pictures left out, as newer ones came"] += 1
+
+    def _seen(self) -> None:
+        """Take what was seen in pictures."""
+        while self._pictures is not None and (seen := self._pictures.take()) is not None:
+            self._take(seen)
+
+    def _read(self, message: Any) -> Callable[[], BearingsIn]:
+        """Return what reads the bearings in a message, on whatever thread."""
         self._require_mount()
         t, kind = self._stamps.seconds(message.header.stamp), self._told("bearings_type")
-        self._take(convert.bearings_in(message, t, kind, self._topic, self._camera))
+        if kind in IN_IMAGE and self._camera is None:
+            raise InputError("bearings are left out: nothing on camera_info_topic, and no camera")
+        return partial(convert.bearings_in, message, t, kind, self._topic, self._camera, self._eye)
 
     def _require_mount(self) -> None:
         if self._awaited is not None:
@@ -392,6 +437,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         if self._worker is not None:
             self._worker.join()
         self._worker = None
+        if self._pictures is not None:
+            self._pictures.close()
+        self._pictures = None
         for destroy, part in self._parts:
             destroy(part)
         self._parts.clear()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
@@ -20,17 +18,16 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
-from homeward.drives.ros.measurements.bearings import TWICE, Sighting
+from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.cameras.messages import picture_of
 from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image, span
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
-from homeward.vision.tags.detector import TagDetector
 from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
+from homeward.vision.tags.messages import tag_eye
 
 Tell = Callable[[float], None]
 NO_TAGS = "pictures without a tag"
@@ -92,23 +89,7 @@ def see_tags_in_log(
 
     The camera comes from CameraInfo or the topics file, as for tags that a log has already.
     """
-    detector = TagDetector(family)
-
-    def eye(message: Any, camera: Lens | None) -> Iterator[Sighting]:
-        grey = picture_of(message)
-        height, width = grey.shape
-        if camera is None:  # not told yet: edges are taken to be straight
-            camera = Lens(fx=width, fy=width, cx=width / 2, cy=height / 2)
-        camera.require_shape((height, width))
-        tags = detector.find(grey, camera)
-        for name, corners, sigma in zip(
-            tags.names, tags.corners.tolist(), tags.sigma.tolist(), strict=True
-        ):
-            yield Sighting(name, 0.0, sigma=sigma, corners=tuple(map(tuple, corners)))
-        for name in tags.twice:
-            yield from (Sighting(name, 0.0, corners=((0.0, 0.0),) * 4),) * 2
-
-    return read_log(path, topics, tell, eye)
+    return read_log(path, topics, tell, tag_eye(family))
 
 
 def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:

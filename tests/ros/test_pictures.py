@@ -1,0 +1,57 @@
+"""A robot that hands its pictures to the node: they are seen there, beside everything else."""
+
+import statistics
+import sys
+import time
+from itertools import pairwise
+
+import pytest
+from ros.stage import Stage
+
+
+@pytest.fixture(params=["image", "compressed"])
+def stage(request, ros, tmp_path):
+    (tmp_path / "session.yaml").write_text("bearings_timeout: 0.4\n")
+    stage = Stage(
+        ros,
+        tmp_path,
+        ("picture_node.py", request.param),
+        home=None,  # it turns there
+        session=tmp_path / "session.yaml",
+        bearings_topic="image",
+        bearings_type=f"sensor_msgs/msg/{'Compressed' * (request.param != 'image')}Image",
+        camera_info_topic="camera_info",
+    )
+    yield stage
+    stage.end()
+
+
+def drive_about(stage):
+    """Drive a little and look round, and so on: each tag is seen from several places."""
+    for twist, seconds in (((0.15, 0.3), 4.0), ((0.0, 0.8), 8.0)) * 3:
+        stage.tell(twist=twist)
+        time.sleep(seconds)
+    stage.tell(twist=(0.0, 0.4))
+    stage.hear("/homeward/said", lambda s: s.get("status") == "localised", 30.0)
+    stage.tell(twist=None)
+
+
+def test_home_by_a_turn_and_back_again_by_pictures(stage):
+    stage.hear("/homeward/said", lambda s: "no home yet" in s.get("reason", ""), 30.0, 0)
+    stage.tell(call="turn_home")
+    stored = stage.hear("/homeward/said", lambda s: "is stored" in s.get("text", ""), 40.0)
+    number, _, rest = stored["value"]["text"].partition("stored: ")[2].partition(" ")
+    assert int(number) >= 12
+    assert rest.startswith("home bearings by a turn of 37")
+    drive_about(stage)
+    stage.go()
+    stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 40.0)
+    time.sleep(0.3)
+    distance = stage.robot.lines[-1][1]["distance"]
+    gaps = [x["at"] for _, x in list(stage.witness.lines) if x["topic"] == "/homeward/map_to_odom"]
+    steps = [b - a for a, b in pairwise(gaps)]
+    sys.stderr.write(
+        f"\n{distance:.3f} m off; map to odom every {1e3 * statistics.median(steps):.1f} ms, "
+        f"99 % {1e3 * sorted(steps)[int(0.99 * len(steps))]:.1f} ms\n"
+    )
+    assert distance < 0.06
