@@ -3,8 +3,8 @@
 `python -m benchmarks.soak [--minutes 10] [--record FOLDER]` starts `homeward live` and talks to it
 over TCP in real time, odometry at 50 Hz and bearings at 30 Hz; with `--ros`, run by a Python that
 has rclpy (`make test-ros` makes .venv-ros-jazzy), it is the node of ROS 2, and topics. The memory
-is that of the other process, once a second; the latency is from before bearings are sent until after
-their answer was heard and understood here.
+is that of the other process, once a second; the latency is from before bearings are sent until
+after their answer was heard and understood here.
 """
 
 from __future__ import annotations

@@ -19,6 +19,9 @@ def main() -> None:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:  # Jazzy's rclpy, where it is stopped between two waits
+        if rclpy.ok():
+            raise
     finally:
         node.on_shutdown(None)
         node.destroy_node()
