@@ -60,6 +60,7 @@ def other_models() -> dict[str, tuple[str, type[Strict]]]:
     from homeward.drives.ros.settings import LogSettings
     from homeward.simulation.render.room.settings import RenderScenario
     from homeward.simulation.scenario import Scenario
+    from homeward.studies.paper.map_settings import MapSettings
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.planning.settings import Plan
     from homeward.studies.study.settings import StudySettings
@@ -70,6 +71,7 @@ def other_models() -> dict[str, tuple[str, type[Strict]]]:
         "render": ("homeward render --set ..., scenario.yaml", RenderScenario),
         "reproduce": ("homeward reproduce --set ...", PaperSettings),
         "study": ("the YAML file of homeward study", StudySettings),
+        "map": ("the YAML file of homeward study, for a map", MapSettings),
         "plan": ("the YAML file of homeward plan", Plan),
         "drive": ("drive.yaml of a drive folder", DriveSettings),
         "images": ("images.yaml of a folder of images", ImageSettings),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,10 +12,18 @@ from homeward.cli.options import AsJson, Scheduler, Workers, progress, resumable
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
 
+if TYPE_CHECKING:
+    from homeward.studies.blocks.finish import Where
+    from homeward.studies.paper.map_settings import MapSettings
+
 
 def study(
     study: Annotated[
-        str, typer.Argument(help="A YAML file, or peers, a-ekf-tuning, pi-ekf-tuning, which ship.")
+        str,
+        typer.Argument(
+            help="A YAML file, or peers, a-ekf-tuning, pi-ekf-tuning, a-ekf-map, pi-ekf-map, "
+            "which ship."
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/NAME OF THE STUDY].")
@@ -32,20 +40,27 @@ def study(
     as CSV, Markdown and LaTeX, every figure as PNG, study.yaml, and the finished blocks; stopped,
     the same command goes on from them. By default all processors of this machine work. Where every
     run failed, the exit status is 1. Needs the extra scale.
+
+    A map (a YAML file with the key map) runs a paper's filter over two of its numbers, in a GPU
+    where there is one, and leaves map.png and map.csv; --runs is that of all cells together.
     """
     from homeward.report.output import check_output
     from homeward.report.study.page import DATA, PAGE, headline, write_study
     from homeward.studies.blocks.finish import Where, Work
+    from homeward.studies.paper.map_settings import load_map
     from homeward.studies.study.plan import make_plan
     from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
     from homeward.studies.study.settings import load_study
     from homeward.studies.study.summary import failures, lines
 
-    require_scale()
     where = Where(scheduler, workers)
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
-    plan = make_plan(load_study(study, changes))
     folder = out or Path("out") / Path(study).stem
+    if settings := load_map(study, changes):
+        _map(settings, folder, where, json)
+        return
+    require_scale()
+    plan = make_plan(load_study(study, changes))
     check_output(folder, MARKER)
     store = open_study(plan, folder)
     with resumable(), progress(plan.study.name) as tell:
@@ -63,3 +78,25 @@ def study(
         say(f"Page: {folder / PAGE}; results: {folder / DATA}")
     if results.failed.sum() == results.number:
         raise no_answer()
+
+
+def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
+    from homeward.report.output import check_output
+    from homeward.report.paper.map import FIGURE, TABLE, headline, write_map
+    from homeward.studies.blocks.finish import Where, Work
+    from homeward.studies.paper.map import MARKER, open_map, run_map, with_engine
+
+    settings = with_engine(settings)
+    check_output(folder, MARKER)
+    store = open_map(settings, folder)
+    if settings.engine == "cuda" and where == Where():
+        where = Where(workers=1)  # one process feeds a GPU
+    with resumable(), progress(settings.name) as tell:
+        results = run_map(settings, Work(store, where, tell))
+        write_map(folder, results)
+    files = {"figure": str(folder / FIGURE), "table": str(folder / TABLE)}
+    if as_json:
+        answer({"summary": headline(results), **files})
+    else:
+        say(headline(results))
+        say(f"Map: {folder / FIGURE}; every cell: {folder / TABLE}")

@@ -7,15 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.engine.batch.homing import homing_program, run_homing
+from homeward.engine.batch.homing import Law, homing_program, run_homing
 from homeward.engine.choice import Engine
 from homeward.engine.program.interpreter import allocate
-from homeward.studies.paper.cases import (
-    control_law,
-    fill,
-    filter_kind,
-    filter_settings,
-)
+from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World
 
@@ -75,24 +71,12 @@ def run_many(
 
     They have as many samples each.
     """
-    # The first wrong landmark comes first everywhere, so that one compiled filter serves all.
-    worlds = [_rolled(world) for world in worlds]
-    settings = filter_settings(name, settings)
-    kind = filter_kind(name, worlds[0], settings)
-    law = control_law(case, settings)
-    _, given = allocate(homing_program(kind, law).shapes)
-    of_world: dict[str, list[np.ndarray]] = {key: [] for key in OF_WORLD}
-    for world in worlds:
-        fill(given, kind, world, settings)
-        for key in OF_WORLD:
-            of_world[key].append(given[key].copy())
-    constant = {k: v for k, v in given.items() if k not in (*OF_WORLD, *DRAWN)}
-    # Open loop, nothing ends a run.
-    radius = 0.0 if case == "4" else settings.assumed.stop_radius
+    worlds = [rolled(world) for world in worlds]
+    kind, law, given = given_of(name, case, worlds, settings)
     last = len(worlds[0].visible) - 1
     result = run_homing(
         kind,
-        {**constant, **{k: np.array(v) for k, v in of_world.items()}, "stop_radius": radius},
+        given,
         runs=len(worlds),
         steps=last,
         law=law,
@@ -120,8 +104,34 @@ def run_many(
     )
 
 
-def _rolled(world: World) -> World:
-    """Return the same world with its landmarks counted from the first wrong one on."""
+def given_of(
+    name: str, case: CaseName, worlds: Sequence[World], settings: PaperSettings
+) -> tuple[ExtendedKalmanFilter, Law, dict[str, np.ndarray | float]]:
+    """Return a filter, its law, and what `run_homing` is given of each world but the noise.
+
+    Worlds are `rolled`.
+    """
+    settings = filter_settings(name, settings)
+    kind = filter_kind(name, worlds[0], settings)
+    law = control_law(case, settings)
+    _, given = allocate(homing_program(kind, law).shapes)
+    of_world: dict[str, list[np.ndarray]] = {key: [] for key in OF_WORLD}
+    for world in worlds:
+        fill(given, kind, world, settings)
+        for key in OF_WORLD:
+            of_world[key].append(given[key].copy())
+    constant = {k: v for k, v in given.items() if k not in (*OF_WORLD, *DRAWN)}
+    # Open loop, nothing ends a run.
+    radius = 0.0 if case == "4" else settings.assumed.stop_radius
+    own = {k: np.array(v) for k, v in of_world.items()}
+    return kind, law, {**constant, **own, "stop_radius": radius}
+
+
+def rolled(world: World) -> World:
+    """Return the same world with its landmarks counted from the first wrong one on.
+
+    So one compiled filter serves all.
+    """
     first = int(np.argmax(world.faults != 0))
     return replace(
         world,

@@ -68,6 +68,11 @@ def duration(case: CaseName, settings: PaperSettings) -> float:
     return settings.assumed.circle_time if case == "4" else settings.assumed.longest
 
 
+def visibility(case: CaseName, settings: PaperSettings) -> float:
+    """Return the share of landmarks in sight at each sample of a case."""
+    return settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
+
+
 def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     """Draw run number `run` (from 0) of a case; its layout and noise do not depend on the case."""
     printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
@@ -110,6 +115,5 @@ def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -
 def _visible(
     case: CaseName, settings: PaperSettings, rng: np.random.Generator, steps: int
 ) -> np.ndarray:
-    q = settings.printed.landmarks
-    share = settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
-    return (rng.random((steps, q)) < share).astype(float)
+    seen = rng.random((steps, settings.printed.landmarks)) < visibility(case, settings)
+    return seen.astype(float)
