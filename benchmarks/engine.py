@@ -26,6 +26,7 @@ from benchmarks.peers.scene import (
     make_scene,
     series,
 )
+from benchmarks.roofline import roofline
 from benchmarks.timing import (
     busy,
     clock,
@@ -76,6 +77,7 @@ def measure(rounds: int, quick: bool) -> dict[str, float]:
     ratios |= large(rounds)
     threads(rounds)
     closed_loops(rounds)
+    roofline(rounds)
     start_up(3)
     return ratios
 
