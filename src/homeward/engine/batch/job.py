@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -146,6 +147,8 @@ def given_values(
 
 
 def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    if array.shape == shape:  # as most are; a long drive is over before NumPy has broadcast ten
+        return array
     try:
         return np.broadcast_to(array, shape)
     except ValueError:
@@ -155,5 +158,5 @@ def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarr
 def _flat(array: np.ndarray, leading: int, inner: int) -> np.ndarray:
     """Return the inner axes flat, column-major, contiguous."""
     columns = np.swapaxes(array, -1, -2) if inner == 2 else array
-    size = int(np.prod(array.shape[leading:]))
+    size = math.prod(array.shape[leading:])
     return np.ascontiguousarray(columns).reshape(*array.shape[:leading], size)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import casadi as ca
-import numpy as np
 
 from homeward.engine.program.generic import GenericPredict, GenericUpdate, UnscentedPredict
 from homeward.engine.program.interpreter import Interpreter, Kernel, allocate
@@ -111,7 +111,7 @@ class Program:
 
     def size(self, name: str) -> int:
         """Return the number of entries of a variable."""
-        return int(np.prod(self.shapes[name]))
+        return math.prod(self.shapes[name])
 
 
 class Machine:
