@@ -261,9 +261,25 @@ def test_a_version_that_hangs_is_not_waited_for(cache, tmp_path, monkeypatch):
         find_compiler()
 
 
+def test_where_the_system_has_no_compiler_a_package_may_bring_one(cache, tmp_path, monkeypatch):
+    package = tmp_path / "ziglang"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    zig = package / "zig"
+    # Its first word is cc; what stands in for it needs the system's assembler.
+    zig.write_text(f'#!/bin/sh\nshift\nPATH={os.environ["PATH"]} exec {REAL} "$@"\n')
+    zig.chmod(0o755)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert find_compiler().command == (str(zig), "cc")
+    assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
+
+
 def test_without_a_compiler_the_interpreter_runs_and_says_so(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(compiler, "find_spec", lambda name: None)
     kind = ExtendedKalmanFilter(PolarModel(3))
     asked = filter_kernels(kind, "native")
     assert asked.engine == "interpreter"

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 
 from homeward.errors import HomewardError
@@ -62,7 +63,9 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the compiler that ``CC`` names, else the first of `CANDIDATES` there is.
+    """Return the compiler that ``CC`` names, else the first of `CANDIDATES` there is, else Zig's.
+
+    The last is of the extra ``compiler``, and needs nothing of the system.
 
     Raises
     ------
@@ -86,6 +89,9 @@ def _find(named: str, path: str) -> Compiler:
     for name in CANDIDATES:
         if (found := shutil.which(name, path=path)) is not None:
             return _asked((found,))
+    if (package := find_spec("ziglang")) is not None and package.origin is not None:
+        # Its program itself: python -m would look for it in the folder where it is run, too.
+        return _asked((str(Path(package.origin).with_name("zig")), "cc"))
     raise NativeError("no C compiler found")
 
 
