@@ -30,6 +30,22 @@ def test_a_robot_comes_home_by_its_images_and_is_sure_of_it():
     assert len(moved) > 10
 
 
+AHEAD = {"camera.width": 1280, "camera.height": 640, "tags": {"size": 0.2, "walls": 24}}
+CAMERAS = {
+    "ring": {"camera.width": 512, "camera.height": 512},
+    "fisheye": AHEAD | {"camera.field_of_view": 3.2},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("projection", CAMERAS)
+def test_a_camera_of_another_kind_comes_home(projection):
+    loop = ImageLoop(eye("office", 0, **{"camera.projection": projection} | CAMERAS[projection]))
+    drive = loop.run(make_estimator("robust", loop.drive))
+    assert drive.ending is Ending.DONE
+    assert drive.final_distance < 0.03
+
+
 def test_in_another_room_home_is_never_found():
     here, there = eye("classroom", 100, **{"trajectory.duration": 6.0}), eye("gallery", 100)
     loop, camera = ImageLoop(here), panorama_of(there)

@@ -20,11 +20,6 @@ from homeward.vision.opencv import opencv
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
-BRIGHT = 100.0
-"""Where the mean is less than this, contrasts are so much less, and so is the threshold [grey
-levels]."""
-DARKEST = 0.3
-"""Noise stays: the threshold falls to this share at most."""
 MOST_FEATURES = 5000
 """Only the strongest features are kept, since matching takes time with their square. Rooms have up
 to 2,000 with 2048 columns; noise has ten times as many."""
@@ -131,8 +126,7 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     if mask is not None and mask.room.shape != image.shape:
         (rows, columns), whole = mask.room.shape, f"{width}x{height}"
         raise InputError(f"a mask of {columns}x{rows} pixels for a panorama of {whole}")
-    used = image if mask is None else image[mask.room > 0]
-    found = _detect(image, times, CONTRAST * float(np.clip(used.mean() / BRIGHT, DARKEST, 1.0)))
+    found = _detect(image, times)
     if mask is not None:
         kept = mask.clear_at(*found[:3])
         found = tuple(part[kept] for part in found)
@@ -199,12 +193,12 @@ def pixel_sigma(size: np.ndarray) -> np.ndarray:
     return 0.14 + 0.04 * size
 
 
-def _detect(image: np.ndarray, times: int, contrast: float) -> tuple[np.ndarray, ...]:
+def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
     """Return columns, rows, sizes [px], angles and descriptors; the panorama is closed."""
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 32)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
-    points, found = _sift(contrast).detectAndCompute(enlarged(padded, times), None)
+    points, found = _sift().detectAndCompute(enlarged(padded, times), None)
     if not points:
         return (*np.zeros((4, 0)), np.zeros((0, 128), np.float32))
     rows = np.array([(*p.pt, p.size, p.angle) for p in points])
@@ -228,9 +222,9 @@ def _on_panorama(
     return on, (on[:, 0] >= -0.5) & (on[:, 0] < width - 0.5)
 
 
-def _sift(contrast: float) -> Any:
+def _sift() -> Any:
     # Made anew each time, in a microsecond: threads share nothing.
     # Without the precise upscale every keypoint is a quarter of a pixel off.
     return opencv().SIFT_create(
-        nfeatures=MOST_FEATURES, contrastThreshold=contrast, enable_precise_upscale=True
+        nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
     )
