@@ -22,6 +22,7 @@ from homeward.live.messages import (
 from homeward.live.recording import SESSION, Recorder, read_drive, replay
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
+from homeward.live.visiting import Visiting
 
 NARROW = {
     "trajectory.spin": 0.5,
@@ -156,9 +157,19 @@ def test_looks_that_never_end_are_refused_and_so_are_none():
         looks.home()
 
 
-def test_who_turned_at_home_may_be_sent_there_again():
+def test_who_is_told_to_turn_on_the_way_home_goes_there_no_more():
     rig = Rig(2, **NARROW).until(driving, 110.0)
     rig.session.receive(TurnHome(name="other"), rig.robot.t)
     rig.step()
     assert rig.commands[-1][1].v == 0.0
     assert rig.session.homing.state.value == "failed"
+
+
+def test_the_first_home_of_a_place_may_be_one_of_a_turn_and_the_next_ones_are_in_its_map():
+    rig = Rig(3, place=Visiting("hall", 20000.0, True), **NARROW).until(driving, 110.0)
+    assert "home home is stored" in events(rig)[0]
+    rig.session.receive(LookRound(), rig.robot.t)
+    rig.session.receive(StoreHome(name="dock"), rig.robot.t)
+    rig.step()
+    assert "home dock is here" in events(rig)[-1]
+    assert rig.session.localisation.place.homes == ("dock",)

@@ -146,3 +146,20 @@ def test_services_and_lifecycle(stage):
     stage.hear("/homeward/said", lambda s: s.get("pose") is not None)
     x, y, _ = stage.hear("/homeward/said", lambda s: s.get("pose") is not None)["value"]["pose"]
     assert math.hypot(x, y) < 0.02
+
+
+def test_a_start_is_taken_and_an_obstacle_stops_the_robot(stage):
+    stage.node.end()
+    stage.node = stage.start(scan_topic="scan")
+    stage.tell(start=[1.0, 0.5, 0.3])
+    stage.hear("/homeward/said", lambda s: s.get("pose") is not None, 30.0)  # it stands
+    stage.node.end()
+    stage.node = stage.start(scan_topic="scan")
+    stage.tell(scan=8.0)
+    stage.look_round()
+    stage.go()
+    stage.tell(scan=0.2)
+    assert stage.stands() <= 0.5  # a scan every 0.05 s
+    stage.hear("/homeward/said", lambda s: "an obstacle 0.20 m ahead" in s.get("reason", ""))
+    stage.tell(scan=None)
+    stage.hear("/homeward/said", lambda s: "nothing said of obstacles" in s.get("reason", ""))

@@ -1,7 +1,8 @@
 """Hears everything that is said on ROS 2, a line of JSON each, and says what stdin tells it to.
 
 In: {"twist": [v, omega]} until the next one, {"twist": null}, {"call": "go_home"},
-{"estop": true}, {"transition": "deactivate"}, {"name": ["store_home", "dock 3"]}.
+{"estop": true}, {"transition": "deactivate"}, {"scan": m} until the next one,
+{"start": [x, y, h]}, {"name": ["store_home", "dock 3"]}.
 """
 
 import json
@@ -16,6 +17,7 @@ from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped, TransformSta
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
+from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
@@ -28,7 +30,9 @@ def stamp(message):
 class Witness(Node):
     def __init__(self):
         super().__init__("witness")
-        self.twist = None
+        self.twist = self.free = None
+        self.scans = self.create_publisher(LaserScan, "scan", 10)
+        self.starts = self.create_publisher(PoseWithCovarianceStamped, "/initialpose", 10)
         self.out = self.create_publisher(Twist, "cmd_vel", 10)
         self.create_timer(0.05, self.drive)
         self.names = {
@@ -82,12 +86,20 @@ class Witness(Node):
             message = Twist()
             message.linear.x, message.angular.z = self.twist
             self.out.publish(message)
+        if self.free is not None:
+            scan = LaserScan(angle_min=-1.0, angle_increment=0.5, range_min=0.05, range_max=8.0)
+            scan.ranges = [8.0, 8.0, self.free, 8.0, 8.0]
+            self.scans.publish(scan)
 
     def listen(self):
         for line in sys.stdin:
             for what, value in json.loads(line).items():
                 if what == "twist":
                     self.twist = value
+                elif what == "scan":
+                    self.free = value
+                elif what == "start":
+                    self.start(*value)
                 elif what == "call":
                     self.call(Trigger, f"/homeward/{value}", Trigger.Request())
                 elif what == "name":
@@ -98,6 +110,13 @@ class Witness(Node):
                     request = ChangeState.Request()
                     request.transition.id = getattr(Transition, f"TRANSITION_{value.upper()}")
                     self.call(ChangeState, "/homeward/change_state", request)
+
+    def start(self, x, y, heading):
+        message = PoseWithCovarianceStamped()
+        message.pose.pose.position.x, message.pose.pose.position.y = x, y
+        message.pose.pose.orientation.z = math.sin(heading / 2)
+        message.pose.pose.orientation.w = math.cos(heading / 2)
+        self.starts.publish(message)
 
     def call(self, kind, name, request):
         client = self.create_client(kind, name)
