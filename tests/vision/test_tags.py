@@ -139,9 +139,9 @@ def test_a_folder_that_tells_when_home_was_needs_no_picture_of_it(record, tmp_pa
     assert set(open_drive(tmp_path / "drive").home) == {"0", "1", "2", "3"}
 
 
-def test_a_forward_camera_without_tags_is_refused(record, tmp_path):
+def test_a_forward_camera_without_tags_and_size_is_refused(record, tmp_path):
     made = call("see", record, "--out", tmp_path / "drive")
-    assert "needs tags" in refused(made)
+    assert "needs width and height, or tags" in refused(made)
 
 
 def test_a_video(record):

@@ -46,7 +46,7 @@ class PartialPanorama(Equirectangular):
             When the size of its pictures is not known.
         """
         if lens.width is None or lens.height is None:
-            raise InputError("a camera with a lens needs width and height, or tags: --tags 36h11")
+            raise InputError("in images.yaml the camera needs width and height, or tags: 36h11")
         tilt = lens.model_dump(include=set(Camera.model_fields))
         lens = lens.model_copy(update={"roll": 0.0, "pitch": 0.0})
         top, bottom = _extent(lens)
