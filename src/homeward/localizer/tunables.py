@@ -40,9 +40,10 @@ ESTABLISHED = 2 * ENOUGH
 # How large is small: a bearing is linear in what is small against the distance of the landmark
 LINEAR = 0.3
 """Bearings are linear in turns [rad] and shifts [distance] up to this: tan is, to 3 %."""
-CLOSE = 0.1
-"""... and here to 0.3 %: two places so near to each other are one [distance]."""
-TINY = 0.03
+CLOSE = LINEAR / 3
+"""... and here to 0.3 %, as that goes with the square: two places so near to each other are one
+[distance]."""
+TINY = LINEAR / 10
 """... and here to 0.03 %: so much is corrected without solving anew."""
 STANDS = 0.01
 """A robot that moved less stands: half the noise of a bearing, as it is believed at first."""
