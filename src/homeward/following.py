@@ -153,6 +153,8 @@ class Follower:
         self.state, self.reason = State.HELD, "not asked yet"
         self.stop = 0
         """Which of the path's stops comes next, or is being made."""
+        self.entering = True
+        """Whether it is still on its way to the path, at the beginning or after a push."""
         self._aim: float | None = None
         self._nearest = math.inf
         """To the aim so far [m]."""
@@ -170,7 +172,14 @@ class Follower:
         """Whether it has arrived, or given up."""
         return self.state in (State.ARRIVED, State.FAILED)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, blocked: bool = False) -> Twist:
+    @property
+    def along(self) -> float:
+        """How far along the path the aim is [m]."""
+        return self._aim or 0.0
+
+    def twist(
+        self, t: float, pose: Pose | None, sure: bool = True, blocked: bool | str = False
+    ) -> Twist:
         """Return the command.
 
         Parameters
@@ -181,8 +190,8 @@ class Follower:
             Where the robot believes it is.
         sure : bool
             Whether that is one to rely on.
-        blocked : bool
-            Whether something is in the way, as a scanner or a bumper tells.
+        blocked : bool or str
+            Whether something is in the way, as a scanner or a bumper tells; or what, in words.
         """
         if self.over:
             return STAND
@@ -191,7 +200,7 @@ class Follower:
         if self.state is State.STOPPED and t < self._leave < math.inf:
             return STAND  # to wait it takes no pose
         if blocked:
-            return self._hold("blocked", t)
+            return self._hold(blocked if isinstance(blocked, str) else "blocked", t)
         if pose is None or t - self._sure > COAST_S:
             return self._hold("no pose to rely on", t)
         if self._is_stuck(t, pose):
@@ -223,6 +232,7 @@ class Follower:
         assert self._aim is not None
         last = self._path.stops[self.stop].at
         distance = math.dist(self._path.at(self._aim), pose[:2])
+        self.entering = self.entering and distance >= LOOKAHEAD
         while distance < LOOKAHEAD and self._aim < last:
             # On the path or off it: it cannot be far enough any sooner.
             self._aim = min(self._aim + max(LOOKAHEAD - distance, 0.01), last)
@@ -236,6 +246,7 @@ class Follower:
         before = stops[self.stop - 1].at if self.stop else 0.0
         begin, end = max(before, self._aim - reach), min(stops[self.stop].at, self._aim + reach)
         self._aim, self._nearest = self._path.entry(pose, begin, end), math.inf
+        self.entering = True
 
     def _pursue(self, pose: Pose, distance: float, stopping: bool) -> Twist:
         """Return the command along the arc to the aim; one that is not ahead is turned to."""

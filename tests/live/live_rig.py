@@ -1,12 +1,15 @@
 """A simulated robot and a session in one process, on the simulator's clock."""
 
+from functools import partial
+
 from homeward.control import Twist
-from homeward.live.messages import GoHome
+from homeward.live.messages import Departure, StoreRoute
 from homeward.live.player import Player
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
+from homeward.simulation.trajectories import make_control
 
 SCENARIO = {
     "rates.odometry": 50.0,
@@ -20,9 +23,10 @@ SCENARIO = {
 class Rig:
     """Steps a player and its session; what each test does to the samples is `spoil`."""
 
-    def __init__(self, seed=0, keep=None, settings=None, place=None, **changes):
+    def __init__(self, seed=0, keep=None, settings=None, place=None, errand=None, **changes):
         scenario = load_scenario("paper-homing", SCENARIO | {"seed": seed} | changes)
-        self.player = Player(LiveRobot(scenario), 120.0)
+        hand = partial(make_control, scenario) if isinstance(errand, StoreRoute) else None
+        self.player = Player(LiveRobot(scenario), 120.0, errand, hand)
         self.robot = self.player.robot
         robot = self.robot.drive.settings
         self.session = Session(settings or LiveSettings(), robot, {}, keep, place)
@@ -34,7 +38,7 @@ class Rig:
     def step(self):
         now = self.robot.t
         for message in self.player.step():
-            if isinstance(message, GoHome):
+            if isinstance(message, Departure):
                 self.asked = self.robot.distance
             for spoilt in self.spoil(message):
                 self.session.receive(spoilt, now)

@@ -208,7 +208,7 @@ def test_what_a_track_saw_along_its_way_is_a_map_without_uncertainty():
     from homeward.estimator import LandmarkEstimate
 
     marks = [LandmarkEstimate("a", 1.0, 2.0), LandmarkEstimate("b")]
-    seen = seen_along(a_track(*an_l(3.0), marks))
+    seen = seen_along(a_track(*an_l(3.0), marks).landmarks)
     assert isinstance(seen, JointMap)
     assert seen.names == ("a",)
     np.testing.assert_array_equal(seen.positions, [[1.0, 2.0]])

@@ -1,52 +1,24 @@
-"""Homing on a robot: drives only where that is safe, and says why where it is not."""
+"""Driving on a robot: only where that is safe, and saying why where it is not."""
 
 from __future__ import annotations
 
-import enum
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.frames import Pose, compose, inverse
-from homeward.laws import steer
+from homeward.live.goals import STAND, Belief, Drive, Goal, State
 from homeward.live.settings import Limits
 
 AFTERWARDS_S = 1.0
 """So long after the end the robot is told to stand, and then left to others [s]."""
 LONGEST_STEP_S = 0.1
 """Between two commands no more time counts for acceleration [s]."""
-STAND = Twist(0.0, 0.0)
-
-
-class State(enum.Enum):
-    """Where a drive home stands."""
-
-    IDLE = "idle"
-    """Nobody asked for home, or that is over."""
-    DRIVING = "driving"
-    HELD = "held"
-    """Standing, for a reason; it goes on by itself."""
-    ARRIVED = "arrived"
-    TURNED = "turned"
-    """Once round, where home is stored by a turn."""
-    FAILED = "failed"
-
-
-class Belief(NamedTuple):
-    """What is believed of the robot now."""
-
-    status: Status
-    pose: Pose | None
-    """In the frame of home, or of the place's first one."""
-    covariance: np.ndarray | None
-    """(3, 3)"""
 
 
 class Homing:
-    """Drives home, by the law of `homeward.laws.steer`, within limits.
+    """Drives to a goal, home or another one, within limits.
 
     Time is of a steady clock [s], and not read here.
     """
@@ -54,8 +26,9 @@ class Homing:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.state, self.reason = State.IDLE, ""
-        self.goal = Pose(0.0, 0.0, 0.0)
-        """Home, in the frame of the belief."""
+        self._goal: Goal | None = None
+        self._drive: Drive | None = None
+        """To the goal; None until that is known."""
         self._twist, self._last = STAND, -math.inf
         self._since = -math.inf
         """When the state began."""
@@ -64,13 +37,19 @@ class Homing:
 
     @property
     def active(self) -> bool:
-        """Whether it is on its way home."""
+        """Whether it is on its way."""
         return self.state in (State.DRIVING, State.HELD)
 
     def go(self, now: float) -> None:
-        """Begin to drive home."""
+        """Begin to drive, as soon as `aim` tells where to."""
+        self._goal = self._drive = None
         self._twist, self._sure = STAND, -math.inf
         self._enter(State.HELD, "", now)
+
+    def aim(self, goal: Goal | None) -> None:
+        """Take where to drive to; another object is another drive."""
+        if goal is not self._goal:
+            self._goal, self._drive = goal, None if goal is None else goal.drive(self._limits)
 
     def fail(self, reason: str, now: float) -> None:
         """Stand, and give up."""
@@ -96,42 +75,33 @@ class Homing:
             over = self.state is State.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
         hindrance = faults[0] if faults else self._doubt(now, belief)
-        if hindrance is not None:
-            return self._hold(hindrance, now)
-        return self._act(now, dt, belief)
-
-    def _act(self, now: float, dt: float, belief: Belief) -> Twist:
-        """Drive on by a belief that there is no doubt of, or end."""
-        assert belief.pose is not None
-        x, y, heading = compose(inverse(self.goal), belief.pose)
-        if math.hypot(x, y) < self._limits.radius:
-            if belief.status is Status.LOCALISED:
-                return self._stand(State.ARRIVED, f"{math.hypot(x, y):.3f} m from home", now)
-            return self._hold(f"at home, but {belief.status.value}", now)
-        wanted = steer(-x, -y, heading, self._limits.speed, self._limits.turn_rate)
-        return self._drive(wanted, now, dt)
-
-    def _drive(self, wanted: Twist, now: float, dt: float) -> Twist:
+        if self._drive is None:
+            return self._hold(hindrance, now, self._limits.patience)
+        step = self._drive.step(now, belief, hindrance)
+        if step.state is State.HELD:
+            return self._hold(step.reason, now, self._drive.patience)
+        if step.state is not State.DRIVING:
+            return self._stand(step.state, step.reason, now)
         if self.state is not State.DRIVING:
             self._enter(State.DRIVING, "", now)
-        self._twist = self._limited(wanted, dt)
+        self.reason, self._twist = step.reason, self._limited(step.twist, dt)
         return self._twist
 
-    def _doubt(self, now: float, belief: Belief) -> str | None:
-        """Return why the pose is not one to drive by."""
+    def _doubt(self, now: float, belief: Belief) -> str:
+        """Return why the pose is not one to drive by; nothing where it is."""
         limits = self._limits
         if belief.pose is None or belief.covariance is None:
-            return f"no pose: {belief.status.value}"
+            return f"lost, no pose: {belief.status.value}"
         if belief.status is not Status.LOCALISED and now - self._sure > limits.coast:
-            return f"not localised: {belief.status.value}"
+            return f"lost, not localised: {belief.status.value}"
         sigma = math.sqrt(max(np.linalg.eigvalsh(belief.covariance[:2, :2])[-1], 0.0))
         if not sigma <= limits.largest_sigma:
-            return f"too uncertain: sigma {sigma:.2f} m, at most {limits.largest_sigma:g} m"
-        return None
+            return f"lost, too uncertain: sigma {sigma:.2f} m, at most {limits.largest_sigma:g} m"
+        return ""
 
-    def _hold(self, why: str, now: float) -> Twist:
+    def _hold(self, why: str, now: float, patience: float) -> Twist:
         """Stand at once; after a while give up."""
-        if self.state is State.HELD and now - self._since > self._limits.patience:
+        if self.state is State.HELD and now - self._since > patience:
             return self._stand(State.FAILED, why, now)
         if self.state is State.HELD:
             self.reason, self._twist = why, STAND

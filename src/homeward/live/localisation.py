@@ -24,13 +24,19 @@ from homeward.drives.home.looks import HomeLooks
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose, compose, inverse, to_polar
+from homeward.live.goals import Along, Goal
 from homeward.live.messages import (
     Answer,
     BearingsIn,
+    BeginRoute,
     Cancel,
+    Departure,
     EStop,
     Event,
+    FollowRoute,
     GoHome,
+    GoTo,
+    GoToLandmark,
     Input,
     LandmarkOut,
     Landmarks,
@@ -43,8 +49,10 @@ from homeward.live.messages import (
     SetHome,
     Start,
     StoreHome,
+    StoreRoute,
     TurnHome,
 )
+from homeward.live.sending import NO_PLACE, goal_of
 from homeward.live.visiting import Visiting
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
@@ -63,7 +71,8 @@ AFTER_TURN = StartPrior(
 """Of one that turned there: wheels that slip take it so far."""
 NO_HOME = "no home yet: store_home or turn_home while the robot is there, or send one"
 ANEW = "the map was begun anew"
-NO_PLACE = "there is no place: homeward live --place, or place of the node"
+AIM_S = 1.0
+"""It is found so often where a landmark is that the robot is sent to [s]."""
 
 
 class Fix(NamedTuple):
@@ -101,9 +110,14 @@ class Localisation:
         self._name, self._robot, self.homes, self.place = estimator, robot, homes, place
         self.home = FIRST
         """In whose frame answers are; in a place its first one."""
-        self.goal = Pose(0.0, 0.0, 0.0)
-        """Where ``go_home`` goes, in that frame."""
-        self._goal_name: str | None = None
+        self.goal: Goal | None = None
+        """Where the robot was sent last, in that frame; None before it was."""
+        self._sent: Departure | None = None
+        """By what, as long as it can go there."""
+        self._homeward = GoHome()
+        """The home that it was sent to last."""
+        self._aimed = -math.inf
+        """When it was found last where a landmark is that it is sent to [s]."""
         self.goal_lost = ""
         """Why it cannot go there any more, until somebody has taken that."""
         self.drive: Drive | None = None
@@ -165,13 +179,22 @@ class Localisation:
                 self._looks = HomeLooks(**self._robot.robot)
             case SavePlace():
                 return Event(type="event", text=self._merge())
-            case GoHome(name=str(name)) if self.place is not None:
-                self.goal, self._goal_name = self.place.home_pose(name, self.home), name
-            case GoHome(name=str(name)) if name != self.home:
+            case GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
                     raise InputError(f"no home {name}; there is {', '.join(self.homes) or 'none'}")
-                self.home = name
+                self.home, self._sent = name, None
                 self._begin(None)
+                self._send(message)
+            case GoHome(name=None):
+                self._send(self._homeward)
+            case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
+                self._send(message)
+            case BeginRoute():
+                return Event(
+                    type="event", text=self._required_place().begin_route(self.fix.estimate)
+                )
+            case StoreRoute(name=name):
+                return Event(type="event", text=self._store_route(name))
             case Start(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
                 R, theta, alpha = map(float, polar)
@@ -242,15 +265,39 @@ class Localisation:
         self.fix = Fix(estimate, frame)
         if self.place is not None:
             self.place.see(message, estimate)
+        if isinstance(self._sent, GoToLandmark) and abs(message.t - self._aimed) > AIM_S:
+            self._aimed = message.t
+            self._find_goal()
         return _said(estimate)
 
     def _merge(self) -> str:
         """Merge the visit into the place; return what it told."""
-        if self.place is None:
-            raise InputError(NO_PLACE)
+        place = self._required_place()
         if self.drive is None or not isinstance(self.estimator, Localizer):
             raise InputError(NO_HOME)
-        return self.place.merge(self.estimator, self.drive, self.home)
+        return place.merge(self.estimator, self.drive, self.home)
+
+    def _required_place(self) -> Visiting:
+        if self.place is None:
+            raise InputError(NO_PLACE)
+        return self.place
+
+    def _store_route(self, name: str) -> str:
+        """Store the way that was driven as a route of the place."""
+        place = self._required_place()
+        known = () if self.estimator is None else self.estimator.landmarks()
+        return place.store_route(name, known)
+
+    def _send(self, message: Departure) -> None:
+        """Send the robot where a message says."""
+        self.goal, self._sent = self._goal_of(message), message
+        if isinstance(message, GoHome):
+            self._homeward = message
+
+    def _goal_of(self, message: Departure) -> Goal:
+        """Return where a message sends the robot; `InputError` where there is no such thing."""
+        known = list if self.estimator is None else self.estimator.landmarks
+        return goal_of(message, self.home, self.place, known)
 
     def _adds_home(self, name: str) -> bool:
         """Return whether a home that is stored is one more of the place."""
@@ -331,14 +378,17 @@ class Localisation:
         self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
 
     def _find_goal(self) -> None:
-        """Find where ``go_home`` goes in a map that is begun anew."""
-        self.goal = Pose(0.0, 0.0, 0.0)
-        if self.place is None or self._goal_name is None:
+        """Find where the robot was sent, in a map that is begun anew or that knows more."""
+        if self._sent is None:
             return
         try:
-            self.goal = self.place.home_pose(self._goal_name, self.home)
+            goal = self._goal_of(self._sent)
         except InputError as error:  # it was stored, and not saved
-            self._goal_name, self.goal_lost = None, str(error)
+            self.goal = self._sent = None
+            self._homeward, self.goal_lost = GoHome(), str(error)
+            return
+        if not isinstance(goal, Along):  # a drive along a route goes on where it was
+            self.goal = goal
 
 
 def _said(estimate: Estimate) -> Answer:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from homeward.drives.drive import Finite, Mount, Positive, Strict
+from homeward.drives.drive import Finite, Mount, NonNegative, Positive, Strict
 from homeward.drives.text.complaints import message
 from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
@@ -32,7 +32,7 @@ def _identifier(text: str) -> str:
 Time = Annotated[float, Field(gt=-NO_TIME_S, lt=NO_TIME_S, allow_inf_nan=False)]
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
-"""Of a home."""
+"""Of a home, or a route."""
 Bearings = Annotated[dict[Id, Finite], Field(max_length=MOST_LANDMARKS)]
 Sigmas = Annotated[dict[Id, Positive], Field(max_length=MOST_LANDMARKS)]
 
@@ -109,6 +109,45 @@ class GoHome(Strict):
 
     type: Literal["go_home"] = "go_home"
     name: Name | None = None
+
+
+class GoTo(Strict):
+    """Drive to a point of the home frame."""
+
+    type: Literal["go_to"] = "go_to"
+    x: Finite
+    """[m]"""
+    y: Finite
+    """[m]"""
+
+
+class GoToLandmark(Strict):
+    """Drive to a landmark, until it is so near."""
+
+    type: Literal["go_to_landmark"] = "go_to_landmark"
+    name: Id
+    standoff: NonNegative = 0.5
+    """[m]"""
+
+
+class BeginRoute(Strict):
+    """A route begins here; else it begins with the visit."""
+
+    type: Literal["begin_route"] = "begin_route"
+
+
+class StoreRoute(Strict):
+    """The way since a route was begun is one of the place, and ends here."""
+
+    type: Literal["store_route"] = "store_route"
+    name: Name
+
+
+class FollowRoute(Strict):
+    """Drive along a route of the place, from the closest point of entry."""
+
+    type: Literal["follow_route"] = "follow_route"
+    name: Name
 
 
 class SavePlace(Strict):
@@ -215,7 +254,7 @@ class Diagnostics(Strict):
     homing: str
     """State and reason."""
     faults: tuple[str, ...]
-    """What keeps the robot from driving home by itself."""
+    """What keeps the robot from driving by itself."""
     counts: dict[str, int]
     """Samples not used, by reason."""
     waiting: int
@@ -240,6 +279,11 @@ Input = (
     | LookRound
     | TurnHome
     | GoHome
+    | GoTo
+    | GoToLandmark
+    | BeginRoute
+    | StoreRoute
+    | FollowRoute
     | SavePlace
     | Cancel
     | EStop
@@ -248,6 +292,8 @@ Input = (
     | MountIs
     | Reset
 )
+Departure = GoHome | GoTo | GoToLandmark | FollowRoute
+"""What sends the robot somewhere."""
 Output = Hello | Answer | Command | Landmarks | Diagnostics | Event
 Message = TypeVar("Message")
 _IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])

@@ -1,4 +1,4 @@
-"""A simulated robot that talks to a live session over TCP, and asks it the way home."""
+"""A simulated robot that talks to a live session over TCP, and has something to do there."""
 
 from __future__ import annotations
 
@@ -10,24 +10,28 @@ from collections.abc import Callable, Iterator
 from homeward.control import Twist
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
+from homeward.frames import Pose
 from homeward.live.messages import (
     LONGEST_LINE,
     Answer,
     BearingsIn,
+    BeginRoute,
     Command,
+    Departure,
     Event,
     GoHome,
     Hello,
     Input,
     OdometryIn,
     SetHome,
+    StoreRoute,
     TurnHome,
     line_of,
     parse_output,
 )
 from homeward.live.server import Address
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.trajectories import Search
+from homeward.simulation.live_robot import STAND, LiveRobot
+from homeward.simulation.trajectories import Control, Search
 
 LOOKS_ROUND_S = 8.0
 """It drives in circles for so long at least, and until it is localised [s]."""
@@ -35,8 +39,15 @@ CIRCLES = 0.15
 """At this speed [m/s]."""
 
 
+Errand = Departure | StoreRoute
+"""What a robot wants of a session; to store a route it must drive it."""
+
+
 class Player:
-    """Drives in circles until it is localised, and then home as it is told.
+    """Drives in circles until it is localised, and then does its errand.
+
+    It goes home, or elsewhere, as it is told; or it drives as somebody would by hand who teaches it
+    a route.
 
     One that turns at home does that first, as it is told, too.
 
@@ -46,16 +57,47 @@ class Player:
         At its start.
     longest : float
         It gives up then [s of its own time].
+    errand : message, optional
+        What to do; by default to go home.
+    hand : callable, optional
+        Where it is to store a route: returns what drives it along that, from a pose.
     """
 
-    def __init__(self, robot: LiveRobot, longest: float = 300.0) -> None:
+    def __init__(
+        self,
+        robot: LiveRobot,
+        longest: float = 300.0,
+        errand: Errand | None = None,
+        hand: Callable[[Pose], Control] | None = None,
+    ) -> None:
         self.robot, self._longest = robot, longest
-        self.ending: Command | None = None
-        """The last command, "arrived" or "failed"."""
+        self.errand: Errand = errand or GoHome()
+        self.ending: Command | Event | None = None
+        """What was said last of the errand: a command "arrived" or "failed", or, of a route that
+        is to be stored, what came of that."""
         self._search = Search(CIRCLES, robot.view)
         self._turning = robot.turns
         self._status = Status.WAITING
         self._asked, self._began = False, 0.0
+        self._hand = hand
+        self._driven: Control | None = None
+        """What drives it along the route that it teaches, once that has begun."""
+        self._stored = False
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it did its errand."""
+        if isinstance(self.ending, Event):
+            return self.ending.type == "event"
+        return self.ending is not None and self.ending.state == "arrived"
+
+    @property
+    def last_words(self) -> str:
+        """What was said last of its errand."""
+        said = self.ending
+        if said is None or isinstance(said, Event):
+            return "" if said is None else said.text
+        return f"{said.state}: {said.reason}"
 
     def again(self) -> None:
         """Drive in circles again, from where it ended."""
@@ -76,6 +118,12 @@ class Player:
         """Drive for one period of the odometry; yield what is to be said."""
         if not self._asked and not self._turning:
             self.robot.command(self._search.twist(self.robot.t), hold=1.0)
+        elif self._driven is not None and not self._stored:
+            twist = self._driven.twist(self.robot.t, self.robot.pose)
+            self.robot.command(twist or STAND, hold=1.0)
+            if twist is None:
+                self._stored = True
+                yield self.errand
         sensed = self.robot.step()
         yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
         if sensed.seen is not None:
@@ -83,13 +131,20 @@ class Player:
         looked = not self._turning and sensed.t - self._began > LOOKS_ROUND_S
         if looked and not self._asked and self._status is Status.LOCALISED:
             self._asked = True
-            yield GoHome()
+            yield self.errand if self._hand is None else BeginRoute()
 
     def hear(self, said: object) -> None:
         """Take what the session said."""
         if isinstance(said, Answer):
             self._status = said.status
-        elif isinstance(said, Command) and (self._asked or self._turning):
+        elif isinstance(said, Event) and self._asked and self._hand is not None:
+            if self._stored:
+                self.ending = said
+            elif said.type == "error":  # it knows too little yet
+                self.again()
+            elif self._driven is None:
+                self._driven = self._hand(self.robot.pose)
+        elif isinstance(said, Command) and (self._turning or (self._asked and self._hand is None)):
             self.robot.command(Twist(said.v, said.omega), said.hold)
             if said.state in ("arrived", "failed"):
                 self.ending = said
@@ -98,7 +153,7 @@ class Player:
 
     @property
     def done(self) -> bool:
-        """Whether it is home, or gave up."""
+        """Whether its errand is over, or it gave up."""
         return self.ending is not None or self.robot.t > self._longest
 
 

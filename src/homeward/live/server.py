@@ -125,7 +125,7 @@ class Server:
         loop = asyncio.get_running_loop()
         ended = asyncio.Event()
         self._end = functools.partial(loop.call_soon_threadsafe, ended.set)
-        with contextlib.suppress(ValueError, NotImplementedError):  # not on the main thread
+        with contextlib.suppress(RuntimeError, ValueError):  # not on the main thread
             for sign in (signal.SIGINT, signal.SIGTERM):
                 loop.add_signal_handler(sign, ended.set)
         worker = threading.Thread(target=self._process, args=(loop,), daemon=True)

@@ -1,8 +1,9 @@
 """The engine of a live session: samples in as they come, answers and commands out.
 
 It has two sides. `receive` and `tick` are quick and belong to one thread: watchdogs, odometry and
-the drive home. `process` is as slow as the estimator and may run in another one: however long that
-takes, the robot is told to stand in time. Between them are a bounded queue and the last answer.
+the drive to a goal. `process` is as slow as the estimator and may run in another one: however long
+that takes, the robot is told to stand in time. Between them are a bounded queue and the last
+answer.
 Nothing here reads the clock that decides: `now` is the host's, steady [s].
 """
 
@@ -20,17 +21,22 @@ from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError
 from homeward.estimator import Status
 from homeward.frames import Pose, compose
-from homeward.live.homing import Belief, Homing, State
+from homeward.live.goals import Belief, State
+from homeward.live.homing import Homing
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,
     BearingsIn,
     Cancel,
     Command,
+    Departure,
     Diagnostics,
     EStop,
     Event,
+    FollowRoute,
     GoHome,
+    GoTo,
+    GoToLandmark,
     Input,
     Obstacle,
     OdometryIn,
@@ -91,7 +97,7 @@ class Session:
         self._lock = threading.Lock()
         self._answered = -math.inf
         self._work_s = 0.0
-        self._sent: GoHome | None = None
+        self._sent: Departure | None = None
         """Where to the robot is sent, until that is processed: it stands as long ..."""
         self._refused = ""
         """... and why it cannot go there."""
@@ -126,7 +132,7 @@ class Session:
             case Obstacle(distance=distance):
                 self._obstacle = distance, now
                 return
-            case GoHome():
+            case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
                 self._sent = message
                 self._hand_to(self.homing, now)
             case TurnHome(name=name):
@@ -145,7 +151,7 @@ class Session:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
                 out = Event(type="error", text=str(error))
-                if isinstance(message, GoHome):
+                if isinstance(message, Departure):
                     self._refused = str(error)
             if self.localisation.goal_lost:
                 self._refused, self.localisation.goal_lost = self.localisation.goal_lost, ""
@@ -170,7 +176,7 @@ class Session:
         if self._driver is self._turning:
             twist = self._turn(now)
         elif self._sent is None:
-            self.homing.goal = self.localisation.goal
+            self.homing.aim(self.localisation.goal)
             twist = self.homing.command(now, self.belief(now), self.faults(now))
         else:
             nowhere = Belief(Status.WAITING, None, None)
@@ -195,7 +201,7 @@ class Session:
         return Belief(estimate.status, compose(odom, here), estimate.covariance)
 
     def faults(self, now: float) -> tuple[str, ...]:
-        """Return what keeps the robot from driving home, in words."""
+        """Return what keeps the robot from driving, in words."""
         told, found = self.settings, []
         if self._stopped:
             found.append("emergency stop")
@@ -204,7 +210,7 @@ class Session:
             if now - heard > told.odometry_timeout:
                 found.append(f"nothing said of obstacles for {now - heard:.2f} s")
             elif distance < told.limits.obstacle_distance:
-                found.append(f"an obstacle {distance:.2f} m ahead")
+                found.append(f"blocked: an obstacle {distance:.2f} m ahead")
         found += [f for w in (self._odometry, self._bearings) if (f := w.fault(now))]
         newest = self._odometry.newest
         for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):

@@ -7,9 +7,10 @@ twice however often it is saved.
 
 from __future__ import annotations
 
+import math
 import time
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,20 +19,25 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
-from homeward.estimator import Estimate, Status
+from homeward.estimator import Estimate, LandmarkEstimate, Status
+from homeward.following import LOOKAHEAD
 from homeward.frames import Pose
 from homeward.live.messages import BearingsIn
 from homeward.live.samples import Samples, last_of_equal, table
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import PROOF
 from homeward.places.files import check_place, is_place, load_place, newest, save_place
+from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
+from homeward.places.route import Route, seen_along, taught_along
 from homeward.places.telling import require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
 from homeward.report.place.words import visit_words
 from homeward.report.words import count
 
+COLUMNS = 5
+"""Of what is kept of an answer: stamp, pose, and how uncertain its place is if it is localised."""
 READ_ONLY = "the place is left as it is: homeward live --update, or place_update of the node"
 
 
@@ -74,6 +80,9 @@ class Visiting:
         self.place = self._after
         self._samples, self._poses = Samples(), array("d")
         self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
+        self._routes: dict[str, tuple[Route, JointMap]] = {}
+        self._taught_from = 0
+        """How many answers came before the route that is being taught."""
 
     @property
     def has_homes(self) -> bool:
@@ -117,7 +126,7 @@ class Visiting:
             return
         self._samples.add(message)
         if estimate.pose is not None:
-            self._poses.extend((message.t, *estimate.pose))
+            self._poses.extend((message.t, *estimate.pose, _sigma(estimate)))
 
     def store_home(self, name: str, first: str, seen: BearingsIn, estimate: Estimate) -> str:
         """Store a home where the robot is, and say so; it is one of the place after this visit.
@@ -135,6 +144,79 @@ class Visiting:
             raise InputError(f"home {quoted(name)} cannot be stored by a robot that is {words}")
         self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
         return f"home {name} is here, {len(seen.bearings)} landmarks in sight"
+
+    @property
+    def routes(self) -> tuple[str, ...]:
+        """The routes that there are, and will be after this visit."""
+        return (*(self.place.routes if self.place is not None else ()), *self._routes)
+
+    def route(self, name: str) -> Route:
+        """Return a route, of the place or of this visit, in the frame of the answers.
+
+        Raises
+        ------
+        InputError
+            When there is none of that name.
+        """
+        if name in self._routes:
+            return self._routes[name][0]
+        if self.place is None or name not in self.place.routes:
+            there = f"there are {', '.join(self.routes)}" if self.routes else "there is none"
+            raise InputError(f"no route {quoted(name)}; {there}")
+        return self.place.route(name)
+
+    def landmark(self, name: str) -> tuple[float, float] | None:
+        """Return where the place has a landmark, in the frame of its first home [m]."""
+        if self.place is None or name not in self.place.standings:
+            return None
+        x, y = self.place.map.positions[self.place.map.names.index(name)].tolist()
+        return x, y
+
+    def begin_route(self, estimate: Estimate) -> str:
+        """Begin to teach a route where the robot is, and say so.
+
+        Raises
+        ------
+        InputError
+            When the robot does not know well where it is, or nothing is merged.
+        """
+        if not self.update:
+            raise InputError(READ_ONLY)
+        if estimate.status is not Status.LOCALISED:
+            words = f"{estimate.status.value}: {estimate.reason}"
+            raise InputError(f"a route cannot begin with a robot that is {words}")
+        if (sigma := _sigma(estimate)) > LOOKAHEAD:
+            raise InputError(
+                f"a route cannot begin with a robot that knows where it is to {sigma:.2f} m only"
+            )
+        self._taught_from = len(self._poses)
+        return "a route begins here"
+
+    def store_route(self, name: str, landmarks: Iterable[LandmarkEstimate]) -> str:
+        """Store the way since the route began, and say so; it is one of the place after this visit.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        landmarks : iterable of LandmarkEstimate
+            What the robot knows of them.
+
+        Raises
+        ------
+        HomewardError
+            When the robot did not know where it was on its way, or led nowhere, or the name is
+            taken, or nothing is merged.
+        """
+        if not self.update:
+            raise InputError(READ_ONLY)
+        require_name("route", name, self.routes)
+        rows = table(self._poses[self._taught_from :], COLUMNS)
+        t, *poses, sigmas = last_of_equal(rows[np.isfinite(rows[:, -1])]).T
+        route = taught_along(t, np.column_stack(poses), sigmas, self.when)
+        self._routes[name] = route, seen_along(landmarks)
+        stops = count(len(route.waypoints), "way point")
+        return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
     def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
         """Merge the visit, as far as it came, and write that; return what it told, in words.
@@ -156,9 +238,9 @@ class Visiting:
         if not self.update:
             raise InputError(READ_ONLY)
         drive = replace(drive, sightings=self._samples.sightings())
-        stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, 4))
+        stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, COLUMNS))
         poses = np.full((stamps.size, 3), np.nan)
-        poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:]
+        poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
         told = told_along(localizer, drive, poses, self.when, home)
         if len(told.map.names) < PROOF:
             raise HomewardError(
@@ -167,15 +249,24 @@ class Visiting:
             )
         for name, (answer, seen) in self._stored.items():
             told = told.store_home(name, answer, seen)
+        told = replace(told, routes=dict(self._routes))
         if self.place is None:
             after = first_place(self.name, localizer, told, home)
         else:
             after = merged(self.place, told)
         if self._folder is not None:
             self._version = save_place(after, self._folder, self._version)
-        lost = [name for name in self._stored if name not in after.homes]
+        lost = [f" Home {name} was not stored." for name in self._stored if name not in after.homes]
+        lost += [f" Route {n} was not stored." for n in self._routes if n not in after.routes]
         self._after, self.saved = after, True
-        return visit_words(after) + "".join(f" Home {name} was not stored." for name in lost)
+        return visit_words(after) + "".join(lost)
+
+
+def _sigma(estimate: Estimate) -> float:
+    """Return how uncertain a place is along the worst direction [m]; NaN if not localised."""
+    if estimate.status is not Status.LOCALISED or estimate.covariance is None:
+        return math.nan
+    return math.sqrt(max(float(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1]), 0.0))
 
 
 def visiting(folder: Path, update: bool, estimator: str = DEFAULT) -> Visiting:

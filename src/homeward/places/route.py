@@ -7,7 +7,7 @@ show that correcting the heading alone suffices for that; a map corrects all thr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.errors import HomewardError
+from homeward.estimator import LandmarkEstimate
 from homeward.following import LOOKAHEAD, Path
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
@@ -112,9 +113,9 @@ class Route:
         return replace(self, nodes=tuple(nodes))
 
 
-def seen_along(track: Track) -> JointMap:
-    """Return where a track has landmarks, in its own frame, without their uncertainty."""
-    known = {m.landmark: (m.x, m.y) for m in track.landmarks if np.isfinite(m.x)}
+def seen_along(landmarks: Iterable[LandmarkEstimate]) -> JointMap:
+    """Return where landmarks are, in the frame of the answers, without their uncertainty."""
+    known = {m.landmark: (m.x, m.y) for m in landmarks if np.isfinite(m.x)}
     mean = np.array(list(known.values())).ravel()
     return JointMap(tuple(known), (), mean, np.zeros((mean.size, mean.size)))
 
@@ -136,8 +137,30 @@ def taught(track: Track, when: float) -> Route:
     """
     rows = np.flatnonzero(track.has_pose)
     t, poses = track.t[rows], np.column_stack([track.x, track.y, track.heading])[rows]
-    stood = stands(t, poses)
     sigmas = np.sqrt(np.linalg.eigvalsh(track.covariance[rows][:, :2, :2])[:, -1])
+    return taught_along(t, poses, sigmas, when)
+
+
+def taught_along(t: np.ndarray, poses: np.ndarray, sigmas: np.ndarray, when: float) -> Route:
+    """Return the way along some poses as a route; see `taught`.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        [s]
+    poses : ndarray, shape (n, 3)
+        x, y [m], heading [rad].
+    sigmas : ndarray, shape (n,)
+        How uncertain their places are, along the worst direction [m].
+    when : float
+        [days since 1970]
+
+    Raises
+    ------
+    HomewardError
+        As `taught` does.
+    """
+    stood = stands(t, poses)
     picked = _picked(poses, [row for row, _ in stood])
     if len(picked) < 2:
         raise HomewardError("this drive leads nowhere, so there is no route to keep")

@@ -94,9 +94,8 @@ class Told:
             When the name cannot stand in a file, or `homeward.places.route.taught` raises.
         """
         require_name("route", name, self.routes)
-        return replace(
-            self, routes={**self.routes, name: (taught(track, self.when), seen_along(track))}
-        )
+        route = taught(track, self.when), seen_along(track.landmarks)
+        return replace(self, routes={**self.routes, name: route})
 
 
 def require_name(what: str, name: str, there: Collection[str]) -> None:

@@ -34,9 +34,11 @@ from homeward.frames import Pose
 from homeward.live.messages import (
     Answer,
     BearingsIn,
+    BeginRoute,
     Cancel,
     Command,
     EStop,
+    FollowRoute,
     GoHome,
     Input,
     LookRound,
@@ -46,6 +48,7 @@ from homeward.live.messages import (
     Reset,
     SavePlace,
     StoreHome,
+    StoreRoute,
     TurnHome,
     line_of,
     parse,
@@ -243,6 +246,12 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             (JSON, "~/store_home", lambda m: self._take(validated(StoreHome, {"name": m.data}))),
             (JSON, "~/turn_home", lambda m: self._take(validated(TurnHome, {"name": m.data}))),
             (JSON, "~/go_home", lambda m: self._take(validated(GoHome, {"name": m.data}))),
+            (JSON, "~/store_route", lambda m: self._take(validated(StoreRoute, {"name": m.data}))),
+            (
+                JSON,
+                "~/follow_route",
+                lambda m: self._take(validated(FollowRoute, {"name": m.data})),
+            ),
         ]
         if told("camera_info_topic"):
             topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), self._info))
@@ -262,7 +271,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self.get_logger().warning("no std_srvs here: ask on ~/request")
             return
         asked = {"store_home": StoreHome, "look_round": LookRound, "turn_home": TurnHome}
-        asked |= {"go_home": GoHome, "save_place": SavePlace, "cancel": Cancel, "reset": Reset}
+        asked |= {"go_home": GoHome, "begin_route": BeginRoute, "save_place": SavePlace}
+        asked |= {"cancel": Cancel, "reset": Reset}
         services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
         stop = self._service(lambda request: EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -46,7 +47,9 @@ def simulate(
     place: Annotated[
         str | None, typer.Option(help="To repeat: the place whose route it drives along.")
     ] = None,
-    route: Annotated[str | None, typer.Option(help="To repeat: the name of the route.")] = None,
+    route: Annotated[
+        str | None, typer.Option(help="To repeat, or live to teach: the name of the route.")
+    ] = None,
     live: Annotated[
         str | None,
         typer.Option(
@@ -80,15 +83,24 @@ def simulate(
         "trajectory.place": place,
         "trajectory.route": route,
     }
-    given = {key: value for key, value in options.items() if value is not None}
-    chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
     if (out is None) == (live is None):
         raise InputError("give one of --out and --live")
-    if out is None and chosen.trajectory.kind == "repeat":
-        raise InputError("--live repeats no route: what drives the robot is homeward live")
-    if out is None:
-        _play(chosen, live or "", pace, json)
+    if live is not None:  # the place and its routes are the server's
+        if place is not None:
+            raise InputError("--live knows no place: that is homeward live's")
+        if (route is not None) != (trajectory in ("teach", "repeat")):
+            raise InputError("--live takes --route NAME with --trajectory teach or repeat")
+        del options["trajectory.route"]
+        if trajectory == "repeat":
+            del options["trajectory.kind"]
+    given = {key: value for key, value in options.items() if value is not None}
+    chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
+    if live is not None:
+        if chosen.trajectory.kind == "repeat":
+            raise InputError("--live: --trajectory repeat --route NAME, without a place of its own")
+        _play(chosen, live, pace, json, route, teach=trajectory == "teach")
         return
+    assert out is not None
     prepared = prepare(chosen)
     steering = None if chosen.estimator == "truth" else make_estimator(chosen.estimator, prepared)
     check_output(out, SCENARIO)
@@ -102,24 +114,31 @@ def simulate(
         say(_summary(simulation, out))
 
 
-def _play(scenario: Scenario, where: str, pace: float, json: bool) -> None:
-    """Be a robot until it is home, or has given up."""
-    from homeward.live.player import Player, play
+def _play(
+    scenario: Scenario, where: str, pace: float, json: bool, route: str | None, teach: bool
+) -> None:
+    """Be a robot until it is home, or has done what it was to do with a route, or has given up."""
+    from homeward.live.messages import FollowRoute, StoreRoute
+    from homeward.live.player import Errand, Player, play
     from homeward.live.server import address
     from homeward.simulation.live_robot import LiveRobot
+    from homeward.simulation.trajectories import make_control
 
-    player = Player(LiveRobot(scenario), scenario.trajectory.duration)
+    errand: Errand | None = None
+    if route is not None:
+        errand = StoreRoute(name=route) if teach else FollowRoute(name=route)
+    hand = partial(make_control, scenario) if teach else None
+    player = Player(LiveRobot(scenario), scenario.trajectory.duration, errand, hand)
     token = os.environ.get("HOMEWARD_TOKEN") or None
     asyncio.run(play(player, address(where), pace, token, lambda text: warn(text)))
-    ending, robot = player.ending, player.robot
-    state = "time up" if ending is None else f"{ending.state}: {ending.reason}"
+    state, robot = player.last_words or "time up", player.robot
     if json:
         told = {"scenario": scenario.name, "ending": state}
         answer({**told, "duration_s": robot.t, "from_home_m": robot.distance})
     else:
         end = f"{state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s"
         say(f"{scenario.name}: {end}")
-    if ending is None or ending.state != "arrived":
+    if not player.succeeded:
         raise no_answer()
 
 

@@ -1,0 +1,59 @@
+"""Where a message sends the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+from homeward.drives.text.table import quoted
+from homeward.errors import InputError
+from homeward.estimator import LandmarkEstimate
+from homeward.live.goals import Along, Goal, Spot
+from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
+from homeward.live.visiting import Visiting
+
+NO_PLACE = "there is no place: homeward live --place, or place of the node"
+Known = Callable[[], Iterable[LandmarkEstimate]]
+
+
+def goal_of(message: Departure, home: str, place: Visiting | None, known: Known) -> Goal:
+    """Return where a message sends the robot, in the frame of the answers.
+
+    Parameters
+    ----------
+    message : Departure
+        That sends it.
+    home : str
+        In whose frame answers are.
+    place : Visiting, optional
+        The place that the robot is in.
+    known : callable
+        Returns what the robot knows of landmarks.
+
+    Raises
+    ------
+    InputError
+        When there is no such home, route or landmark.
+    """
+    match message:
+        case GoTo(x=x, y=y):
+            return Spot("there", x, y)
+        case GoToLandmark(name=name, standoff=standoff):
+            return Spot(name, *_landmark(name, place, known), standoff)
+        case FollowRoute(name=name):
+            if place is None:
+                raise InputError(NO_PLACE)
+            return Along(name, place.route(name).path)
+        case GoHome(name=str(name)) if place is not None:
+            return Spot(name, *place.home_pose(name, home)[:2])
+    return Spot(home, 0.0, 0.0)
+
+
+def _landmark(name: str, place: Visiting | None, known: Known) -> tuple[float, float]:
+    """Return where a landmark is [m]: as it was seen, or else as the place has it."""
+    for mark in known():
+        if mark.landmark == name and math.isfinite(mark.x):
+            return mark.x, mark.y
+    if place is not None and (there := place.landmark(name)) is not None:
+        return there
+    raise InputError(f"no landmark {quoted(name)} is known yet")
