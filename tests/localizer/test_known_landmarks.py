@@ -31,6 +31,7 @@ from homeward.localizer.map.survey_factors import (
 )
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.smoothing import smooth
+from homeward.localizer.tunables import CLOSE
 from homeward.registry import make_estimator
 from homeward.track import run
 
@@ -287,6 +288,9 @@ def test_a_camera_that_sees_one_or_two_at_a_time_has_a_fix_when_it_has_seen_enou
     posed = [a.pose is not None for a, _ in rig.answers]
     assert any(posed)
     assert rig.wrong_share() < 0.05
+    sure = [a for a, _ in rig.answers if a.status is Status.LOCALISED]
+    far = max(math.hypot(*place) for place in ring(12, seed).values())
+    assert all(a.covariance.diagonal()[:2].max() <= (CLOSE * far) ** 2 for a in sure)
 
 
 def test_a_surveyed_landmark_that_moves_on_the_way_is_followed():

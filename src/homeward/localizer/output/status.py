@@ -21,7 +21,7 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES, POSE, STILL_FIXED
+from homeward.localizer.tunables import AGREES, CLOSE, POSE, STILL_FIXED
 from homeward.reasons import Reason
 
 
@@ -85,7 +85,9 @@ class IntegrityMonitor:
         """The home bearings of the best one that the others check, and of landmarks that stayed."""
         self._rivals = 0.0
         self._most = math.inf
-        """How uncertain a pose may be that was given [m]."""
+        """How uncertain a pose may be that was given [m] ..."""
+        self._close = math.inf
+        """... and one by a survey that is relied on [m]."""
         self.fixed = False
         """Whether the pose is certain enough to be given."""
         self.mount_covariance = np.zeros((2, 2))
@@ -171,7 +173,9 @@ class IntegrityMonitor:
             return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
         if coasting:
             return Status.COASTING, Reason.NO_BEARINGS.words
-        if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > self._most**2:
+        # A look or two at a survey tell a pose that is linear only where it is close already.
+        most = min(self._most, self._close) if surveyed else self._most
+        if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
         if surveyed:
             words = f"{surveyed} surveyed landmarks and {agreeing - surveyed} home bearings agree"
@@ -183,7 +187,7 @@ class IntegrityMonitor:
         # A wrong home that lies far away would call its landmarks distant; the robot does not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
-        self._most = STILL_FIXED * reach
+        self._most, self._close = STILL_FIXED * reach, CLOSE * distance
         most = self._most if self.fixed else reach
         # Where home may turn by as much, what is linear in its heading no longer holds.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
