@@ -52,7 +52,7 @@ def test_info_of_an_unfinished_drive_folder_says_what_is_there_and_what_is_missi
 
 def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
     shutil.copy(sample_drive() / "odometry.csv", tmp_path / "wheels.csv")
-    assert "neither" in refused(call("info", tmp_path))
+    assert "homeward import makes one" in refused(call("info", tmp_path))
 
 
 def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
