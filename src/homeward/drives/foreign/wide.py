@@ -34,7 +34,8 @@ def unit_of(columns: Sequence[str]) -> str | None:
     """Return the unit that names of columns say; None: they do not."""
     units = {unit_in(name, "angle") for name in columns}
     if len(units) > 1:
-        raise InputError(f"columns of landmarks in several units: {', '.join(map(str, units))}")
+        told = ", ".join(sorted(map(str, units)))
+        raise InputError(f"columns of landmarks in several units: {told}")
     return units.pop()
 
 
