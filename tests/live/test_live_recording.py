@@ -9,8 +9,9 @@ from live_rig import Rig, driving
 from homeward import make_estimator, open_drive, run
 from homeward.drives.drive import DriveSettings
 from homeward.errors import InputError
-from homeward.live.messages import Answer, GoHome, Reset
+from homeward.live.messages import Answer, BearingsIn, GoHome, OdometryIn, Reset, SetHome
 from homeward.live.recording import SESSION, Recorder, read_drive, replay
+from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
 
@@ -100,3 +101,16 @@ def test_what_is_no_session_is_refused(tmp_path, text):
 def test_a_folder_that_is_there_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="exists already"):
         Recorder(tmp_path, LiveSettings(), DriveSettings(), {})
+
+
+def test_the_lag_of_bearings_is_taken_out_once(tmp_path):
+    robot = DriveSettings(bearings_late=0.2)
+    recorder = Recorder(tmp_path / "late", LiveSettings(), robot, {})
+    session = Session(robot=robot, keep=recorder.keep)
+    session.receive(SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0}), 0.0)
+    for k in range(10):
+        session.receive(OdometryIn(t=0.1 * k, v=0.1, omega=0.0), 0.1 * k)
+    session.receive(BearingsIn(t=0.7, bearings={"a": 0.1, "b": 1.5}), 0.9)
+    list(session.process())
+    recorder.close()
+    assert open_drive(tmp_path / "late").sightings.t == pytest.approx([0.5, 0.5])

@@ -86,9 +86,10 @@ class Recorder:
         if is_there(folder):
             raise InputError("exists already; choose another name", folder)
         known = None if place is None else place.place
+        told = robot.model_copy(update={"bearings_late": None})  # samples are kept on time
         head = {
             "settings": settings.model_dump(mode="json"),
-            "robot": robot.model_dump(mode="json", exclude_unset=True, exclude_none=True),
+            "robot": told.model_dump(mode="json", exclude_unset=True, exclude_none=True),
             "homes": {
                 name: {i: [h.bearing, h.sigma if h.sigma > 0 else None] for i, h in home.items()}
                 for name, home in homes.items()
