@@ -22,7 +22,7 @@ from homeward.localizer.map.sightings import (
     effective_sigmas,
     sighting_rows,
 )
-from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.smoother import ALIKE, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey import Survey
 from homeward.localizer.map.survey_factors import in_survey_frame
@@ -266,7 +266,7 @@ class Map:
         numpy.linalg.LinAlgError
             When nothing can be made of the map any more.
         """
-        self._move_on(frame.t, motion, np.ones(2))
+        self._move_on(frame.t, motion, ALIKE)
         rows, eye, _ = self._rows(frame, Motion.identity())
         self._keep(frame, rows, eye[2] + frame.bearings, {})
         self._correct(None)

@@ -49,6 +49,8 @@ from homeward.localizer.tunables import LINEAR
 
 STEPS = 5
 """Gauss-Newton steps at most."""
+ALIKE = np.ones(2)
+"""Variances of most motions over those of all where no tail is known of, of shift and turn [1]."""
 SETTLED = 2e-2
 """Smaller steps [distance, rad] end it; the rest goes as its square."""
 
@@ -176,7 +178,7 @@ class Smoother:
         eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
-    def add_keyframe(self, t: float, motion: Motion, core: np.ndarray) -> None:
+    def add_keyframe(self, t: float, motion: Motion, core: np.ndarray = ALIKE) -> None:
         """Add a keyframe at `t` [s], reached from the last one by `motion`; the state moves on.
 
         Of most motions the variances of shift and turn are but so many times, `core` (2,), as large
