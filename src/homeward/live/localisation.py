@@ -24,7 +24,7 @@ from homeward.drives.home.looks import HomeLooks
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose, compose, inverse, to_polar
-from homeward.live.goals import Along, Goal
+from homeward.live.driving.goals import Along, Goal
 from homeward.live.messages import (
     Answer,
     BearingsIn,

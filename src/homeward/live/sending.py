@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.live.goals import Along, Goal, Spot
+from homeward.live.driving.goals import Along, Goal, Spot
 from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
 from homeward.live.visiting import Visiting
 

@@ -21,8 +21,11 @@ from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError
 from homeward.estimator import Status
 from homeward.frames import Pose, compose
-from homeward.live.goals import Belief, State
-from homeward.live.homing import Homing
+from homeward.live.driving.goals import Belief, State
+from homeward.live.driving.homing import Homing
+from homeward.live.driving.turning import Turning
+from homeward.live.driving.watchdog import StampGate, Watchdog
+from homeward.live.driving.way import Way
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,
@@ -45,10 +48,7 @@ from homeward.live.messages import (
     TurnHome,
 )
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
-from homeward.live.turning import Turning
 from homeward.live.visiting import Visiting
-from homeward.live.watchdog import StampGate, Watchdog
-from homeward.live.way import Way
 
 
 class Session:

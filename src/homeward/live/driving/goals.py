@@ -1,7 +1,7 @@
 """Where a robot may be sent, and how it gets there: to a point, or along a route.
 
 Each is asked at every tick, also while something hinders the robot, for a `Step`; what bounds its
-acceleration, and when it gives up, is `homeward.live.homing`'s.
+acceleration, and when it gives up, is `homeward.live.driving.homing`'s.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from homeward.angles import wrap
 from homeward.control import Twist
-from homeward.live.goals import Belief, Drive, State, Step
-from homeward.live.homing import Homing
+from homeward.live.driving.goals import Belief, Drive, State, Step
+from homeward.live.driving.homing import Homing
 from homeward.live.settings import Limits
 
 ROUND = 1.05 * math.tau

@@ -8,7 +8,7 @@ import numpy as np
 
 from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.live.goals import STAND, Belief, Drive, Goal, State
+from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State
 from homeward.live.settings import Limits
 
 AFTERWARDS_S = 1.0
