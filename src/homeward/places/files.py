@@ -74,7 +74,7 @@ class PlaceSettings(Strict):
 
 def is_place(folder: Path) -> bool:
     """Return whether a folder holds a place."""
-    return bool(_versions(folder)) if folder.is_dir() else False
+    return os.path.isdir(folder) and bool(_versions(folder))
 
 
 def check_place(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -90,7 +91,7 @@ def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
         For a key that does not exist, or a value out of range.
     """
     file = shipped_maps().get(source, Path(source))
-    if not file.is_file():
+    if not os.path.isfile(file):  # pathlib's raises where a name is too long
         return None
     tree = read_tree(file)
     if "map" not in tree:
