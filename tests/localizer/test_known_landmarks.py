@@ -22,6 +22,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.factors import add_odometry, step_row
 from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.survey import Survey
 from homeward.localizer.map.survey_factors import (
     SurveyFactors,
     align,
@@ -30,6 +31,7 @@ from homeward.localizer.map.survey_factors import (
     in_survey_frame,
 )
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
+from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.localizer.tunables import CLOSE
 from homeward.registry import make_estimator
@@ -253,6 +255,19 @@ def test_a_survey_of_another_place_altogether_is_not_believed():
     rig.drive(40.0)
     assert rig.wrong_share() < 0.01
     assert "0 of 8 surveyed" in " ".join(rig.localizer.notes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_a_survey_of_another_hall_with_many_landmarks_nothing_is_used(seed):
+    rng = np.random.default_rng(seed)
+    there, here = rng.uniform((0.0, 0.0), (60.0, 40.0), (2, 48, 2))
+    told = {f"L{i}": {"x": x, "y": y} for i, (x, y) in enumerate(there.tolist())}
+    variances = np.concatenate([np.full(HEAD, 1e-4), np.full(here.size, 0.3**2)])
+    mapped = Marginal(np.concatenate([np.zeros(HEAD), here.ravel()]), np.diag(variances))
+    survey = Survey(KnownLandmarks(landmarks=told), LocalizerSettings())
+    survey.judge(mapped, {name: i for i, name in enumerate(told)}, np.arange(len(told)))
+    assert not survey.used
+    assert sum(p > 0.5 for p in survey.wrong.values()) > 40
 
 
 def test_a_survey_from_home_serves_without_home_bearings():

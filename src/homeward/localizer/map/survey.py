@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.special import betaln
 
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
@@ -25,12 +26,12 @@ from homeward.localizer.map.survey_factors import (
 )
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import NEGLIGIBLE
+from homeward.localizer.tunables import NEGLIGIBLE, UPHEAVAL
 
 MOST_JUDGED = 48
 """Of so many landmarks at most the survey is used; those that came first."""
-MOST_FLIPS = 24
-"""Steps of a search for what is wrong."""
+MOST_FLIPS = 2 * MOST_JUDGED
+"""Steps of a search for what is wrong: of another place it is everything."""
 ANYWHERE = 10.0
 """Beforehand the datum is so vague [size of the survey; rad]."""
 
@@ -176,7 +177,6 @@ def wrong_probabilities(
     of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
     item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
     log_wrong = -np.bincount(item) * math.log(size)
-    labels = np.log1p(-prior) - np.log(prior) - log_wrong
 
     def linear(right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what all are off, and its covariance, the datum being free around a set's."""
@@ -197,7 +197,9 @@ def wrong_probabilities(
     found: dict[bytes, float] = {}
     right = np.ones(k + m, bool)
     for _ in range(MOST_FLIPS):
-        evidence, gains = _weigh(right, item, *linear(right), labels)
+        before, labels = _log_labels(right, prior)
+        evidence, gains = _weigh(right, item, *linear(right), labels - log_wrong)
+        evidence += before + float(log_wrong[~right].sum())
         found[right.tobytes()] = evidence
         for i, gain in enumerate(gains.tolist()):
             flipped = right.copy()
@@ -211,6 +213,26 @@ def wrong_probabilities(
     weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(NEGLIGIBLE)))
     wrong = ~np.array([np.frombuffer(key, bool) for key in found])
     return np.asarray(weights @ wrong / weights.sum())
+
+
+def _log_labels(right: np.ndarray, prior: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the log probability that just these are right, and the log odds of each of them.
+
+    As a rule each is wrong with a probability of its own (k,); after an upheaval, or in another
+    place, any share may be, as of home's bearings (`homeward.localizer.home.outliers`).
+    """
+    odds = np.log1p(-prior) - np.log(prior)
+    rule, number = float(np.where(right, np.log1p(-prior), np.log(prior)).sum()), right.sum()
+    step = np.where(right, -1, 1)
+    now = _mixed(np.array(rule), number, right.size)
+    then = _mixed(rule + step * odds, number + step, right.size)
+    return float(now), step * (then - now)
+
+
+def _mixed(rule: np.ndarray, right: np.ndarray, of: int) -> np.ndarray:
+    """Return the log probability by a rule, or by an upheaval, of so many right ones."""
+    upheaval = math.log(UPHEAVAL) + betaln(1.0 + right, 1.0 + of - right)
+    return np.asarray(np.logaddexp(math.log1p(-UPHEAVAL) + rule, upheaval))
 
 
 def _weigh(
@@ -234,7 +256,7 @@ def _weigh(
         else:
             odds[i] += _log_normal(off[mine], spread[np.ix_(mine, mine)])
     log_volume = np.log(root.diagonal()).sum() + 0.5 * at.sum() * math.log(math.tau)
-    evidence = float(labels[right].sum() - 0.5 * residual @ residual - log_volume)
+    evidence = float(-0.5 * residual @ residual - log_volume)
     return evidence, np.where(right, -odds, odds)
 
 
