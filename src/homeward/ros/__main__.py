@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
 from homeward.ros.node import HomewardNode
+
+STOPPED_WITHIN_S = 0.5
+"""... and that it was stopped rclpy's own thread says a moment later [s]."""
 
 
 def main() -> None:
@@ -19,7 +24,8 @@ def main() -> None:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except RuntimeError:  # Jazzy's rclpy, where it is stopped between two waits
+    except RuntimeError:  # what is interrupted within rclpy may end by that, ...
+        time.sleep(STOPPED_WITHIN_S)
         if rclpy.ok():
             raise
     finally:

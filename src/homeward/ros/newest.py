@@ -50,7 +50,8 @@ class Newest(Generic[Result]):
         self._thread.join()
 
     def _work(self) -> None:
-        while self._given.wait() and self._running:
+        while self._running:
+            self._given.wait()
             self._given.clear()
             while self._waiting and self._running:
                 task, result, error = self._waiting.popleft(), None, None
