@@ -20,6 +20,7 @@ from homeward.drives.text.settings import nested
 from homeward.engine.batch.homing import HomingResult, run_homing
 from homeward.engine.cuda.device import CudaError, gpu
 from homeward.engine.native.compiler import NativeError, find_compiler
+from homeward.errors import InputError
 from homeward.studies.blocks.finish import Work
 from homeward.studies.blocks.store import Arrays, BlockStore
 from homeward.studies.paper.layouts import changed
@@ -74,7 +75,7 @@ def with_engine(settings: MapSettings) -> MapSettings:
 
 
 def _fastest() -> Literal["native", "cuda", "interpreter"]:
-    with suppress(CudaError):
+    with suppress(CudaError, InputError):  # no GPU, or nothing installed to reach it
         gpu()
         return "cuda"
     with suppress(NativeError):
