@@ -175,12 +175,12 @@ class Session:
             self._refused = ""
         if self._driver is self._turning:
             twist = self._turn(now)
-        elif self._sent is None:
-            self.homing.aim(self.localisation.goal)
-            twist = self.homing.command(now, self.belief(now), self.faults(now))
         else:
-            nowhere = Belief(Status.WAITING, None, None)
-            twist = self.homing.command(now, nowhere, self.faults(now))
+            belief = Belief(Status.WAITING, None, None)
+            if self._sent is None:
+                self.homing.aim(self.localisation.goal)
+                belief = self.belief(now)
+            twist = self.homing.command(now, belief, self.faults(now))
         if twist is None:
             return None
         return Command(

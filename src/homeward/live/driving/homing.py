@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State
+from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State, position_sigma
 from homeward.live.settings import Limits
 
 AFTERWARDS_S = 1.0
@@ -94,7 +92,7 @@ class Homing:
             return f"lost, no pose: {belief.status.value}"
         if belief.status is not Status.LOCALISED and now - self._sure > limits.coast:
             return f"lost, not localised: {belief.status.value}"
-        sigma = math.sqrt(max(np.linalg.eigvalsh(belief.covariance[:2, :2])[-1], 0.0))
+        sigma = position_sigma(belief.covariance)
         if not sigma <= limits.largest_sigma:
             return f"lost, too uncertain: sigma {sigma:.2f} m, at most {limits.largest_sigma:g} m"
         return ""
