@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
+from typing import Any
 
-from threadpoolctl import threadpool_limits
+import scipy.linalg  # noqa: F401 (so that its BLAS is there, beside NumPy's, when they are listed)
+from threadpoolctl import ThreadpoolController
 
 _LOCK = Lock()
-_HELD: list[threadpool_limits] = []
+_HELD: list[Any] = []
 """The limits of before, once for each block that is not left yet."""
 
 
@@ -18,11 +21,10 @@ def one_thread() -> Iterator[None]:
     """Let BLAS compute by one thread in a block, or in a function that this decorates.
 
     On leaving, its limits are as they were: a user's own are not touched. They are the whole
-    process's: where threads are in such blocks at once, the last one out restores them. To enter
-    takes a millisecond, so that it goes round a whole drive, not round one sample.
+    process's: where threads are in such blocks at once, the last one out restores them.
     """
     with _LOCK:
-        _HELD.append(_HELD[0] if _HELD else threadpool_limits(limits=1, user_api="blas"))
+        _HELD.append(_HELD[0] if _HELD else _libraries().limit(limits=1))
     try:
         yield
     finally:
@@ -30,3 +32,9 @@ def one_thread() -> Iterator[None]:
             before = _HELD.pop()
             if not _HELD:
                 before.restore_original_limits()
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    """Return the BLAS of NumPy and of SciPy; to look for them takes milliseconds."""
+    return ThreadpoolController().select(user_api="blas")

@@ -42,6 +42,7 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_words
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
+from homeward.one_thread import one_thread
 from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
@@ -176,6 +177,7 @@ class Localizer:
         return dataclasses.replace(self._estimate(now, ()), t=t)
 
     @guarded
+    @one_thread()
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
         return self.chart.landmarks(judge=not self.signs_reversed)
@@ -267,6 +269,7 @@ class Localizer:
         """Return whether a sample of `t` [s] can not be taken any more."""
         return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self.charts)
 
+    @one_thread()
     def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.one_thread import one_thread
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
@@ -119,6 +120,7 @@ class Comparison:
         return float(np.sqrt(away @ self.covariance @ away)) if self.accepted else math.inf
 
 
+@one_thread()
 def compare(home: View, now: View, camera: Panorama) -> Comparison:
     """Compare two views; in a second pass, where the first leaves the answer open.
 

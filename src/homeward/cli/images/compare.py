@@ -36,7 +36,6 @@ def compare(
     The folder gets comparison.png with both panoramas and what was matched, matches.csv and
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
-    from homeward.one_thread import one_thread
     from homeward.report.images.comparison import (
         PICTURE,
         RESULT,
@@ -58,10 +57,9 @@ def compare(
     if not (force or settings.force):
         require_panoramas([home_image, now_image], settings.panorama)
     check_output(out, RESULT)
-    with one_thread():
-        seen = compare_views(home_view, now_view, settings.panorama)
-        images, views = (home_image, now_image), (home_view, now_view)
-        doubt = better_settings(seen, images, views, settings.panorama)
+    seen = compare_views(home_view, now_view, settings.panorama)
+    images, views = (home_image, now_image), (home_view, now_view)
+    doubt = better_settings(seen, images, views, settings.panorama)
     write_comparison(out, seen, images, views)
     notes = [] if doubt is None else [f"But {doubt}."]
     if found := find_self_occlusion(seen, settings.panorama):

@@ -39,6 +39,7 @@ from homeward.frames import (
     inverse,
     polar_covariance_to_pose,
 )
+from homeward.one_thread import one_thread
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
@@ -117,6 +118,7 @@ class VisualHoming:
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
     @in_turn
+    @one_thread()
     def home(self, t: float, seen: Comparison | None) -> None:
         """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
 
