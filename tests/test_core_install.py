@@ -34,7 +34,7 @@ for t, v, omega in zip(*(x[:400].tolist() for x in vars(drive.odometry).values()
 for t, seen, _ in list(drive.sightings.stamps())[:80]:
     session.receive(BearingsIn(t=t, bearings=seen), t)
 list(session.process())
-print(session.localisation.fix.estimate.status.value)
+print(session.localisation.fix.estimate.status.value, "scipy.stats" in sys.modules)
 try:
     from homeward import ekf
 except InputError as error:
@@ -57,7 +57,7 @@ def test_the_localiser_and_live_sessions_need_the_core_alone():
     done = alone(LIBRARY)
     assert done.returncode == 0, done.stderr
     status, told = done.stdout.splitlines()
-    assert status in ("mapping", "localised", "unverified")
+    assert status in ("mapping False", "localised False", "unverified False")  # it takes a second
     assert "the extra filters" in told
 
 

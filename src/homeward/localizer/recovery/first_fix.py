@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtr, bdtrc
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import between, compose, sight
@@ -69,7 +69,7 @@ class FirstFix:
         if found is None:
             return None
         names, wrong = self._agreeing(found[0], lines)
-        if len(names) < PROOF or wrong > FALSE_ALARM:
+        if wrong > FALSE_ALARM:
             return None
         return between(found[0], np.zeros(3)), names
 
@@ -105,9 +105,11 @@ class FirstFix:
         )
         fits = off < AGREES * sigmas
         names = [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
+        if len(names) < PROOF:
+            return names, 1.0
         by_chance = min(2.0 * AGREES * float(np.median(sigmas)) / AHEAD, 1.0)
         others = len(self._seen) - POSE
-        tail = binom.sf(len(names) - POSE - 1, others, by_chance)
+        tail = bdtrc(len(names) - POSE - 1, others, by_chance)
         stay = np.mean([self._survey.stays(n) for n in self._seen])
-        no_rival = binom.cdf(len(names) - 2, len(self._seen), stay)
+        no_rival = bdtr(len(names) - 2, len(self._seen), stay)
         return names, math.comb(len(self._seen), POSE) * float(tail * no_rival)
