@@ -22,14 +22,14 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.factors import add_odometry, step_row
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey import Survey
-from homeward.localizer.map.survey_factors import (
+from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
     apart_along,
     columns,
     in_survey_frame,
 )
+from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth

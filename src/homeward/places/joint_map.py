@@ -16,7 +16,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
-from homeward.localizer.map.survey_factors import align, turned
+from homeward.localizer.map.survey.factors import align, turned
 
 DATUM = 3
 """Unknowns of a rigid motion."""

@@ -24,8 +24,8 @@ from homeward.localizer.map.sightings import (
 )
 from homeward.localizer.map.smoother import ALIKE, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
-from homeward.localizer.map.survey import Survey
-from homeward.localizer.map.survey_factors import in_survey_frame
+from homeward.localizer.map.survey.factors import in_survey_frame
+from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot

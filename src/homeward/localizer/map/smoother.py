@@ -41,7 +41,7 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
-from homeward.localizer.map.survey_factors import SurveyFactors
+from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
 from homeward.localizer.map.variance_components import Misfit, misfit
 from homeward.localizer.motion.preintegration import CAMERA_X, MOUNT, NC, OF_ODOMETRY, Motion

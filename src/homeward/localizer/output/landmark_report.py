@@ -15,7 +15,7 @@ from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.range_mixture import RangeMixture
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey import Survey
+from homeward.localizer.map.survey.survey import Survey
 from homeward.naming import natural
 
 

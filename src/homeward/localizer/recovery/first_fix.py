@@ -11,7 +11,7 @@ from scipy.special import bdtr, bdtrc
 from homeward.angles import wrap
 from homeward.localizer.geometry import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.survey import Survey
+from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.tunables import AGREES, FALSE_ALARM, POSE, PROOF
 

@@ -17,7 +17,7 @@ from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.geometry import lever, rotation
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey_factors import (
+from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
     apart_along,

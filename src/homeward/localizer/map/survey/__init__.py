@@ -1,0 +1,1 @@
+"""Known landmarks: what of a survey agrees with the map, and where its frame lies there."""
