@@ -185,7 +185,7 @@ def mrclam(robots: list[int], only: list[str]) -> None:
                 rmse.append(rmse_of(e, e.t > track.t[0] + AFTER_S))
             scales.append(map_scale(robust))
             both.append(rmse)
-            named = {n for n, p in robust.chart.map.survey.wrong.items() if p > 0.5}
+            named = {n for n, p in robust.chart.map.registration.survey.wrong.items() if p > 0.5}
             words = "exactly" if named == false else f"{sorted(named)} for {sorted(false)}"
             figures = " | ".join(f"{figure:.3f}" for figure in (*rmse, scales[-1]))
             print(f"| {case} | {robot} | {figures} | {words} |", flush=True)

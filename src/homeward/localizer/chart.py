@@ -176,19 +176,20 @@ class Chart:
             self.map.landmarks,
             self.home.names,
             hypotheses,
-            self.map.from_home(self.map.state),
-            self.map.survey,
+            self.map.registration.from_home(self.map.state),
+            self.map.registration.survey,
         ).landmarks()
 
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
         """Take a first fix in a survey: where one look, after a motion, was made from."""
-        if not self.map.survey.places or self.map.has_home_survey or self.map.landmarks.expected:
+        known = self.map.registration
+        if not known.survey.places or known.knows_home or self.map.landmarks.expected:
             return
         state = self.map.state
         eye, _ = state.after(self.map.camera(motion))
         found = self._first_fix.look(seen, eye, state.propagate(motion).covariance.diagonal()[:3])
         if found is not None:
-            self.map.expect(*found)
+            known.expect(*found)
             self._last_accepted = seen.t
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -283,7 +284,7 @@ class Chart:
         learnt = self.noise, self.process_noise, self.extrinsics
         self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
         self.monitor = Monitor(self._drive.start is not None)
-        self._first_fix = FirstFix(self.map.survey)
+        self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)
         if self._keeps:
             self.map.smoother.keep_closed()

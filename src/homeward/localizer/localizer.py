@@ -117,7 +117,7 @@ class Localizer:
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         noisy += noise.lasting.words(noise.sigma) + self.chart.process_noise.words
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
-        survey = self.chart.map.survey
+        survey = self.chart.map.registration.survey
         scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes
         return (*scale, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
 
@@ -218,7 +218,7 @@ class Localizer:
     def found_home(self) -> np.ndarray | None:
         """(3,): home's pose in the frame of `own_map`; None where it is not found by itself."""
         found = self.chart.home.hypotheses
-        if found is None or not self.chart.has_pose or self.chart.map.has_home_survey:
+        if found is None or not self.chart.has_pose or self.chart.map.registration.knows_home:
             return None
         return found.best.home
 
@@ -231,7 +231,7 @@ class Localizer:
             When that is too little.
         """
         chart = self.chart
-        state, mapped = chart.map.measured(), chart.map.landmarks.mapped
+        state, mapped = chart.map.registration.measured(), chart.map.landmarks.mapped
         index = chart.map.landmarks.index(mapped.values())
         at = state.columns(index).ravel()
         mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]

@@ -13,8 +13,8 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.survey.evidence import wrong_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.map.survey.survey import wrong_probabilities
 from homeward.localizer.tunables import AGREES, CLOSE, ENOUGH, PROOF
 from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused

@@ -69,7 +69,7 @@ class HomeTracker:
         """Follow home as the map changes; search for it anew when there is reason to."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
         self.names = known.landmarks.seen_from(self.observation.bearings)
-        self._surveyed = known.has_home_survey
+        self._surveyed = known.registration.knows_home
         if self._surveyed is not frame:  # home is in another frame now
             now = None
         problem = self.problem(known, known.state)
@@ -85,13 +85,13 @@ class HomeTracker:
 
         It is in the odometry frame; where the map has a survey in home's frame, in that.
         """
-        state = known.from_home(state)
+        state = known.registration.from_home(state)
         problem = self.observation.problem(
             self.names, known.as_home_saw(self.names), state, self._noise
         )
-        if not known.has_home_survey:
+        if not known.registration.knows_home:
             return problem
-        return problem.at_origin(known.stayed_surveyed(state))
+        return problem.at_origin(known.registration.stayed(state))
 
     def conclude(self, known: Map, state: Marginal) -> bool:
         """Find home anew by what a whole drive says; return whether it is found.

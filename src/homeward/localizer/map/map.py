@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
-from homeward.localizer.geometry import compose
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.map.gating import Gated, denies_motion, gate_bearings
 from homeward.localizer.map.inflation import inflate_by_odometry
@@ -24,14 +23,14 @@ from homeward.localizer.map.sightings import (
 )
 from homeward.localizer.map.smoother import ALIKE, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
-from homeward.localizer.map.survey.factors import in_survey_frame
+from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, POSE, STANDS, TINY
+from homeward.localizer.tunables import DRIFT, STANDS, TINY
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -77,7 +76,6 @@ class Map:
         t: float,
         known: KnownLandmarks,
     ) -> None:
-        self.survey = Survey(known, settings)
         self._settings, self._counts = settings, counts
         self._noise, self._extrinsics = noise, extrinsics
         self._process_noise, self._learnt_at = process_noise, 0
@@ -86,6 +84,7 @@ class Map:
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
+        self.registration = Registration(Survey(known, settings), self.landmarks)
         self.begun = t
         self.solved = True
         """Whether the state comes from the whole window, not from a quick correction."""
@@ -119,42 +118,6 @@ class Map:
         """Return the indices in the state of landmarks where home saw them, for all one knows."""
         known = self.landmarks
         return known.index(known.former.get(n) or known.mapped[n] for n in names)
-
-    @property
-    def has_home_survey(self) -> bool:
-        """Whether a survey in home's frame agrees with the map, so that this frame is known."""
-        judged = self.smoother.known.ids.size and self.survey.used
-        return self.survey.known.surveyed_from_home and bool(judged)
-
-    def measured(self) -> Marginal:
-        """Return the state by what was seen alone, not by what is known of landmarks.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When there is too little of it.
-        """
-        if not self.survey.known.tells:
-            return self.state
-        return self.smoother.without_known(self.survey.size)
-
-    def from_home(self, state: Marginal) -> Marginal:
-        """Return a state in home's frame, if that is known; else as it is."""
-        if not self.has_home_survey:
-            return state
-        return in_survey_frame(state, self.smoother.known, self.smoother.ids)
-
-    def stayed_surveyed(self, state: Marginal) -> np.ndarray:
-        """Return the places in a state of the landmarks that fix that frame, and stayed, (k, 2)."""
-        known = self.landmarks
-        stayed = [n for n in self.survey.used if n in known.mapped and n not in known.former]
-        return np.asarray(state.positions[known.index(known.mapped[n] for n in stayed)])
-
-    def expect(self, datum: np.ndarray, names: Collection[str]) -> None:
-        """Expect surveyed landmarks where they are by the pose of the survey's frame, (3,)."""
-        places = {n: p for n, p in self.survey.places.items() if n in names}
-        there = compose(datum, np.array([(*p, 0.0) for p in places.values()]))[:, :2]
-        self.landmarks.expect(dict(zip(places, there, strict=True)))
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -339,8 +302,8 @@ class Map:
     def _correct(self, seen: Prediction | None) -> None:
         """Correct pose and map: by the newest sightings alone, or the whole window when due."""
         started = self.landmarks.initialise()
-        if started and self.landmarks.expected and not self.smoother.known.ids.size:
-            self._believe_expected()
+        if started:
+            self.registration.hold_expected()
         quick = not (started or self._due) and seen is not None
         if quick and seen is not None and self._take(self.state.update(seen)):
             self.solved = False
@@ -363,8 +326,8 @@ class Map:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
         smoother, noise = self.smoother, self._noise
         smoother.solve()
-        if self.survey.known.tells and smoother.settled:
-            self._judge_survey()
+        if smoother.settled:
+            self.registration.judge()
         residuals = smoother.residuals()
         misfits = self.landmarks.drop_misfits(residuals) if smoother.settled else 0
         if misfits:
@@ -396,36 +359,6 @@ class Map:
         self._learnt_at = smoother.newest
         left = smoother.odometry_misfit()
         smoother.scale_odometry(noise.update(*left, motions, min(since, motions)))
-
-    def _believe_expected(self) -> None:
-        """Let surveyed landmarks that entered where they were expected hold the map for now.
-
-        One look along each sight line alone would leave them anywhere on it.
-        """
-        mapped = self.landmarks.mapped
-        names = [n for n in self.landmarks.expected if n in mapped]
-        if len(names) >= POSE:
-            numbers = {n: mapped[n].number for n in names}
-            order = sorted(names, key=lambda n: numbers[n])
-            self.smoother.known = self.survey.factors(order, [], numbers)
-
-    def _judge_survey(self) -> None:
-        """Let what is known of landmarks count as far as the map without it agrees."""
-        smoother, before = self.smoother, self.smoother.known
-        came = {**self.landmarks.mapped, **self.landmarks.former}  # where they stood first
-        numbers = {name: landmark.number for name, landmark in came.items()}
-        free = self.measured()
-        try:
-            now = self.survey.judge(free, numbers, smoother.ids)
-        except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now
-            return
-        smoother.known = now
-        if now.ids.size >= POSE:
-            datum = now.datum(smoother.positions, smoother.index(now.ids))
-            self.expect(datum.pose, set(self.survey.places))
-        same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
-        if not same:
-            smoother.solve()
 
     def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

@@ -1,0 +1,102 @@
+"""Registration of a survey with the map: what of it agrees, and where its frame lies."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from homeward.localizer.geometry import compose
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey.factors import in_survey_frame
+from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.tunables import POSE
+
+
+class Registration:
+    """Registers a survey with the map.
+
+    Parameters
+    ----------
+    survey : Survey
+        What is known of landmarks beforehand.
+    landmarks : Landmarks
+        Of the map.
+    """
+
+    def __init__(self, survey: Survey, landmarks: Landmarks) -> None:
+        self.survey, self._landmarks = survey, landmarks
+
+    @property
+    def _smoother(self) -> Smoother:
+        """The map's, as it is now."""
+        return self._landmarks.smoother
+
+    @property
+    def knows_home(self) -> bool:
+        """Whether a survey in home's frame agrees with the map, so that this frame is known."""
+        judged = self._smoother.known.ids.size and self.survey.used
+        return self.survey.known.surveyed_from_home and bool(judged)
+
+    def measured(self) -> Marginal:
+        """Return the state by what was seen alone, not by what is known of landmarks.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When there is too little of it.
+        """
+        if not self.survey.known.tells:
+            return self._smoother.state
+        return self._smoother.without_known(self.survey.size)
+
+    def from_home(self, state: Marginal) -> Marginal:
+        """Return a state in home's frame, if that is known; else as it is."""
+        if not self.knows_home:
+            return state
+        return in_survey_frame(state, self._smoother.known, self._smoother.ids)
+
+    def stayed(self, state: Marginal) -> np.ndarray:
+        """Return the places in a state of the landmarks that fix that frame, and stayed, (k, 2)."""
+        known = self._landmarks
+        stayed = [n for n in self.survey.used if n in known.mapped and n not in known.former]
+        return np.asarray(state.positions[known.index(known.mapped[n] for n in stayed)])
+
+    def expect(self, datum: np.ndarray, names: Collection[str]) -> None:
+        """Expect surveyed landmarks where they are by the pose of the survey's frame, (3,)."""
+        places = {n: p for n, p in self.survey.places.items() if n in names}
+        there = compose(datum, np.array([(*p, 0.0) for p in places.values()]))[:, :2]
+        self._landmarks.expect(dict(zip(places, there, strict=True)))
+
+    def hold_expected(self) -> None:
+        """Let surveyed landmarks that entered where they were expected hold the map for now.
+
+        One look along each sight line alone would leave them anywhere on it.
+        """
+        mapped, smoother = self._landmarks.mapped, self._smoother
+        names = [n for n in self._landmarks.expected if n in mapped]
+        if len(names) >= POSE and not smoother.known.ids.size:
+            order = sorted(names, key=lambda n: mapped[n].number)
+            numbers = {n: mapped[n].number for n in order}
+            smoother.known = self.survey.factors(order, [], numbers)
+
+    def judge(self) -> None:
+        """Let what is known of landmarks count as far as the solved map without it agrees."""
+        if not self.survey.known.tells:
+            return
+        smoother, before = self._smoother, self._smoother.known
+        came = {**self._landmarks.mapped, **self._landmarks.former}  # where they stood first
+        numbers = {name: landmark.number for name, landmark in came.items()}
+        try:
+            now = self.survey.judge(self.measured(), numbers, smoother.ids)
+        except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now
+            return
+        smoother.known = now
+        if now.ids.size >= POSE:
+            datum = now.datum(smoother.positions, smoother.index(now.ids))
+            self.expect(datum.pose, set(self.survey.places))
+        same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
+        if not same:
+            smoother.solve()
