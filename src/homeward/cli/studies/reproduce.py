@@ -47,8 +47,8 @@ def reproduce(
             "--set",
             metavar="KEY=VALUE",
             help="Another value of a setting; repeatable. "
-            "homeward settings reproduce lists them; with --study there are also varied, searched "
-            "and robust: how many layouts these parts get, and grid.KEY: what is combined.",
+            "homeward settings reproduce lists them; with --study there are also varied and "
+            "robust: how many layouts these parts get, and grid.KEY: what is combined.",
         ),
     ] = None,
     json: AsJson = False,
@@ -141,7 +141,6 @@ def _study(
         headline,
         order_table,
         ratio_table,
-        search_table,
         write_layouts,
     )
     from homeward.studies.blocks.finish import Where, Work
@@ -155,7 +154,7 @@ def _study(
     with resumable(), progress("layouts of the paper's cases") as tell:
         result = study_layouts(settings, Work(store, where, tell))
         write_layouts(out, result)
-    tables = (error_table, ratio_table, order_table, search_table, claim_table)
+    tables = (error_table, ratio_table, order_table, claim_table)
     if json:
         told = {table.__name__.removesuffix("_table"): table(result) for table in tables}
         files = {"page": str(out / PAGE), "results": str(out / DATA)}

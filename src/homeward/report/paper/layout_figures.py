@@ -10,16 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.report.canvas import legend_below, new_figure, quantile_bar, style, uncrowd
-from homeward.report.palette import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
-from homeward.report.paper.claims import start_words
+from homeward.report.palette import GREEN, INK, MUTED, SKY
 from homeward.report.paper.figures import COLOURS, QUANTITIES
 from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT
 from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Start
-from homeward.studies.paper.search import FAMILIES, SEARCHED
 from homeward.studies.paper.tables import TO_PAPER_UNITS, better_shares, printed_of
 from homeward.studies.paper.world import CaseName
 from homeward.studies.study.summary import quantiles
@@ -145,48 +143,8 @@ def _column_words(case: CaseName, reading: Reading) -> str:
     return "\n".join(lines)
 
 
-def draw_search(study: LayoutStudy) -> Figure:
-    """Draw what one number for Pi costs, and what the best gains are worth, from each start."""
-    with style():
-        figure = new_figure(2.6 * len(study.starts) + 0.5)
-        panels = figure.subplots(len(study.starts), 2, width_ratios=[3, 2], squeeze=False)
-        for (left, right), start in zip(panels, study.starts, strict=True):
-            found = study.search[start]
-            for case, colour in zip(SEARCHED, (VERMILLION, BLUE), strict=True):
-                for family, line in zip(FAMILIES, ("-", "--"), strict=False):
-                    curve = sorted(
-                        (float(t.Pi), t.chosen_by)
-                        for t in found.tried
-                        if (t.family, t.case) == (family, case) and isinstance(t.Pi, float)
-                    )
-                    label = f"Case {case}, {family.split(', ')[1]}"
-                    left.plot(*zip(*curve, strict=True), line, color=colour, label=label)
-                best = [b for b in found.best if b.tried.case == case]
-                places = [list(FAMILIES).index(b.tried.family) for b in best]
-                right.plot(places, [b.cost for b in best], "o", ms=7, mew=0, color=colour)
-            left.axvline(0.05, color=GREEN, lw=1.0, ls=":", label="as printed: 0.05")
-            for axes in (left, right):
-                axes.axhline(1.0, color=INK, lw=0.9, label="EKF")
-                axes.set(yscale="log", ylim=(0.1, 5))
-                ticks = (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5)
-                axes.yaxis.set_major_locator(FixedLocator(ticks))
-                axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-                axes.yaxis.set_minor_formatter(NullFormatter())
-            left.set(xscale="log", xlabel="Pi", ylabel="errors over the EKF's")
-            words = start_words(study.reading("2", initial_error=start))
-            left.set_title(words, loc="left", fontsize=9)
-            names = ("Pi, M\nones", "Pi,\nM = H'", "free Pi,\nM ones", "free Pi,\nM own")
-            right.set_xticks(range(len(FAMILIES)), names, fontsize=7)
-            right.set_xlim(-0.5, len(FAMILIES) - 0.5)
-            right.grid(False, axis="x")
-        handles = panels[0, 0].get_legend_handles_labels()
-        figure.legend(*handles, loc="outside lower center", ncols=3)
-    return figure
-
-
 FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
     "distributions": ("Every RMSE over the layouts, and the printed figures", draw_distributions),
     "grid": ("Who errs less than the EKF, under every reading", draw_grid),
-    "search": ("The best Pi and M, judged on layouts that had no part in the choice", draw_search),
 }
 """File name to caption and figure, in the order of the page."""

@@ -21,7 +21,6 @@ from homeward.studies.paper.cases import FILTERS, PI_HT
 from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, MARKER, ROBUST, STUDIED, Reading
 from homeward.studies.paper.tables import (
-    PRINTED,
     TO_PAPER_UNITS,
     beats_printed,
     better_shares,
@@ -123,22 +122,6 @@ def variant_table(study: LayoutStudy) -> list[list[str]]:
     return rows
 
 
-def search_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the best gains of each family in each case from each start, as text."""
-    rows = [["case", "family", "start", "Pi", "errors over the EKF's", "PI-EKF", "EKF"]]
-    rows[0].append("below all printed")
-    for start, found in study.search.items():
-        for best in sorted(found.best, key=lambda b: b.tried.case):
-            t = best.tried
-            Pi = ", ".join(f"{g:.2g}" for g in t.Pi) if isinstance(t.Pi, tuple) else f"{t.Pi:.2g}"
-            below = best.pi_ekf * TO_PAPER_UNITS < np.array(PRINTED[t.case]["PI-EKF"])
-            words = start_words(study.reading(t.case, initial_error=start))
-            medians = [_medians(best.pi_ekf), _medians(best.ekf)]
-            share = f"{100 * below.all(axis=1).mean():.1f} %"
-            rows.append([t.case, t.family, words, Pi, f"{best.cost:.3f}", *medians, share])
-    return rows
-
-
 def claim_table(study: LayoutStudy) -> list[list[str]]:
     """Return what the paper says and the verdict on it, the head first, as text."""
     return [["claim", "reading", "verdict", "figure", "command"], *map(list, claims(study))]
@@ -201,7 +184,6 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
             ("Who beats whom", order_table(study), 3),
             ("Every reading: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
             ("What else it depends on: medians, likewise", variant_table(study), 3),
-            ("The best Pi and M: medians, likewise", search_table(study), 4),
         ],
         below=note_below(_below(study)),
         layouts=study.settings,

@@ -18,7 +18,6 @@ from homeward.studies.paper.layouts import (
     grid_questions,
     varied_questions,
 )
-from homeward.studies.paper.search import Search, search
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName
 
@@ -34,7 +33,6 @@ class LayoutStudy:
     """The robust localiser and the bound, under the readings that the bound depends on."""
     varied: dict[tuple[str, CaseName, Start], Outcome]
     """By variant, case and start."""
-    search: dict[Start, Search]
 
     def reading(self, case: CaseName, **change: Any) -> Reading:
         """Return the first reading of a case with some of it changed."""
@@ -69,11 +67,5 @@ def study_layouts(settings: LayoutSettings, work: Work) -> LayoutStudy:
     """Compute what the store does not hold yet, and return all of it."""
     grid = ask(work.part(0.0, 0.5), grid_questions(settings))
     bounds = ask(work.part(0.5, 0.7), bound_questions(settings))
-    varied = ask(work.part(0.7, 0.85), varied_questions(settings))
-    starts, rest = settings.axis("initial_error"), work.part(0.85, 1.0)
-    found = {}
-    for k, start in enumerate(starts):
-        paper = settings.read(settings.readings("2")[0]._replace(initial_error=start))
-        own = settings.model_copy(update={"paper": paper})
-        found[start] = search(own, rest.part(k / len(starts), (k + 1) / len(starts)))
-    return LayoutStudy(settings, grid, bounds, varied, found)
+    varied = ask(work.part(0.7, 1.0), varied_questions(settings))
+    return LayoutStudy(settings, grid, bounds, varied)

@@ -98,8 +98,6 @@ class LayoutSettings(Strict):
     """Random layouts and fault sets of every reading."""
     varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """The first so many of them for each of `VARIANTS`."""
-    searched: Annotated[int, Field(ge=2, le=1_000_000)] = 500
-    """The first so many to choose the gains of the search by, and as many to judge them by."""
     robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
     """The first so many for the robust localiser and the bound."""
     grid: Grid = Grid()
