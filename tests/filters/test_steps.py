@@ -6,6 +6,7 @@ from numpy_oracle import Oracle
 from test_model import scene
 
 from homeward.angles import wrap
+from homeward.engine.kernels import filter_kernels
 from homeward.engine.program.generic import BELIEF, GenericPredict, GenericUpdate, UnscentedPredict
 from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf
@@ -142,6 +143,16 @@ def test_generic_kernels_of_the_peers_agree_with_their_symbolic_steps(kind):
             for name, found in kernels[0].outputs.items():
                 np.testing.assert_allclose(kernels[1].outputs[name], found, atol=1e-9)
             belief = {name: kernels[0].outputs[name].copy() for name in BELIEF}
+
+
+@pytest.mark.parametrize(
+    "kind", [UnscentedFilter(PolarModel(60)), SchmidtFilter(PolarModel(60, (1, 4)))]
+)
+def test_peers_with_many_landmarks_run_by_the_generic_kernels(kind):
+    """Unrolled, their steps would take minutes to build, and with hundreds all memory."""
+    kernels = filter_kernels(kind)
+    assert isinstance(kernels.predict, (GenericPredict, UnscentedPredict))
+    assert isinstance(kernels.update, GenericUpdate)
 
 
 def test_augmented_filter_refuses_parameters_that_are_no_landmarks():

@@ -157,9 +157,8 @@ def filter_parts(
 
     None stands for `COMPILES_UP_TO`, and for all where there are no loops in C for the filter.
     """
-    if not kind.separable or kind.model.n <= (
-        COMPILES_UP_TO if unrolled_up_to is None else unrolled_up_to
-    ):
+    most = COMPILES_UP_TO if unrolled_up_to is None else unrolled_up_to
+    if kind.model.n <= most or (unrolled_up_to is None and not kind.separable):
         return {
             "predict": (Symbolic(predict_function(kind)),),
             "update": (Symbolic(update_function(kind)),),
