@@ -92,8 +92,6 @@ ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
 DEFAULT = "robust"
 NEED_START = tuple(name for name in ESTIMATORS if name != DEFAULT)
 """Those that cannot begin without a start prior."""
-COMPILED = tuple(name for name, (model, _) in ESTIMATORS.items() if "engine" in model.model_fields)
-"""Those that run as compiled C where that pays."""
 
 
 class NoSettings(Strict):

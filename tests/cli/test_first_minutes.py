@@ -181,7 +181,7 @@ BAD_INPUTS = [
     (["run", "bad"], "bearings.csv, row 3"),
     (["run", "sample", "--set", "windwo=3"], "did you mean window?"),
     (["run", "sample", "--estimator", "ekf", "--smooth"], "cannot smooth"),
-    (["run", "sample", "--engine", "native"], "--engine is for ekf, a-ekf"),
+    (["run", "sample", "--set", "engine=native"], "no such key"),
     (["simulate", "nowhere"], "presets"),
     (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
     (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),

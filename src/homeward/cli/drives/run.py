@@ -97,10 +97,6 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="The filters: auto (default), interpreter or native."),
-    ] = None,
     changes: Changes = None,
     json: AsJson = False,
 ) -> None:
@@ -113,11 +109,7 @@ def run(
     """
     from homeward.drives.text.settings import nested
     from homeward.places.files import check_place, newest
-    from homeward.registry import COMPILED
 
-    own = nested(key_values(changes or []))
-    if engine is not None:
-        own["engine"] = engine
     options = {
         "estimator": estimator,
         "start": _start(start),
@@ -131,7 +123,7 @@ def run(
         "place_home": place_home,
         "when": None if when is None else day(when),
         "smooth": smooth or None,
-        "settings": own or None,
+        "settings": nested(key_values(changes or [])) or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if update and (place is None or smooth):
@@ -150,10 +142,7 @@ def run(
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
-    settings = run_settings(drive, given)
-    if engine is not None and settings.estimator not in COMPILED:
-        raise InputError(f"--engine is for {', '.join(COMPILED)}, not {settings.estimator}")
-    _run(settings, out, update, (store_home, home_at, store_route), json)
+    _run(run_settings(drive, given), out, update, (store_home, home_at, store_route), json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
