@@ -17,7 +17,7 @@ from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY,
 from homeward.report.words import listing
 from homeward.studies.paper.cases import FILTERS
 from homeward.studies.paper.reproduction import Reproduction
-from homeward.studies.paper.tables import TO_PAPER_UNITS, printed_of
+from homeward.studies.paper.tables import TO_PAPER_UNITS
 from homeward.studies.paper.world import CaseName, World
 
 COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=True))
@@ -172,26 +172,6 @@ def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
     return figure
 
 
-def draw_distribution(result: Reproduction, case: CaseName) -> Figure:
-    """Draw the RMSE of every run, with the printed figures as crosses."""
-    with style():
-        figure = new_figure(3.0)
-        for k, axes in enumerate(figure.subplots(1, 3)):
-            for row, name in enumerate(reversed(FILTERS)):
-                rmse = result.outcomes[case].of(name)[:, k] * TO_PAPER_UNITS[k]
-                rmse = rmse[np.isfinite(rmse)]
-                spread = row + 0.16 * np.sin(np.arange(rmse.size) * 2.4)
-                axes.plot(rmse, spread, "o", ms=2.2, mew=0, alpha=0.5, color=COLOURS[name])
-                axes.plot([np.median(rmse)] * 2, [row - 0.3, row + 0.3], color=COLOURS[name], lw=2)
-                printed = printed_of(case, name)
-                if printed is not None:
-                    axes.plot(printed[k], row, "x", ms=7, mew=1.6, color=GREEN)
-            axes.set(xscale="log", xlabel=f"RMSE of {QUANTITIES[k]}")
-            labels = tuple(reversed(FILTERS)) if k == 0 else [""] * len(FILTERS)
-            axes.set_yticks(range(len(FILTERS)), labels)
-    return figure
-
-
 def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
     """Draw the home image of a case with its features, and the landmarks among them."""
     world = result.shown[case].world
@@ -241,9 +221,6 @@ FIGURES: dict[str, Drawing] = {
         "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
         *(draw_errors, "2", FILTERS),
     ),
-    "rmse_case_2": Drawing(
-        "Case 2: RMSE of every run; bars: medians, crosses: as printed", draw_distribution, "2"
-    ),
     "path_case_3": Drawing(
         "Case 3: the way home of the A-EKF with one wrong home bearing",
         *(draw_path, "3 (one fault)", ("A-EKF (one)",)),
@@ -261,9 +238,6 @@ FIGURES: dict[str, Drawing] = {
     ),
     "errors_case_4": Drawing(
         "Case 4, open loop on a circle: estimation errors", draw_errors, "4", FILTERS
-    ),
-    "rmse_case_4": Drawing(
-        "Case 4: RMSE of every run; bars: medians, crosses: as printed", draw_distribution, "4"
     ),
 }
 """By file name, in the order of the page."""
