@@ -11,13 +11,12 @@ import functools
 import inspect
 import math
 import numbers
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
-from homeward.by_value import ByValue
 from homeward.errors import InputError
 from homeward.frames import Polar, Pose, to_polar
 from homeward.reasons import Rejection
@@ -36,6 +35,26 @@ class Status(enum.Enum):
     """A pose to rely on."""
     COASTING = "coasting"
     """Localised, but no bearings now: odometry alone."""
+
+
+class ByValue:
+    """Base of a frozen dataclass (with ``eq=False``): equal where all fields are, NaN to NaN."""
+
+    def _key(self) -> Hashable:
+        """Return what it is compared and hashed by."""
+        return tuple(_comparable(getattr(self, f.name)) for f in fields(self))  # type: ignore[arg-type]
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+def _comparable(value: Any) -> Hashable:
+    if isinstance(value, np.ndarray):
+        return value.shape, tuple(_comparable(v) for v in value.ravel().tolist())
+    return "NaN" if value != value else value
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from homeward.angles import interpolate, wrap
-from homeward.by_value import ByValue
+from homeward.estimator import ByValue
 from homeward.frames import Polar, Pose
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
