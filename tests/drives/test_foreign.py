@@ -104,6 +104,39 @@ def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
         assert (found.unit, found.how) == (unit, "told")
 
 
+def test_commas_may_stand_in_the_names_of_columns(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text('when,"Speed, filtered",w\n0,0.1,0\n0.1,0.1,0\n')
+    found = understand([file], ["t=when, v=Speed, filtered[m/s]"])
+    assert [one.column.name for one in found] == ["when", "Speed, filtered", "w"]
+
+
+def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
+    """A deviation of 0.57 deg is none of 0.57 rad, nor is home ahead of a robot full of radians."""
+    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
+    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
+    seen.write_text("t,std,id,bearing\n0,0.57,A,12.5\n0.1,0.57,B,-80\n")
+    home.write_text("id,bearing,std\nA,-3.5,0.57\nB,5.25,\n")
+    found = understand([odometry, seen, home])
+    drive = drive_of(found, "degrees")
+    assert drive.sightings.sigma == pytest.approx(np.radians([0.57, 0.57]))
+    assert drive.home["A"].bearing == pytest.approx(math.radians(-3.5))
+    assert drive.home["A"].sigma == pytest.approx(math.radians(0.57))
+    how = {(one.kind, one.column.role): (one.unit, one.how) for one in found}
+    assert how["bearings", "sigma"] == ("deg", "as bearing")
+    assert how["home", "bearing"] == ("deg", "as bearings")
+
+
+def test_numbers_may_head_the_columns_of_landmarks(tmp_path):
+    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
+    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
+    seen.write_text("t,7,12\n0,0.5,\n0.1,,-1.25\n")
+    home.write_text("landmark,bearing\n7,0.4\n12,0.1\n")
+    drive = drive_of(understand([odometry, seen, home]), "tags")
+    assert drive.sightings.landmark.tolist() == ["7", "12"]
+    assert drive.sightings.bearing.tolist() == [0.5, -1.25]
+
+
 def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
     log = tmp_path / "odom.csv"
     head = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.angular.z"
@@ -112,7 +145,9 @@ def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
     seen, home = tmp_path / "b.csv", tmp_path / "h.csv"
     seen.write_text("stamp,id,bearing\n1700000000000000000,A,0.5\n")
     home.write_text("id,bearing\nA,0.4\n")
-    drive = drive_of(understand([home, seen, log]), "bag")
+    found = understand([home, seen, log])
+    assert found[0].range == "1700000000 to 1700000000.05 s"
+    drive = drive_of(found, "bag")
     assert drive.settings.epoch == 1_700_000_000
     assert drive.odometry.t == pytest.approx([0.0, 0.05], abs=1e-6)
     assert drive.sightings.t.tolist() == [0.0]

@@ -52,6 +52,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
 }
 """The quantity of each role, and the words for it, in English and German; a dot stands for whatever
 parts words."""
+AND = re.compile(r",(?=\s*\w+\s*=)")
+"""Parts what is told of two columns; other commas are of their names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
@@ -102,7 +104,7 @@ def told_columns(texts: Sequence[str], there: Collection[str]) -> list[Column]:
         When one has another form, role or unit are not known, or NAME is not among those `there`.
     """
     columns = []
-    for text in (part.strip() for whole in texts for part in whole.split(",")):
+    for text in (part.strip() for whole in texts for part in AND.split(whole)):
         role, equals, name = (part.strip() for part in text.partition("="))
         if not equals or not name.lstrip("-"):
             raise InputError(f"--columns {text}: must be ROLE=COLUMN[UNIT]")

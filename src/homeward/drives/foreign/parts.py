@@ -48,8 +48,9 @@ class Understood:
         values = self.table[self.column.role]
         if self.column.quantity == "name":
             return f"{len(set(values.tolist()))} names"
-        seen = values[np.isfinite(values)]
-        return f"{seen.min():.6g} to {seen.max():.6g} {self.column.si}" if seen.size else ""
+        seen, digits = values[np.isfinite(values)], 12 if self.column.role == "t" else 6
+        ends = f"{seen.min():.{digits}g} to {seen.max():.{digits}g}" if seen.size else ""
+        return f"{ends} {self.column.si}" if ends else ""
 
 
 @dataclass
@@ -65,14 +66,22 @@ class Part:
     alone: bool = True
     """Whether it is all that its file holds."""
 
-    def read(self, clock: str | None) -> list[Understood]:
-        """Read it, in SI units; `clock` is the unit of odometry's stamps."""
+    def read(self, clock: str | None, angle: str | None = None) -> list[Understood]:
+        """Read it, in SI units.
+
+        Where it does not say them, `clock` is the unit of its stamps, as odometry's, and `angle`
+        that of its bearings, as those seen on the drive.
+        """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
+        # Deviations last: of no unit they have that of their bearings.
+        self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] == "sigma"))
         values, units = dict(table.columns), dict[str, tuple[str, str]]()
         for role, column in self.columns.items():
             units[role] = "", "as it is"
+            if role == "sigma":  # bearings and their deviations come from one hand
+                angle = units["bearing"][0]
             if column.quantity != "name":
-                unit, _ = units[role] = _unit(table, column, clock)
+                unit, _ = units[role] = _unit(table, column, clock, angle)
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
         ordered, remarks = _in_order(dataclasses.replace(table, columns=values), self.kind)
         if missing:
@@ -195,7 +204,7 @@ def _by_landmarks(table: Table) -> bool:
     return changes == len(set(ids.tolist())) and bool((np.diff(t)[ids[1:] == ids[:-1]] >= 0).all())
 
 
-def _unit(table: Table, column: Column, clock: str | None) -> tuple[str, str]:
+def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:
     """Return the unit of a column, and how it is known, unless a wrong guess would never show."""
     values = np.abs(table[column.role][np.isfinite(table[column.role])])
     most = float(values.max(initial=0.0))
@@ -203,8 +212,12 @@ def _unit(table: Table, column: Column, clock: str | None) -> tuple[str, str]:
         return column.unit, "named"
     if column.quantity == "time":
         return (clock, "as odometry") if clock else (_clock(table["t"]), "guessed")
+    if column.role == "sigma" and angle:
+        return angle, "as bearing"
     if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
+    if column.role == "bearing" and angle:
+        return angle, "as bearings"
     if column.quantity == "speed" and most > FASTEST:
         raise InputError(
             f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "

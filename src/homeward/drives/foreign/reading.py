@@ -51,15 +51,20 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     parts = parts_of(sheets, told)
     found: list[Understood] = []
     clock: str | None = None
-    # Odometry first: it comes often, so that its stamps tell their unit.
+    angle: str | None = None
+    # Odometry first: it comes often, so that its stamps tell their unit. Of bearings a drive has
+    # more than home, so that one of them is rather beyond what an angle in rad can be.
     for kind in KINDS:
         mine = [part for part in parts if part.kind == kind]
         for extra in mine[1:]:
             raise InputError(f"a second file with {kind}; one is enough", extra.sheet.path)
         for part in mine:
             part.alone = sum(other.sheet is part.sheet for other in parts) == 1
-            found += part.read(clock)
+            found += part.read(clock, angle)
             clock = clock or next((u.unit for u in found if u.column.role == "t"), None)
+            if kind == "bearings":
+                seen = next(u for u in found if u.column.role == "bearing")
+                angle = None if seen.column.unit else seen.unit
     return found
 
 

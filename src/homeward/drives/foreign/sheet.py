@@ -62,7 +62,9 @@ def sheet(path: Path) -> Sheet:
     rows = _below_titles(rows, delimiter, width)
     head, *body = (_fields(line, delimiter) for line in rows)
     skip = first.index(rows[0])
-    numbered = any(is_number(cell, delimiter != ",") for cell in head)
+    numbered = any(is_number(cell, delimiter != ",") for cell in head) and not _heads(
+        head, body, delimiter != ","
+    )
     # ROS and MATLAB write the header as a comment.
     above = _fields(before[-1].lstrip().lstrip("".join(COMMENTS)), delimiter) if before else []
     if not numbered:
@@ -112,6 +114,16 @@ def _below_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
         if len(one) == width or (len(one) == width - 1 and closed):
             return rows[k:]
     return rows
+
+
+def _heads(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) -> bool:
+    """Whether some word in a line stands above numbers alone: numbers beside it are names, too."""
+    for word, *cells in zip(head, *(row for row in body if len(row) == len(head)), strict=True):
+        told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
+        is_word = word.strip().lower() not in NOTHING and not is_number(word, comma)
+        if is_word and told and all(is_number(cell, comma) for cell in told):
+            return True
+    return False
 
 
 def _says_units(cells: Sequence[str]) -> bool:
