@@ -91,6 +91,25 @@ def test_an_answer_that_is_another_one_is_found(recorded):
     assert same == sum('"estimate"' in line for line in lines[:place])
 
 
+def test_an_answer_too_many_or_too_few_is_found(recorded):
+    folder, _ = recorded
+    file = folder / SESSION
+    lines = file.read_text().splitlines(keepends=True)
+    first, second = [k for k, line in enumerate(lines) if '"estimate"' in line][:2]
+    for changed in (
+        [*lines[: first + 1], lines[first], *lines[first + 1 :]],
+        [*lines[:second], *lines[second + 1 :]],
+    ):
+        file.write_text("".join(changed))
+        same, other = replay(file)
+        assert (same, other is None) == (1, False)
+
+
+def test_a_session_in_which_nothing_was_said_leaves_nothing_behind(tmp_path):
+    Recorder(tmp_path / "drive", LiveSettings(), DriveSettings(), {}).close()
+    assert not (tmp_path / "drive").exists()
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"settings": 3}', "\xff", "[" * 99_999])
 def test_what_is_no_session_is_refused(tmp_path, text):
     (tmp_path / SESSION).write_text(text)

@@ -14,8 +14,10 @@ from homeward.live.messages import (
     EStop,
     Event,
     GoHome,
+    GoTo,
     LookRound,
     OdometryIn,
+    SetHome,
     StoreHome,
     TurnHome,
 )
@@ -29,6 +31,9 @@ NARROW = {
     "landmarks.count": 16,
     "visibility.field_of_view": 1.2,
 }
+
+
+HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0})
 
 
 def events(rig):
@@ -82,6 +87,20 @@ def test_the_robot_stands_in_time_when_a_sensor_dies_while_it_turns_and_turns_on
     rig.spoil = sound
     rig.until(lambda r: events(r))
     assert "home is stored" in events(rig)[0]
+
+
+def test_who_is_sent_elsewhere_looks_at_home_no_more():
+    session = Session()
+    session.receive(HOME, 0.0)
+    session.receive(LookRound(), 0.0)
+    session.receive(GoTo(x=1.0, y=0.0), 0.0)
+    for k in range(60):
+        t, v = 0.1 * k, 0.5 if k < 30 else 0.0
+        session.receive(OdometryIn(t=t, v=v, omega=0.0), t)
+        session.receive(BearingsIn(t=t, bearings={"a": 0.1, "b": 0.02 * min(k, 30)}), t)
+    session.receive(StoreHome(name="there"), 6.0)
+    said = [out for out in session.process() if isinstance(out, Event)]
+    assert said[-1].text == "home there has 2 landmarks"  # of the last second, standing
 
 
 def test_who_drives_away_meanwhile_has_no_home_and_is_told():

@@ -5,16 +5,20 @@ import contextlib
 import json
 import subprocess
 import sys
+import threading
 
 import pytest
 from live_rig import SCENARIO
 
+from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
-from homeward.live.messages import Hello, OdometryIn, line_of
+from homeward.estimator import in_turn
+from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
 from homeward.live.player import Player, play
 from homeward.live.server import Address, Server, address
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
+from homeward.localizer.localizer import Localizer
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
 
@@ -107,6 +111,40 @@ class Talkative(Session):
 
     def process(self):
         return [*super().process(), Hello(token="x" * 60_000)]
+
+
+def test_a_robot_is_commanded_while_the_estimator_is_stuck():
+    stuck, free = threading.Event(), threading.Event()
+
+    class Stuck(Localizer):
+        @in_turn
+        def bearings(self, *seen):
+            stuck.set()
+            free.wait(30.0)
+            return super().bearings(*seen)
+
+    async def whole():
+        session = Session(homes={"home": {"a": HomeBearing(0.1), "b": HomeBearing(1.0)}})
+        session.localisation.estimator = Stuck({"a": 0.1, "b": 1.0})
+        async with serving(session, tcp=ANY) as (ports, _):
+            lines = (BearingsIn(t=0.0, bearings={"a": 0.1}), GoHome())
+            _, reader, writer = await answers(
+                ports[0], HELLO, *(line_of(x).encode() for x in lines)
+            )
+            try:
+                while not stuck.is_set():
+                    await asyncio.sleep(0.01)
+                kinds = [
+                    json.loads(await asyncio.wait_for(reader.readline(), 10.0))["type"]
+                    for _ in range(100)  # two seconds, and landmarks are asked for each second
+                ]
+            finally:
+                free.set()
+                writer.close()
+            return kinds
+
+    kinds = asyncio.run(whole())
+    assert set(kinds) == {"command", "diagnostics"}
 
 
 def test_who_does_not_read_is_let_go_and_others_hear_on():

@@ -8,7 +8,9 @@ import pytest
 from live_rig import Rig, driving
 
 from homeward.drives.drive import DriveSettings
+from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.live.driving.way import Way
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -16,6 +18,7 @@ from homeward.live.messages import (
     EStop,
     Event,
     GoHome,
+    GoToLandmark,
     MountIs,
     Obstacle,
     OdometryIn,
@@ -168,6 +171,27 @@ def test_an_emergency_stop_ends_the_drive_for_good():
     rig.until(driving)
 
 
+def test_the_release_of_an_emergency_stop_moves_nothing():
+    rig = Rig(4).until(driving)
+    rig.session.receive(EStop(engaged=True), rig.robot.t)
+    rig.session.receive(GoHome(), rig.robot.t)
+    rig.step()
+    rig.session.receive(EStop(engaged=False), rig.robot.t)
+    for _ in range(50):
+        rig.step()
+        assert rig.standing()
+
+
+def test_who_is_sent_elsewhere_is_not_stopped_by_what_was_refused_before():
+    rig = Rig(0).until(driving)
+    rig.session.receive(GoToLandmark(name="unheard of"), rig.robot.t)
+    rig.session.receive(GoHome(), rig.robot.t)
+    rig.step()
+    rig.until(driving)
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+
+
 def test_the_robot_stands_before_an_obstacle_and_when_nobody_tells_of_them_any_more():
     rig = Rig(5).until(driving)
     rig.session.receive(Obstacle(distance=0.2), rig.robot.t)
@@ -259,7 +283,7 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
     session = Session()
 
     def run(*messages):
-        for message in messages:
+        for message in sorted(messages, key=lambda m: getattr(m, "t", math.inf)):
             session.receive(message, 0.0)
         return [out for out in session.process() if isinstance(out, Event)]
 
@@ -277,6 +301,33 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
     assert "no home attic; there is dock" in run(GoHome(name="attic"))[0].text
     run(SetHome(name="attic", bearings=HOME.bearings), GoHome(name="dock"))
     assert session.localisation.home == "dock"
+
+
+def test_what_was_seen_before_a_clock_was_set_back_is_not_home():
+    session = Session()
+    for since, bearing, speed in ((100.0, -1.0, 0.3), (2.0, 0.5, 0.0)):
+        for k in range(60):
+            t = since + 0.1 * k
+            session.receive(OdometryIn(t=t, v=speed, omega=0.0), t)
+            session.receive(BearingsIn(t=t, bearings={"a": bearing, "b": 1.5, "c": -2.5}), t)
+            list(session.process())
+    session.receive(StoreHome(), 8.0)
+    assert [out.type for out in session.process()] == ["event"]
+    assert session.localisation.homes["home"]["a"].bearing == pytest.approx(0.5)
+
+
+def test_a_clock_that_is_set_back_moves_no_robot():
+    way = Way()
+    for k in range(100):
+        way.add(OdometryIn(t=100.0 + 0.1 * k, v=0.5, omega=0.0))
+    there = way.at(way.newest)
+    way.add(OdometryIn(t=1.0, v=0.5, omega=0.0))
+    assert way.at(1.0) == there
+
+
+def test_an_estimator_that_there_is_not_is_refused_at_once():
+    with pytest.raises(InputError, match="no estimator 'nonsense'"):
+        Session(LiveSettings(estimator="nonsense"))
 
 
 def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.drives.clock import Clock
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -55,7 +56,7 @@ from homeward.live.messages import (
 from homeward.live.sending import NO_PLACE, goal_of
 from homeward.live.visiting import Visiting
 from homeward.localizer.localizer import Localizer
-from homeward.registry import make_estimator
+from homeward.registry import make_estimator, settings_model
 
 Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""
@@ -125,10 +126,13 @@ class Localisation:
         self.estimator: Estimator | None = None
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
         """The last one."""
-        self._lately: deque[BearingsIn] = deque(maxlen=400)
+        self._clock = Clock()
+        self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
         self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
         self._looks: HomeLooks | None = None
         """What was seen from home, while it is looked at."""
+        if estimator is not None:
+            settings_model(estimator)  # whether there is one is not to be said of each message
         if place is not None and place.place is not None:
             self.homes, self.home = {}, place.place.origin
         if self.in_place or FIRST in homes:
@@ -149,13 +153,13 @@ class Localisation:
         InputError
             When it cannot be done; nothing is changed then.
         """
-        if isinstance(message, Cancel | EStop | GoHome):
+        if isinstance(message, Cancel | EStop | Departure):
             self._looks = None
         match message:
             case OdometryIn():
                 if self._looks is not None:
                     self._looks.odometry(message.t, message.v, message.omega)
-                self._twists.append((message.t, message.v, message.omega))
+                self._twists.append((self._clock.read(message.t), message.v, message.omega))
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case BearingsIn():
@@ -253,7 +257,7 @@ class Localisation:
         )
 
     def _answer(self, message: BearingsIn, odom: Pose | None) -> Answer:
-        self._lately.append(message)
+        self._lately.append((self._clock.read(message.t), message))
         if self._looks is not None:
             self._looks.bearings(message.t, message.bearings, message.sigmas)
         if self.estimator is None:
@@ -310,7 +314,7 @@ class Localisation:
         self._looks = None  # its landmarks are in the map
         if not self._lately:
             raise InputError("home cannot be stored: nothing is seen")
-        now = self._lately[-1], self.fix.estimate
+        now = self._lately[-1][1], self.fix.estimate
         return Event(type="event", text=self.place.store_home(name, self.home, *now))
 
     def _store_looks(self, name: str, looks: HomeLooks) -> Event:
@@ -331,10 +335,11 @@ class Localisation:
 
     def _view(self) -> dict[str, HomeBearing]:
         """Return what is seen from where the robot stands: the mean of some views."""
-        views = [v for v in self._lately if v.t > self._lately[-1].t - STORE_S]
+        since = max((t for t, _ in self._lately), default=math.inf) - STORE_S
+        views = [view for t, view in self._lately if t > since]
         if not any(v.bearings for v in views):
             raise InputError("home cannot be stored: nothing is seen")
-        rolled = [(v, omega) for t, v, omega in self._twists if t >= views[0].t]
+        rolled = [(v, omega) for t, v, omega in self._twists if t > since]
         if rolled and np.abs(np.mean(rolled, axis=0)).max() > STANDING:
             raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
         seen: dict[str, list[float]] = {}

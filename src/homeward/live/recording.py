@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,7 @@ FLUSH_EVERY = 50
 """So many lines at most are lost when the process is killed."""
 LONGEST_HEAD = 2**22
 """Of the first line [characters]."""
+NO_ANSWER = "none"
 _ANSWER = '{"type":"estimate"'
 
 
@@ -121,16 +123,22 @@ class Recorder:
                 self._file.flush()
 
     def close(self) -> None:
-        """Finish, and make the folder a drive folder where the session holds a drive."""
+        """Finish, and make the folder a drive folder where the session holds a drive.
+
+        Of a session in which nothing was said nothing is left behind.
+        """
         with naming(self._folder / SESSION, "cannot be written"):
             self._file.close()
+            if not self._lines:
+                shutil.rmtree(self._folder)
+                return
         drive = read_drive(self._folder / SESSION)
         if drive is not None:
             write_folder(drive, self._folder)
 
 
-def replay(file: Path) -> tuple[int, Answer | None]:
-    """Repeat a session; return how many answers were the same, and the first that was not.
+def replay(file: Path) -> tuple[int, str | None]:
+    """Repeat a session; return how many answers were the same, and what comes instead of the next.
 
     Raises
     ------
@@ -138,18 +146,19 @@ def replay(file: Path) -> tuple[int, Answer | None]:
         When the file is no session.
     """
     localisation, lines = _opened(file, whole=True)
-    expected: Answer | None = None
+    expected: str | None = None
     same = 0
     with one_thread():
         for line in lines:
-            if not line.startswith(_ANSWER):
+            is_answer = line.startswith(_ANSWER)
+            if expected != (line if is_answer else None):
+                return same, (expected or NO_ANSWER).rstrip()
+            if is_answer:
+                same, expected = same + 1, None
+            else:
                 # No answer depends on where odometry alone would have the robot.
                 out = _done(localisation, parse(line))
-                expected = out if isinstance(out, Answer) else None
-            elif expected is None or line_of(expected) != line:
-                return same, expected
-            else:
-                same += 1
+                expected = line_of(out) if isinstance(out, Answer) else None
     return same, None
 
 

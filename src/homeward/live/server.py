@@ -182,7 +182,8 @@ class Server:
             if now - said >= SAID_S:
                 said = now
                 self._tell(self.session.diagnostics(now))
-                self._tell(await asyncio.to_thread(self.session.localisation.landmarks))
+                self.session.ask_landmarks()
+                self._work.set()
 
     def _tell(self, out: Output) -> None:
         """Say something to all; who does not read is let go."""

@@ -101,6 +101,8 @@ class Session:
         """Where to the robot is sent, until that is processed: it stands as long ..."""
         self._refused = ""
         """... and why it cannot go there."""
+        self._asked = False
+        """Whether somebody waits to hear of landmarks."""
 
     @property
     def waiting(self) -> int:
@@ -125,24 +127,33 @@ class Session:
                 odom = self._way.at(message.t)
             case EStop(engaged=engaged):
                 self._stopped = engaged
-                if engaged:
-                    self._driver.fail("emergency stop", now)
+                # Also its release ends a drive: that nobody has begun anew since must not move.
+                self._driver.fail("emergency stop", now)
             case Cancel():
                 self._driver.fail("cancelled", now)
             case Obstacle(distance=distance):
                 self._obstacle = distance, now
                 return
             case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
-                self._sent = message
+                with self._lock:
+                    self._sent, self._refused = message, ""
                 self._hand_to(self.homing, now)
             case TurnHome(name=name):
                 self._turned_for = StoreHome(name=name)
                 self._hand_to(self._turning, now)
         self._put(message, odom, t)
 
+    def ask_landmarks(self) -> None:
+        """Let `process` yield what is known of landmarks, too. Quick: an estimator may be busy."""
+        self._asked = True
+
     def process(self) -> Iterator[Output]:
         """Do what is queued, and yield what is to be said. As slow as the estimator."""
-        while self._queue:
+        while self._queue or self._asked:
+            if self._asked:
+                self._asked = False
+                yield self.localisation.landmarks()
+                continue
             with self._lock:
                 message, odom, t = self._queue.popleft()
             self._tell(message)
@@ -151,18 +162,24 @@ class Session:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
                 out = Event(type="error", text=str(error))
-                if isinstance(message, Departure):
-                    self._refused = str(error)
-            if self.localisation.goal_lost:
-                self._refused, self.localisation.goal_lost = self.localisation.goal_lost, ""
+                self._refuse(message, str(error) if isinstance(message, Departure) else "")
+            lost, self.localisation.goal_lost = self.localisation.goal_lost, ""
+            self._refuse(message, lost)
             self._work_s = max(self._work_s, time.perf_counter() - began)
-            if message is self._sent:
-                self._sent = None
+            with self._lock:
+                if message is self._sent:
+                    self._sent = None
             if isinstance(out, Answer):
                 self._answered = t
                 self._tell(out)
             if out is not None:
                 yield out
+
+    def _refuse(self, message: Input, why: str) -> None:
+        """Let the drive fail, in words if any, unless the robot was sent elsewhere meanwhile."""
+        with self._lock:
+            if why and (self._sent is None or self._sent is message):
+                self._refused = why
 
     def _tell(self, message: Input | Output) -> None:
         for keep in self._keepers:

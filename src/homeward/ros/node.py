@@ -41,6 +41,7 @@ from homeward.live.messages import (
     FollowRoute,
     GoHome,
     Input,
+    Landmarks,
     LookRound,
     MountIs,
     Obstacle,
@@ -387,6 +388,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                         self._say(said)
                         if isinstance(said, Answer) and said.pose is not None:
                             self._answer(said)
+                        if isinstance(said, Landmarks):
+                            self._mark(said)
         except Exception as error:
             if self.context.ok():  # else it was shut down, and nobody hears
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
@@ -403,6 +406,11 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         convert.fill_pose(message.pose.pose, Pose(*said.pose or (0.0, 0.0, 0.0)))
         convert.fill_covariance(message.pose, said)
         self._out["pose"].publish(message)
+
+    def _mark(self, said: Landmarks) -> None:
+        stamp = self.get_clock().now().to_msg()
+        markers = convert.markers_out(said, stamp, self._told("map_frame"))
+        self._out["landmarks"].publish(markers)
 
     def _tick(self) -> None:
         """Say the command, and where the odometry frame lies."""
@@ -437,9 +445,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         said = self._session.diagnostics(time.monotonic())
         self._out["diagnostics"].publish(convert.diagnostics_out(said, stamp))
         self._say(said)
-        known = self._session.localisation.landmarks()
-        markers = convert.markers_out(known, stamp, self._told("map_frame"))
-        self._out["landmarks"].publish(markers)
+        self._session.ask_landmarks()
+        self._work.set()
 
     def _stop(self) -> None:
         self._running = False

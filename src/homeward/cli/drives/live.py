@@ -80,7 +80,7 @@ def live(
     if replay is not None:
         same, other = repeat(replay)
         if other is not None:
-            refuse(f"answer {same + 1} is another one now: {other.model_dump_json()}")
+            refuse(f"answer {same + 1} is another one now: {other}")
             raise no_answer()
         say(f"{same:,} answers, all equal to the last bit")
         return

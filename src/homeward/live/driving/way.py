@@ -29,13 +29,15 @@ class Way:
         return self._t[-1] if self._t else -math.inf
 
     def add(self, sample: OdometryIn) -> None:
-        """Go on; late samples are left out, and a clock that is set back begins anew."""
+        """Go on; late samples are left out, and a clock that is set back goes on where it was."""
+        before = self.at(self.newest)
         if sample.t < self.newest - PATH_S:
             self._t.clear()
             self._samples.clear()
         if sample.t < self.newest:
             return
-        there = self.at(sample.t) if sample.pose is None else Pose(*sample.pose)
+        there = self.at(sample.t) if self._t else before
+        there = there if sample.pose is None else Pose(*sample.pose)
         self._t.append(sample.t)
         self._samples.append((there, sample.v, sample.omega))
         while len(self._t) > 2 and self._t[1] < sample.t - PATH_S:
