@@ -130,7 +130,8 @@ def test_services_and_lifecycle(stage):
     stage.tell(call="go_home")
     stage.hear("/homeward/said", lambda s: s.get("state") == "held" and "stop" in s["reason"])
     stage.tell(estop=False)
-    stage.hear("cmd_vel", lambda c: c[0] > 0.1)
+    stage.hear("/homeward/said", lambda s: s.get("state") == "failed" and "stop" in s["reason"])
+    stage.go()
     since = len(stage.witness.lines)
     stage.tell(transition="deactivate")
     assert stage.hear("/homeward/change_state", since=since)["value"]

@@ -7,20 +7,21 @@ import time
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
-from homeward.ros.node import HomewardNode
+from homeward.ros.node import DONE, HomewardNode
 
+BAD_INPUT = 2
 STOPPED_WITHIN_S = 0.5
 """... and that it was stopped rclpy's own thread says a moment later [s]."""
 
 
 def main() -> None:
-    """Run the node until it is stopped."""
+    """Run the node until it is stopped; one that starts by itself and cannot ends at once."""
     rclpy.init()
     node = HomewardNode()
     try:
-        if node.get_parameter("autostart").value:
-            node.trigger_configure()
-            node.trigger_activate()
+        starts = node.get_parameter("autostart").value
+        if starts and not (node.trigger_configure() == DONE == node.trigger_activate()):
+            raise SystemExit(BAD_INPUT)  # the log says why
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -10,19 +10,33 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
+from homeward.angles import wrap
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.text.settings import validated
 from homeward.estimator import Status
 from homeward.frames import Pose
-from homeward.live.messages import Answer, BearingsIn, Diagnostics, Landmarks, OdometryIn, Start
+from homeward.live.messages import (
+    Answer,
+    BearingsIn,
+    Diagnostics,
+    Landmarks,
+    Obstacle,
+    OdometryIn,
+    Start,
+)
 from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
 
 PLANAR = (0, 1, 5)
 """Places of x, y and the turn about z in ROS's covariances of six."""
+FARTHEST_M = 1e4
+"""Scanners that see endlessly far, as simulated ones, say so [m]."""
 _SPHERE, _TEXT = 2, 9
 
 
@@ -41,16 +55,27 @@ class Clock:
 
     def seconds(self, stamp: Any) -> float:
         """Return the time [s] of a builtin_interfaces/Time."""
+        return seconds(stamp.sec * NANO + stamp.nanosec, self._since(stamp.sec))
+
+    def of_unix(self, t: float) -> float:
+        """Return the time [s] of Unix time [s]."""
+        return t - self._since(t)
+
+    def _since(self, t: float) -> int:
         if self.epoch is None:
-            self.epoch = int(stamp.sec)
-        return seconds(stamp.sec * NANO + stamp.nanosec, self.epoch)
+            self.epoch = math.floor(t)
+        return self.epoch
 
 
 def odometry_in(message: Any, t: float) -> OdometryIn:
-    """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose where it tells one."""
+    """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose where it tells one.
+
+    `InputError` where a number is none, as in all that follows.
+    """
     v, omega, _ = twist_of(message)
     pose = pose_of(message)
-    return OdometryIn(t=t, v=v, omega=omega, pose=pose if all(map(math.isfinite, pose)) else None)
+    known = pose if all(map(math.isfinite, pose)) else None
+    return validated(OdometryIn, {"t": t, "v": v, "omega": omega, "pose": known})
 
 
 def bearings_in(
@@ -75,11 +100,9 @@ def bearings_in(
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
-    return BearingsIn(
-        t=t,
-        bearings=dict(zip(ids, columns["bearing"].tolist(), strict=True)),
-        sigmas={i: s for i, s in sigmas if s > 0},
-    )
+    bearings = dict(zip(ids, columns["bearing"].tolist(), strict=True))
+    known = {"t": t, "bearings": bearings, "sigmas": {i: s for i, s in sigmas if s > 0}}
+    return validated(BearingsIn, known)
 
 
 def start_in(message: Any) -> Start:
@@ -91,7 +114,20 @@ def start_in(message: Any) -> Start:
         sigmas["sigma"] = math.sqrt(var)
     if c[35] > 0:
         sigmas["sigma_heading"] = math.sqrt(c[35])
-    return Start(x=x, y=y, heading=heading, **sigmas)
+    return validated(Start, {"x": x, "y": y, "heading": heading, **sigmas})
+
+
+def obstacle_in(message: Any, half_angle: float) -> Obstacle:
+    """Return how far the way ahead, `half_angle` [rad] to either side, is free by a LaserScan.
+
+    By REP 117 minus infinity is something too near to be measured, and infinity nothing in reach.
+    """
+    ranges = np.asarray(message.ranges, float)
+    angles = message.angle_min + message.angle_increment * np.arange(ranges.size)
+    measured = (ranges >= max(message.range_min, 1e-3)) | (ranges == -math.inf)
+    ahead = ranges[measured & (np.abs(wrap(angles)) <= half_angle)]
+    free = [*np.maximum(ahead, 0.0).tolist(), message.range_max, FARTHEST_M]
+    return validated(Obstacle, {"distance": min(free)})
 
 
 def fill_pose(target: Any, pose: Pose) -> None:

@@ -44,7 +44,6 @@ from homeward.live.messages import (
     Landmarks,
     LookRound,
     MountIs,
-    Obstacle,
     Output,
     Reset,
     SavePlace,
@@ -135,6 +134,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             kinds = (JSON, *READERS, *PICTURES)
             if told("bearings_type") not in kinds:
                 raise InputError(f"bearings_type: one of {', '.join(kinds)}")
+            convert.message_class(told("bearings_type"))  # not all are there on each robot
             self._camera = None
             if told("camera"):
                 file = Path(told("camera"))
@@ -169,7 +169,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._session = Session(settings, robot, homes, keep, place)
             self._publish()
         except (HomewardError, ImportError) as error:
-            self.get_logger().error(str(error))
+            missing = "; its ROS package is not installed, or ROS's setup.bash was not sourced"
+            self.get_logger().error(f"{error}{missing if isinstance(error, ImportError) else ''}")
             self._clean()
             return FAILED
         return DONE
@@ -286,8 +287,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         def safely(*message: Any) -> None:
             try:
                 callback(*message)
-            except (HomewardError, ValueError) as error:
-                words = str(error).splitlines()[0]
+            except HomewardError as error:
+                words = str(error)
                 if words != self._complained:
                     self.get_logger().warning(words)
                 self._complained = words
@@ -356,7 +357,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         if isinstance(said, BearingsIn):
             self._require_mount()
         if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
-            said = said.model_copy(update={"t": said.t - (self._stamps.epoch or 0)})
+            said = said.model_copy(update={"t": self._stamps.of_unix(said.t)})
         self._take(said)
 
     def _start(self, message: Any) -> None:
@@ -367,14 +368,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._camera = from_camera_info(message, self._topic.rectified)
 
     def _scan(self, message: Any) -> None:
-        half, least = self._told("scan_half_angle"), max(message.range_min, 1e-3)
-        angles = [
-            message.angle_min + k * message.angle_increment for k in range(len(message.ranges))
-        ]
-        ahead = [
-            r for a, r in zip(angles, message.ranges, strict=True) if abs(a) <= half and r >= least
-        ]
-        self._take(Obstacle(distance=min([*ahead, message.range_max])))
+        self._take(convert.obstacle_in(message, self._told("scan_half_angle")))
 
     def _process(self) -> None:
         """Let the estimator work, in a thread of its own."""

@@ -1,0 +1,53 @@
+"""Messages of ROS 2 as a session takes them; these are mere objects with their fields."""
+
+import math
+from types import SimpleNamespace as Message
+
+import pytest
+
+from homeward.errors import InputError
+from homeward.ros.conversions import Clock, obstacle_in, odometry_in
+
+
+def scan(ranges, angle_min, farthest=8.0):
+    step = math.tau / len(ranges)
+    return Message(
+        ranges=ranges, angle_min=angle_min, angle_increment=step, range_min=0.1, range_max=farthest
+    )
+
+
+@pytest.mark.parametrize("angle_min", [-math.pi, 0.0])
+@pytest.mark.parametrize("degrees", [-15, 0, 15])
+def test_what_stands_ahead_is_seen_by_scanners_that_begin_behind_and_ahead(angle_min, degrees):
+    ranges = [5.0] * 360
+    ranges[round(degrees - math.degrees(angle_min)) % 360] = 0.4
+    assert obstacle_in(scan(ranges, angle_min), 0.35).distance == 0.4
+
+
+@pytest.mark.parametrize(
+    ("ahead", "free"), [(-math.inf, 0.0), (math.inf, 8.0), (math.nan, 8.0), (0.05, 8.0), (3.0, 3.0)]
+)
+def test_ranges_that_are_none_mean_what_rep_117_says(ahead, free):
+    assert obstacle_in(scan([ahead] * 360, 0.0), 0.35).distance == free
+
+
+def test_a_scanner_that_sees_endlessly_far_tells_of_a_free_way():
+    assert obstacle_in(scan([math.inf] * 8, 0.0, math.inf), 0.35).distance > 1e3
+
+
+def test_a_number_that_is_none_is_refused_in_plain_words():
+    zero = Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    message = Message(
+        header=Message(frame_id="odom"),
+        child_frame_id="base_link",
+        pose=Message(pose=Message(position=zero, orientation=zero)),
+        twist=Message(twist=Message(linear=Message(x=math.nan, y=0.0), angular=zero)),
+    )
+    with pytest.raises(InputError, match=r"^v: must be finite, not nan$"):
+        odometry_in(message, 0.0)
+
+
+def test_stamps_are_from_the_first_ones_second_whoever_comes_first():
+    clock = Clock()
+    assert clock.of_unix(1_700_000_000.25) == 0.25
+    assert clock.seconds(Message(sec=1_700_000_001, nanosec=500_000_000)) == 1.5

@@ -1,0 +1,24 @@
+"""A node that cannot do what its parameters say tells why, in one line, and ends."""
+
+import subprocess
+
+import pytest
+from ros.stage import ROOT
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ("home:=/there/is/no/home.csv", "cannot be read: No such file"),
+        (
+            "bearings_type:=apriltag_msgs/msg/AprilTagDetectionArray",
+            "No module named 'apriltag_msgs'; its ROS package is not installed",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(ros, told, words):
+    command = [ros, "-m", "homeward.ros", "--ros-args", "-p", told]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    (line,) = ended.stderr.splitlines()
+    assert words in line
+    assert ended.returncode == 2
