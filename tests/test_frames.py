@@ -15,6 +15,7 @@ from homeward.frames import (
     from_polar,
     inverse,
     polar_covariance_to_pose,
+    position_sigma,
     to_polar,
 )
 
@@ -31,6 +32,16 @@ def assert_same(a, b):
 @given(POSES, POSES, POSES)
 def test_composition_is_associative(a, b, c):
     assert_same(compose(compose(a, b), c), compose(a, compose(b, c)))
+
+
+@given(st.integers(0, 10_000))
+def test_the_worst_direction_of_a_position_is_its_largest_eigenvalue(seed):
+    roots = np.random.default_rng(seed).normal(size=(4, 3, 3))
+    covariances = roots @ roots.swapaxes(-1, -2)
+    worst = np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1])
+    assert position_sigma(covariances) == pytest.approx(worst)
+    assert position_sigma(covariances[0]) == pytest.approx(worst[0])
+    assert position_sigma(np.zeros((0, 2, 2))).shape == (0,)
 
 
 @given(POSES)

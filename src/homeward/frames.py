@@ -67,6 +67,24 @@ def bearing(pose: Pose, x: Any, y: Any) -> Any:
     return wrap(apply("arctan2", y - pose.y, x - pose.x) - pose.heading)
 
 
+def position_sigma(covariance: np.ndarray) -> Any:
+    """Return the standard deviation of a position along its worst direction [m].
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., k, k)
+        Of x, y [m], and whatever comes after them; NaN gives NaN.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The semi-major axis of its 1-sigma ellipse; a float of a single one.
+    """
+    xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    return np.sqrt(np.maximum(largest, 0.0))
+
+
 def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray:
     """Carry a covariance of (R, theta, alpha) to (x, y, heading), to first order.
 

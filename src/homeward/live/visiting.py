@@ -21,8 +21,7 @@ from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
 from homeward.following import LOOKAHEAD
-from homeward.frames import Pose
-from homeward.live.driving.goals import position_sigma
+from homeward.frames import Pose, position_sigma
 from homeward.live.messages import BearingsIn
 from homeward.live.samples import Samples, last_of_equal, table
 from homeward.localizer.localizer import Localizer
@@ -267,7 +266,7 @@ def _sigma(estimate: Estimate) -> float:
     """Return how uncertain a place is along the worst direction [m]; NaN if not localised."""
     if estimate.status is not Status.LOCALISED or estimate.covariance is None:
         return math.nan
-    return position_sigma(estimate.covariance)
+    return float(position_sigma(estimate.covariance))
 
 
 def visiting(folder: Path, update: bool, estimator: str = DEFAULT) -> Visiting:

@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
-from homeward.frames import Pose
+from homeward.frames import Pose, position_sigma
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
 from homeward.localizer.map.survey.factors import align, turned
 
@@ -63,8 +63,7 @@ class JointMap:
     def sigmas(self) -> np.ndarray:
         """(n,): standard deviation of each landmark's place, along its worst direction [m]."""
         at = 2 * np.arange(len(self.names))[:, None] + np.arange(2)
-        blocks = self.covariance[at[:, :, None], at[:, None, :]]
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])) if self.names else np.zeros(0)
+        return np.asarray(position_sigma(self.covariance[at[:, :, None], at[:, None, :]]))
 
     def columns(self, names: Collection[str]) -> np.ndarray:
         """Return where the coordinates of landmarks are, (2 k,), in the order of `names`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from homeward.drives.drive import Drive, HomeBearing, KnownLandmarks, SurveyedLandmark
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.frames import Pose, position_sigma
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
 from homeward.places.route import Route
@@ -194,4 +193,4 @@ class Place:
         """Return how uncertain a home's place is for one who sees what stands now [m]."""
         there = self.aged(when).at_home(self.required(home))
         at = there.home_columns(home)[:2]
-        return math.sqrt(float(np.linalg.eigvalsh(there.covariance[np.ix_(at, at)])[-1]))
+        return float(position_sigma(there.covariance[np.ix_(at, at)]))

@@ -17,6 +17,7 @@ from homeward.angles import wrap
 from homeward.errors import HomewardError
 from homeward.estimator import LandmarkEstimate
 from homeward.following import LOOKAHEAD, Path
+from homeward.frames import position_sigma
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
 
@@ -137,8 +138,7 @@ def taught(track: Track, when: float) -> Route:
     """
     rows = np.flatnonzero(track.has_pose)
     t, poses = track.t[rows], np.column_stack([track.x, track.y, track.heading])[rows]
-    sigmas = np.sqrt(np.linalg.eigvalsh(track.covariance[rows][:, :2, :2])[:, -1])
-    return taught_along(t, poses, sigmas, when)
+    return taught_along(t, poses, position_sigma(track.covariance[rows]), when)
 
 
 def taught_along(t: np.ndarray, poses: np.ndarray, sigmas: np.ndarray, when: float) -> Route:

@@ -46,11 +46,6 @@ class Belief(NamedTuple):
     """(3, 3)"""
 
 
-def position_sigma(covariance: np.ndarray) -> float:
-    """Return the standard deviation of a position along its worst direction [m], of (3, 3)."""
-    return math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))
-
-
 class Step(NamedTuple):
     """What is to be done now."""
 

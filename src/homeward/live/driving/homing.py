@@ -6,7 +6,8 @@ import math
 
 from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State, position_sigma
+from homeward.frames import position_sigma
+from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State
 from homeward.live.settings import Limits
 
 AFTERWARDS_S = 1.0
