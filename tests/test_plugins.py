@@ -6,12 +6,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from cli.commands import call, done, first_seconds, refused
 
 from homeward.drives.opening import open_drive
+from homeward.errors import InputError
 from homeward.estimator import Counts
 from homeward.registry import estimator_names, make_estimator, needs_start
 from homeward.track import run
@@ -170,6 +172,10 @@ def test_the_settings_of_the_manual_are_read(installed, short, tmp_path):
     words = ["run", short, "--estimator", "of_the_manual:make", "--start", "1,0,0"]
     done(call(*words, "--set", "noise=0.1", "--out", tmp_path / "out"))
     assert "noise: 0.1" in (tmp_path / "out" / "run.yaml").read_text()
+    drive = open_drive(short)
+    nowhere = replace(drive, settings=drive.settings.model_copy(update={"start": None}))
+    with pytest.raises(InputError, match="of_the_manual:make needs a start prior"):
+        make_estimator("of_the_manual:make", nowhere)
 
 
 def test_an_estimator_of_somebody_else_steers(mine, tmp_path):

@@ -54,6 +54,12 @@ def without(error: ModuleNotFoundError) -> InputError | None:
     return None if known is None else needs_extra(*known)
 
 
+def needs_start_prior(estimator: str) -> InputError:
+    """Return the refusal of an estimator that cannot begin without a start prior."""
+    where = "start in drive.yaml, --start R,THETA,ALPHA of a run, or a message start live"
+    return InputError(f"{estimator} needs a start prior: {where}")
+
+
 def needs_extra(what: str, extra: str) -> InputError:
     """Return the error that says what lacks which extra, and how it is installed from a checkout.
 

@@ -10,7 +10,7 @@ from typing import Any
 from homeward.drives.drive import Drive, Strict
 from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
-from homeward.errors import without
+from homeward.errors import needs_start_prior, without
 from homeward.estimator import Estimator
 from homeward.filters.settings import (
     AugmentedSettings,
@@ -156,6 +156,8 @@ def _entry(name: str) -> tuple[type[Strict], _Maker]:
     model = _second_model(name, make)
 
     def guest(drive: Drive, settings: Strict) -> Estimator:
+        if getattr(make, "needs_start", False) and drive.settings.start is None:
+            raise needs_start_prior(name)
         taken = (drive,) if model is NoSettings else (drive, settings)
         return Guest(name, lambda: make(*taken))
 

@@ -330,6 +330,12 @@ def test_an_estimator_that_there_is_not_is_refused_at_once():
         Session(LiveSettings(estimator="nonsense"))
 
 
+def test_what_was_never_heard_is_said_so():
+    session = Session()
+    session.receive(OdometryIn(t=5.0, v=0.0, omega=0.0), 0.0)
+    assert session.faults(0.01) == ("no bearings yet", "no answers yet")
+
+
 def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():
     rig = Rig(0).until(driving)
     rig.session.receive(GoHome(name="attic"), rig.robot.t)

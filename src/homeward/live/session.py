@@ -232,8 +232,9 @@ class Session:
         newest = self._odometry.newest
         for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):
             if newest - t > told.largest_lag and math.isfinite(newest):
-                found.append(f"{what} are {newest - t:.2f} s behind odometry")
-        return tuple(found)
+                lag = f"{what} are {newest - t:.2f} s behind odometry"
+                found.append(lag if math.isfinite(t) else f"no {what} yet")
+        return tuple(dict.fromkeys(found))
 
     def diagnostics(self, now: float) -> Diagnostics:
         """Return how the session is, at `now` [s]."""

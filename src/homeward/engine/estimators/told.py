@@ -13,7 +13,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing, Start
 from homeward.engine.estimators.online import OnlineFilter
 from homeward.engine.estimators.runner import FilterRunner, Tuning
-from homeward.errors import InputError
+from homeward.errors import InputError, needs_start_prior
 from homeward.filters.carrier import Carrier
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import (
@@ -47,9 +47,7 @@ class Told(Generic[Settings]):
         if not self.home:
             raise InputError(f"home saw no landmark, so {self.name} has nothing to go by")
         if self.known.start is None:
-            raise InputError(
-                f"{self.name} needs a start prior: start in drive.yaml, or --start R,THETA,ALPHA"
-            )
+            raise needs_start_prior(self.name)
         return self.known.start
 
     @property
