@@ -248,3 +248,20 @@ def test_a_session_over_stdin_answers_every_line_and_ends_with_it(tmp_path):
     again = subprocess.run([*command, str(tmp_path / "r" / "session.jsonl")], capture_output=True)
     assert again.stdout.decode() == "300 answers, all equal to the last bit\n"
     assert LiveSettings().queue == 200  # less than what came: stdin waits for the estimator
+
+
+def test_who_closes_the_pipe_ends_the_session_without_a_word():
+    command = [sys.executable, "-m", "homeward", "live"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as live:
+        look = '{"type":"bearings","t":%d,"bearings":{}}\n'
+        live.stdin.write(look % 0)
+        live.stdin.flush()
+        assert json.loads(live.stdout.readline())["type"] == "estimate"
+        live.stdout.close()
+        with contextlib.suppress(BrokenPipeError):
+            for t in range(1, 100):
+                live.stdin.write(look % t)
+                live.stdin.flush()
+        assert live.wait(60.0) == 0
+        assert live.stderr.read() == ""

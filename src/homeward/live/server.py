@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hmac
 import ipaddress
+import os
 import signal
 import sys
 import threading
@@ -139,7 +140,7 @@ class Server:
             if opened is not None:
                 opened(self.ports)
             if stdio:
-                me = _Listener(_print, lambda: 0, lambda: None)
+                me = _Listener(self._print, lambda: 0, lambda: None)
                 self._listeners.add(me)
                 threading.Thread(target=self._read_stdin, args=(loop, me), daemon=True).start()
             try:
@@ -207,9 +208,6 @@ class Server:
         except InputError as error:
             listener.tell(line_of(Event(type="error", text=str(error))))
 
-    async def _take_soon(self, line: bytes, listener: _Listener) -> None:
-        self._take_line(line, listener)
-
     def _welcome(self, line: bytes | str, listener: _Listener) -> bool:
         """Return whether a first line says hello as it must; answer it."""
         try:
@@ -231,13 +229,31 @@ class Server:
         listener.tell(line_of(Event(type="error", text=why)))
         return False
 
+    def _print(self, line: str) -> None:
+        """Say a line on stdout; end where nobody reads it any more."""
+        try:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            with open(os.devnull, "w") as nowhere:  # for what is left in the buffer
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())
+            self._end()
+
     def _read_stdin(self, loop: asyncio.AbstractEventLoop, me: _Listener) -> None:
         """Take lines from stdin, no faster than the estimator does."""
+        taken = threading.Semaphore(0)
+
+        def take(line: bytes) -> None:
+            self._take_line(line, me)
+            taken.release()
+
         while line := sys.stdin.buffer.readline(LONGEST_LINE + 1):
             while self.session.waiting > self.session.settings.queue // 2:
                 time.sleep(0.001)
             if line.strip():
-                asyncio.run_coroutine_threadsafe(self._take_soon(line, me), loop).result()
+                with contextlib.suppress(RuntimeError):  # it ended meanwhile
+                    loop.call_soon_threadsafe(take, line)
+                taken.acquire()
         while self.session.waiting:
             time.sleep(0.001)
         self._end()
@@ -329,8 +345,3 @@ class Server:
 
 def _cannot(place: Address, error: OSError) -> InputError:
     return InputError(f"cannot listen at {place.host}:{place.port}: {error.strerror or error}")
-
-
-def _print(line: str) -> None:
-    sys.stdout.write(line)
-    sys.stdout.flush()
