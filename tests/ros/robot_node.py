@@ -1,6 +1,7 @@
 """A simulated robot as a node of ROS 2: odometry and bearings out, cmd_vel in.
 
-`python robot_node.py SEED`. Its base stands when it hears no command for 0.2 s, as a real one must.
+`python robot_node.py SEED [EPOCH]`; with an EPOCH [s] it is the simulator whose clock all go by.
+Its base stands when it hears no command for 0.2 s, as a real one must.
 It writes a line of JSON a period: t, true distance from home, speed; "move" on stdin moves L1.
 """
 
@@ -16,6 +17,7 @@ from live_rig import SCENARIO
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 
 from homeward.control import Twist as Command
 from homeward.control import advance
@@ -26,12 +28,13 @@ from homeward.simulation.live_robot import LiveRobot
 
 
 class RobotNode(Node):
-    def __init__(self, seed, **more):
+    def __init__(self, seed, epoch=None, **more):
         super().__init__("robot")
         more = {"seed": seed, "landmarks.count": 12, "rates.bearings": 30.0} | more
         self.robot = LiveRobot(load_scenario("paper-homing", SCENARIO | more))
         self.rolled = Planar(0.0, 0.0, 0.0)
-        self.epoch = time.time()
+        self.epoch = time.time() if epoch is None else epoch
+        self.clock = None if epoch is None else self.create_publisher(Clock, "/clock", 10)
         self.odometry = self.create_publisher(Odometry, "odom", 10)
         self.bearings = self.create_publisher(PoseArray, "bearings", 10)
         self.create_subscription(Twist, "cmd_vel", self.command, 1)  # the newest alone counts
@@ -66,6 +69,10 @@ class RobotNode(Node):
         before = self.robot.pose
         sensed = self.robot.step()
         stamp = round((self.epoch + sensed.t) * 1e9)
+        if self.clock is not None:
+            now = Clock()
+            now.clock.sec, now.clock.nanosec = divmod(stamp, 10**9)
+            self.clock.publish(now)
         message = Odometry()
         message.header.frame_id, message.child_frame_id = "odom", "base_link"
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
@@ -98,4 +105,4 @@ class RobotNode(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(RobotNode(int(sys.argv[1])))
+    rclpy.spin(RobotNode(int(sys.argv[1]), *map(float, sys.argv[2:])))

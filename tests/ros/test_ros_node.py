@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from ros.stage import has_tf
+from ros.stage import Stage, has_tf
 
 from homeward.drives.folder import read_folder
 from homeward.live.recording import replay
@@ -164,3 +164,20 @@ def test_a_start_is_taken_and_an_obstacle_stops_the_robot(stage):
     stage.hear("/homeward/said", lambda s: "an obstacle 0.20 m ahead" in s.get("reason", ""))
     stage.tell(scan=None)
     stage.hear("/homeward/said", lambda s: "nothing said of obstacles" in s.get("reason", ""))
+
+
+def test_by_simulated_time_stamps_are_the_simulators_and_watchdogs_are_not(ros, tmp_path):
+    began = 1000.0
+    robot = ("robot_node.py", "0", str(began))
+    stage = Stage(ros, tmp_path, robot, use_sim_time="true")
+    try:
+        stage.look_round()
+        said = stage.hear("/homeward/map_to_odom")["value"][-1]
+        now = began + stage.robot.lines[-1][1]["t"]
+        assert abs(1e-9 * said - now) < 5.0  # Unix time is fifty years ahead
+        stage.go()
+        stage.robot.process.kill()  # and with it the clock stands
+        stage.hear("cmd_vel", lambda c: c == [0.0, 0.0], 5.0)
+        stage.hear("/diagnostics", lambda text: "no odometry for" in text)
+    finally:
+        stage.end()

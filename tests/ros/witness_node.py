@@ -68,7 +68,8 @@ class Witness(Node):
     def transform(message):
         shift, turn = message.transform.translation, message.transform.rotation
         heading = 2 * math.atan2(turn.z, turn.w)
-        return [message.header.frame_id, message.child_frame_id, shift.x, shift.y, heading]
+        frames = [message.header.frame_id, message.child_frame_id]
+        return [*frames, shift.x, shift.y, heading, stamp(message)]
 
     def heard(self, topic, read):
         def hear(message):
