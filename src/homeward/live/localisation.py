@@ -6,12 +6,10 @@ The order of the messages alone decides what comes of them, so that a recording 
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.clock import Clock
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -20,12 +18,11 @@ from homeward.drives.drive import (
     Sightings,
 )
 from homeward.drives.drive import Start as StartPrior
-from homeward.drives.home.choosing import spin_words
-from homeward.drives.home.looks import HomeLooks
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.driving.goals import Along, Goal
+from homeward.live.looking import AT_HOME, Looking
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -62,14 +59,6 @@ Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""
 FIRST = "home"
 """The name of a home that nobody named."""
-STORE_S, STANDING = 1.0, 0.01
-"""Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
-AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
-"""Of a robot that stores home where it stands."""
-AFTER_TURN = StartPrior(
-    R=0.001, theta=0.0, alpha=0.0, sigma_R=0.05, sigma_theta=3.0, sigma_alpha=0.02
-)
-"""Of one that turned there: wheels that slip take it so far."""
 NO_HOME = "no home yet: store_home or turn_home while the robot is there, or send one"
 ANEW = "the map was begun anew"
 AIM_S = 1.0
@@ -126,11 +115,7 @@ class Localisation:
         self.estimator: Estimator | None = None
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
         """The last one."""
-        self._clock = Clock()
-        self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
-        self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
-        self._looks: HomeLooks | None = None
-        """What was seen from home, while it is looked at."""
+        self._looking = Looking()
         if estimator is not None:
             settings_model(estimator)  # whether there is one is not to be said of each message
         if place is not None and place.place is not None:
@@ -154,12 +139,10 @@ class Localisation:
             When it cannot be done; nothing is changed then.
         """
         if isinstance(message, Cancel | EStop | Departure):
-            self._looks = None
+            self._looking.end()
         match message:
             case OdometryIn():
-                if self._looks is not None:
-                    self._looks.odometry(message.t, message.v, message.omega)
-                self._twists.append((self._clock.read(message.t), message.v, message.omega))
+                self._looking.odometry(message)
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case BearingsIn():
@@ -175,12 +158,10 @@ class Localisation:
                 )
             case StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
-            case StoreHome(name=name) if self._looks is not None:
-                return self._store_looks(name, self._looks)
             case StoreHome(name=name):
-                return self._new(name, self._view(), AT_HOME)
+                return self._new(name, *self._looking.here())
             case LookRound() | TurnHome():
-                self._looks = HomeLooks(**self._robot.robot)
+                self._looking.begin(self._robot)
             case SavePlace():
                 return Event(type="event", text=self._merge())
             case GoHome(name=str(name)) if self.place is None and name != self.home:
@@ -257,9 +238,7 @@ class Localisation:
         )
 
     def _answer(self, message: BearingsIn, odom: Pose | None) -> Answer:
-        self._lately.append((self._clock.read(message.t), message))
-        if self._looks is not None:
-            self._looks.bearings(message.t, message.bearings, message.sigmas)
+        self._looking.bearings(message)
         if self.estimator is None:
             return _said(Estimate(message.t, Status.WAITING, NO_HOME))
         estimate = self.estimator.bearings(message.t, message.bearings, message.sigmas or None)
@@ -311,59 +290,30 @@ class Localisation:
     def _store(self, name: str) -> Event:
         """Store one more home of the place, where the robot is."""
         assert self.place is not None
-        self._looks = None  # its landmarks are in the map
-        if not self._lately:
+        self._looking.end()  # its landmarks are in the map
+        if (now := self._looking.newest) is None:
             raise InputError("home cannot be stored: nothing is seen")
-        now = self._lately[-1][1], self.fix.estimate
-        return Event(type="event", text=self.place.store_home(name, self.home, *now))
-
-    def _store_looks(self, name: str, looks: HomeLooks) -> Event:
-        """Take a home that was looked at since the robot came there."""
-        self._looks = None
-        found = looks.spin()
-        R, theta, _ = map(float, to_polar(found.end))
-        start = AFTER_TURN.model_copy(
-            update={
-                "R": max(R, AFTER_TURN.R),
-                "theta": theta,
-                "alpha": float(found.end.heading),
-                "sigma_alpha": math.hypot(AFTER_TURN.sigma_alpha, found.heading_sigma),
-            }
-        )
-        self._new(name, found.home, start)
-        return Event(type="event", text=f"home {name} is stored: {spin_words(found)}")
-
-    def _view(self) -> dict[str, HomeBearing]:
-        """Return what is seen from where the robot stands: the mean of some views."""
-        since = max((t for t, _ in self._lately), default=math.inf) - STORE_S
-        views = [view for t, view in self._lately if t > since]
-        if not any(v.bearings for v in views):
-            raise InputError("home cannot be stored: nothing is seen")
-        rolled = [(v, omega) for t, v, omega in self._twists if t > since]
-        if rolled and np.abs(np.mean(rolled, axis=0)).max() > STANDING:
-            raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
-        seen: dict[str, list[float]] = {}
-        for view in views:
-            for i, b in view.bearings.items():
-                seen.setdefault(i, []).append(b)
-        return {
-            i: HomeBearing(float(np.angle(np.exp(1j * np.array(b)).mean())))
-            for i, b in seen.items()
-        }
+        text = self.place.store_home(name, self.home, now, self.fix.estimate)
+        return Event(type="event", text=text)
 
     def _new(
-        self, name: str, seen: dict[str, HomeBearing], start: StartPrior | None = None
+        self,
+        name: str,
+        seen: dict[str, HomeBearing],
+        start: StartPrior | None = None,
+        words: str = "",
     ) -> Event:
-        """Take a home, and begin the map anew."""
+        """Take a home, and begin the map anew; words say how it was found."""
         if not seen:
             raise InputError(f"home {name} has no landmarks")
         self.homes[name], self.home = seen, name
         self._begin(start)
-        return Event(type="event", text=f"home {name} has {len(seen)} landmarks")
+        said = f"is stored: {words}" if words else f"has {len(seen)} landmarks"
+        return Event(type="event", text=f"home {name} {said}")
 
     def _begin(self, start: StartPrior | None) -> None:
         """Begin the map anew."""
-        self._looks = None
+        self._looking.end()
         if self.place is not None:
             self.place.begin()
         if not self.in_place and self.home not in self.homes:

@@ -1,0 +1,114 @@
+"""Home where the robot is: what it sees from there, standing, or while it turns."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.clock import Clock
+from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import Start as StartPrior
+from homeward.drives.home.choosing import spin_words
+from homeward.drives.home.looks import HomeLooks
+from homeward.errors import InputError
+from homeward.frames import to_polar
+from homeward.live.messages import BearingsIn, OdometryIn
+
+STORE_S, STANDING = 1.0, 0.01
+"""Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
+AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
+"""Of a robot that stores home where it stands."""
+AFTER_TURN = StartPrior(
+    R=0.001, theta=0.0, alpha=0.0, sigma_R=0.05, sigma_theta=3.0, sigma_alpha=0.02
+)
+"""Of one that turned there: wheels that slip take it so far."""
+
+
+class Here(NamedTuple):
+    """Home, looked at."""
+
+    seen: dict[str, HomeBearing]
+    start: StartPrior
+    """Where the robot is now, in its frame."""
+    words: str
+    """How it was found; none where the robot just stood."""
+
+
+class Looking:
+    """What was seen lately, and, once that was asked for, from home."""
+
+    def __init__(self) -> None:
+        self._clock = Clock()
+        self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
+        self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
+        self._looks: HomeLooks | None = None
+
+    @property
+    def newest(self) -> BearingsIn | None:
+        """The last look, if there was any."""
+        return self._lately[-1][1] if self._lately else None
+
+    def odometry(self, message: OdometryIn) -> None:
+        """Take a twist."""
+        if self._looks is not None:
+            self._looks.odometry(message.t, message.v, message.omega)
+        self._twists.append((self._clock.read(message.t), message.v, message.omega))
+
+    def bearings(self, message: BearingsIn) -> None:
+        """Take a look."""
+        self._lately.append((self._clock.read(message.t), message))
+        if self._looks is not None:
+            self._looks.bearings(message.t, message.bearings, message.sigmas)
+
+    def begin(self, robot: DriveSettings) -> None:
+        """Let home be where the robot is: it may turn, but stays."""
+        self._looks = HomeLooks(**robot.robot)
+
+    def end(self) -> None:
+        """Look at home no more."""
+        self._looks = None
+
+    def here(self) -> Here:
+        """Return the home that was looked at since `begin`, or else what is seen now, standing.
+
+        Raises
+        ------
+        InputError
+            When there is none, or the robot moved.
+        """
+        looks, self._looks = self._looks, None
+        return self._standing() if looks is None else _turned(looks)
+
+    def _standing(self) -> Here:
+        """Return the mean of some views."""
+        since = max((t for t, _ in self._lately), default=math.inf) - STORE_S
+        views = [view for t, view in self._lately if t > since]
+        if not any(v.bearings for v in views):
+            raise InputError("home cannot be stored: nothing is seen")
+        rolled = [(v, omega) for t, v, omega in self._twists if t > since]
+        if rolled and np.abs(np.mean(rolled, axis=0)).max() > STANDING:
+            raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
+        seen: dict[str, list[float]] = {}
+        for view in views:
+            for i, b in view.bearings.items():
+                seen.setdefault(i, []).append(b)
+        means = {i: float(np.angle(np.exp(1j * np.array(b)).mean())) for i, b in seen.items()}
+        return Here({i: HomeBearing(b) for i, b in means.items()}, AT_HOME, "")
+
+
+def _turned(looks: HomeLooks) -> Here:
+    """Return what looks all round tell."""
+    found = looks.spin()
+    R, theta, _ = map(float, to_polar(found.end))
+    start = AFTER_TURN.model_copy(
+        update={
+            "R": max(R, AFTER_TURN.R),
+            "theta": theta,
+            "alpha": float(found.end.heading),
+            "sigma_alpha": math.hypot(AFTER_TURN.sigma_alpha, found.heading_sigma),
+        }
+    )
+    return Here(found.home, start, spin_words(found))
