@@ -6,9 +6,11 @@ goes back to. A version enters by one rename, after everything in it has reached
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
+import time
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import Field, astuple, fields
@@ -50,6 +52,8 @@ ROUTES = "routes.csv"
 DAYS = ("when", "since", "last")
 """Fields of records that are days since 1970."""
 SCRATCH = ".being-written-"
+CUT_SHORT_S = 3600.0
+"""What was begun so long ago nobody writes any more; till then it may be another robot's [s]."""
 FARTHEST = 1e6
 """No route leads farther [m]."""
 MOST_LANDMARKS = 5000
@@ -137,8 +141,10 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
     check_place(path)
     with naming(path, "cannot be written"):
         path.mkdir(parents=True, exist_ok=True)
-        for left in path.glob(SCRATCH + "*"):  # of one that was cut short
-            shutil.rmtree(left, ignore_errors=True)
+        for left in path.glob(SCRATCH + "*"):
+            with contextlib.suppress(FileNotFoundError):  # it was finished meanwhile
+                if time.time() - left.stat().st_mtime > CUT_SHORT_S:
+                    shutil.rmtree(left, ignore_errors=True)
         found = _versions(path)
         number = max(found, default=0) + 1
         if after is not None and number != after + 1:
