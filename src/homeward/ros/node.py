@@ -463,11 +463,13 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._stamps, self._transforms = convert.Clock(), Transforms()
         self._awaited = None
         recorder, self._recorder = self._recorder, None
-        try:
-            words = None if session is None else session.localisation.conclude()
-        except HomewardError as error:
-            words = str(error)
-        if words is not None:
-            self.get_logger().info(words)
-        if recorder is not None:
-            recorder.close()
+        ends: list[Callable[[], str | None]] = []
+        ends += [] if session is None else [session.localisation.conclude]
+        ends += [] if recorder is None else [recorder.close]
+        for end in ends:  # none of them may cost the other
+            try:
+                words = end()
+            except HomewardError as error:
+                words = str(error)
+            if words is not None:
+                self.get_logger().info(words)
