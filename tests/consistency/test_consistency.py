@@ -137,6 +137,11 @@ def test_ten_seconds_of_swapped_ids_leave_no_verdict():
     assert one("swapped-ids", 0)[AS_IT_IS]["precision"] == 1.0
 
 
+@pytest.mark.parametrize("seed", [14, 15])
+def test_slipping_wheels_are_not_taken_for_wheels_that_gain_way_in_bends(seed):
+    assert one("slipping", seed)[AS_IT_IS]["wrong"] < 0.05  # 0.3 if they are
+
+
 @pytest.mark.parametrize("runs", [2, 20])
 def test_chance_alone_hardly_ever_fails_and_twice_the_nees_does(runs):
     rng = np.random.default_rng(0)

@@ -44,13 +44,22 @@ from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
 from homeward.localizer.map.variance_components import Misfit, misfit
-from homeward.localizer.motion.preintegration import CAMERA_X, MOUNT, NC, OF_ODOMETRY, Motion
+from homeward.localizer.motion.preintegration import (
+    CAMERA_X,
+    MOUNT,
+    NC,
+    OF_ODOMETRY,
+    TURN_SLIP,
+    Motion,
+)
 from homeward.localizer.tunables import LINEAR
 
 STEPS = 5
 """Gauss-Newton steps at most."""
 ALIKE = np.ones(2)
 """Variances of most motions over those of all where no tail is known of, of shift and turn [1]."""
+NO_GAIN = 1e-4
+"""So far below zero a slip in bends is as good as none [m]."""
 SETTLED = 2e-2
 """Smaller steps [distance, rad] end it; the rest goes as its square."""
 
@@ -249,7 +258,9 @@ class Smoother:
             poses, common, covariance = elimination.solve(self._all())
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
-            self.settled = self._move(poses, common, covariance) < SETTLED
+            held, small = self._gains, self._move(poses, common, covariance) < SETTLED
+            slip = float(self.calibration[TURN_SLIP])
+            self.settled = small and (slip <= 0.0 if held else slip > -NO_GAIN)
             if self.settled:
                 break
 
@@ -339,10 +350,18 @@ class Smoother:
         self.known.add_to(equations, self.positions, self.ids)
         return equations
 
+    @property
+    def _gains(self) -> bool:
+        """Whether wheels would gain way in bends, which they cannot: rubbing, they lose it."""
+        return bool(self.calibration[TURN_SLIP] < 0.0)
+
     def _measured(self) -> elimination.NormalEquations:
         """Return everything but what is known of landmarks."""
         equations = self._normal_equations(len(self.poses), self.sightings)
         at, information = np.arange(NC)[MOUNT], self.mount_sigmas**-2.0
         equations.common[at, at] += information
         equations.common_slope[at] -= information * self.calibration[at]
+        if self._gains:
+            equations.common[TURN_SLIP, TURN_SLIP] += NO_GAIN**-2.0
+            equations.common_slope[TURN_SLIP] -= NO_GAIN**-2.0 * self.calibration[TURN_SLIP]
         return equations
