@@ -100,16 +100,31 @@ def test_a_few_motions_that_slip_do_not_hide_how_good_the_others_are():
     assert 0 < (errors.weight < 0.2).sum() < 0.3 * W
 
 
-def test_what_is_told_is_not_learnt():
+def test_what_is_told_is_believed_but_for_clear_evidence():
     told = OdometryNoise(speed_sigma=0.01)
     noise = ProcessNoise(told, OdometryDefaults())
-    noise.update(np.full((2, 2), 900.0), np.full((2, 2), 100.0), 100, 100)
+    noise.update(np.full((2, 2), 180.0), np.full((2, 2), 100.0), 100, 100)
     assert (noise.scales[:, 0] == 1.0).all()
-    assert (noise.scales[:, 1] > 4.0).all()
+    assert (noise.scales[:, 1] > 1.5).all()
     first = noise_rates(told, OdometryDefaults())
     assert np.array_equal(noise.rates[:2], first[:2])
     assert noise.rates[2] == pytest.approx(noise.scales[1, 1] * first[2])
+    for _ in range(3):
+        noise.update(np.full((2, 2), 900.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
+    assert (noise.scales[:, 0] > 4.0).all()
     assert "odometry errs" in noise.words[0]
+    for _ in range(20):
+        noise.update(np.full((2, 2), 10.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
+    assert (noise.scales[:, 0] == 1.0).all()
+
+
+def test_what_no_bearing_shows_of_odometry_is_carried_until_it_was_looked_at():
+    noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
+    at_first = noise.uncounted
+    noise.update(np.full((2, 2), 100.0), np.full((2, 2), 100.0), 100, 100)
+    alike = noise.uncounted
+    noise.update(np.array([[100.0] * 2, [900.0] * 2]), np.full((2, 2), 100.0), 100, 100)
+    assert alike < 0.1 * at_first < noise.uncounted
 
 
 def test_little_evidence_changes_little_and_words_come_late():

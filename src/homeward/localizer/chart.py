@@ -276,6 +276,7 @@ class Chart:
         self.home.update(self.map)
         observed, state = self.home.observation, self.map.state
         self._integrity.mount_covariance = observed.mount_covariance(state)
+        self._integrity.scale_variance = self.map.scale_variance
         firm = self.map.solved and not self._coasts(now)
         self._integrity.update(self.home.hypotheses, firm, self.home.stayed(self.map))
 

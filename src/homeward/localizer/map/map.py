@@ -99,6 +99,8 @@ class Map:
         """When landmarks were last seen [s]."""
         self._between: list[np.ndarray] = []
         """Those of them that the state does not know yet."""
+        self._scale_information = 0.0
+        """Of the map's scale by motions, were their noise what was believed at first [1]."""
 
     @property
     def state(self) -> Marginal:
@@ -109,6 +111,12 @@ class Map:
     def calibration(self) -> np.ndarray:
         """(8,), of odometry and camera, as believed now."""
         return self.smoother.calibration
+
+    @property
+    def scale_variance(self) -> float:
+        """Of the map's scale, by slips that nothing shows [1]."""
+        uncounted = self._process_noise.uncounted
+        return uncounted / max(self._scale_information, uncounted)
 
     def camera(self, motion: Motion) -> Motion:
         """Return where the camera is after the robot's motion."""
@@ -129,6 +137,9 @@ class Map:
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
+        noise = motion.covariance[0, 0] + motion.covariance[1, 1]
+        if noise > 0.0:
+            self._scale_information += motion.path**2 / noise * self._process_noise.scales[1, 0]
         self._move_on(t, motion, self._process_noise.core)
 
     def _move_on(self, t: float, motion: Motion, core: np.ndarray) -> None:
@@ -352,9 +363,7 @@ class Map:
         """Learn the noise of odometry from what the solution leaves of motions."""
         noise, smoother = self._process_noise, self.smoother
         motions, since = len(smoother.stamps) - 1, smoother.newest - self._learnt_at
-        if since < LEARNS_EVERY or not (
-            noise.learns and smoother.settled and self.landmarks.mapped
-        ):
+        if since < LEARNS_EVERY or not (smoother.settled and self.landmarks.mapped):
             return
         self._learnt_at = smoother.newest
         left = smoother.odometry_misfit()

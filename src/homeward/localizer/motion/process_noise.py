@@ -13,8 +13,10 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import NOISE_MEMORY, NOISE_PRIOR
+from homeward.localizer.tunables import HEAVY_TAIL, NOISE_MEMORY, NOISE_PRIOR
 
+EXCESSIVE = 1.5
+"""Given deviations are doubted where the map leaves so many times more of motions [1]."""
 NOTABLE = 2.0
 """Deviations that differ by so many times are told to the user [1]."""
 
@@ -39,11 +41,6 @@ class ProcessNoise:
         self._squares, self._redundancies = np.zeros((2, 2)), np.zeros((2, 2))
 
     @property
-    def learns(self) -> bool:
-        """Whether anything of it was not told."""
-        return bool(self._learns.any())
-
-    @property
     def rates(self) -> np.ndarray:
         """(3, 3), as of `noise_rates`."""
         return np.asarray(self._at_first * self.scales[1, [0, 0, 1], None])
@@ -52,6 +49,18 @@ class ProcessNoise:
     def core(self) -> np.ndarray:
         """(2,): variances of shift and turn of most motions, over those of all [1]."""
         return np.asarray(self.scales[0] / self.scales[1])
+
+    @property
+    def uncounted(self) -> float:
+        """Variance of shift that the map's own does not count, over what was believed at first [1].
+
+        The map weighs down what does not fit; of slips by which all of it is too large nothing does
+        not. So what all motions have more than most is carried, and before they were looked at they
+        may be as bad as the gate bears with.
+        """
+        squares, redundancy = self._squares[1, 0], self._redundancies[1, 0]
+        of_all = (NOISE_PRIOR * HEAVY_TAIL**2 + squares) / (NOISE_PRIOR + redundancy)
+        return max(0.0, float(of_all - self.scales[0, 0]))
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -89,5 +98,7 @@ class ProcessNoise:
         self._redundancies = kept * self._redundancies + share * np.maximum(redundancies, 0.0)
         now = (NOISE_PRIOR + self._squares) / (NOISE_PRIOR + self._redundancies)
         now[1] = np.maximum(now[0], now[1])
-        before, self.scales = self.scales, np.where(self._learns, now, 1.0)
+        doubted = (now > EXCESSIVE**2) | (self.scales > 1.0)
+        given = np.where(doubted, np.maximum(now, 1.0), 1.0)
+        before, self.scales = self.scales, np.where(self._learns, now, given)
         return np.asarray(self.scales / before)

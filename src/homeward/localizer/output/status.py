@@ -72,8 +72,9 @@ class IntegrityMonitor:
         given = odometry.speed_scale_sigma
         self._settings = settings
         self._speed_scale = settings.odometry.speed_scale if given is None else given
-        if scale_mapped:
-            self._speed_scale = 0.0
+        self._scale_mapped = scale_mapped
+        self.scale_variance = 0.0
+        """Of the map's scale, beside the speed's [1]."""
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
         self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
@@ -92,6 +93,11 @@ class IntegrityMonitor:
         """Whether the pose is certain enough to be given."""
         self.mount_covariance = np.zeros((2, 2))
         """Covariance of x and y of the camera on the robot [m^2]."""
+
+    @property
+    def _scale_sigma(self) -> float:
+        """Of the map's scale, unless the map itself knows it [1]."""
+        return 0.0 if self._scale_mapped else math.sqrt(self._speed_scale**2 + self.scale_variance)
 
     def update(self, now: Hypotheses | None, firm: bool, stayed: np.ndarray | None = None) -> None:
         """Take the hypotheses of a new keyframe.
@@ -148,7 +154,7 @@ class IntegrityMonitor:
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
         estimate = self._estimate if moved is None else self._estimate.propagate(*moved)
-        estimate = estimate.with_mount(self.mount_covariance).with_scale(self._speed_scale)
+        estimate = estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
         status, reason = self._status(estimate, self._best, coasting)
         return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
 
@@ -191,7 +197,7 @@ class IntegrityMonitor:
         most = self._most if self.fixed else reach
         # Where home may turn by as much, what is linear in its heading no longer holds.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
-        return max(turn, _sigma(self._estimate.with_scale(self._speed_scale).covariance)) <= most
+        return max(turn, _sigma(self._estimate.with_scale(self._scale_sigma).covariance)) <= most
 
 
 def _sigma(covariance: np.ndarray) -> float:
