@@ -166,6 +166,20 @@ def test_shadows_fall_behind_a_box():
 SUN = {"wall": 0, "along": 3.0, "height": 1.4, "size": [1.0, 0.8], "azimuth": -1.5708}
 
 
+@pytest.mark.parametrize("power", [0.0, 2.0])
+def test_a_poster_casts_no_shadow_on_its_wall(power):
+    """The grid on a wall is so coarse that it would be seen all round the poster."""
+    poster = {"wall": 1, "along": 2.0, "height": 1.2, "size": [1.5, 1.5], "texture": "painted"}
+    light = {"lights": [{"at": [1.0, 2.0, 2.0]}]}
+    if power:
+        light["sun"] = SUN | {"azimuth": -2.2, "power": power}
+    bare, hung = (
+        build_scene(scenario(posters=posters, **light)).light[:6]
+        for posters in ({}, {"poster": poster})
+    )
+    np.testing.assert_array_equal(bare, hung)
+
+
 def test_the_sun_comes_in_by_its_window_alone():
     """Due south at 45 deg: the patch on the floor is the window, moved by its height."""
     sun = SUN | {"elevation": math.pi / 4}

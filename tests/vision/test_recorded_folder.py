@@ -93,9 +93,11 @@ def test_every_picture_is_in_the_drive_and_few_bytes_of_it(folder, drive):
 
 def test_at_home_its_picture_makes_the_pose_better(drive, track):
     mapped = run(drive, Localizer(drive.home, **drive.settings.robot))
-    told, else_told = (errors(t, drive.truth).position[-1] for t in (track, mapped))
-    assert told < 0.5 * else_told
-    assert told < 0.005  # a quarter of what homing asks for
+    told, else_told = (np.trace(t.covariance[-1][:2, :2]) for t in (track, mapped))
+    assert math.sqrt(told) < 0.8 * math.sqrt(else_told)
+    off = errors(track, drive.truth)
+    assert off.position[-1] < 0.01  # half of what homing asks for
+    assert off.nees_position[-1] < 13.8  # 1 in 1,000 by chance
     assert track.status[-1] is Status.LOCALISED
     assert track.reason[-1].endswith("agree with home's picture")
 

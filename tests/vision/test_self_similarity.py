@@ -56,13 +56,11 @@ def test_a_tiled_room_is_known_by_what_else_is_in_it(tiled):
 
 
 def test_tiles_recur_and_what_stands_on_them_does_not(tiled):
-    recur = []
     for _, home, _ in tiled:
         tiles = thinned(np.flatnonzero(home.elevation < np.radians(-20)), 50)
         others = thinned(np.flatnonzero(home.elevation > 0), 50)
         assert self_similar(home, tiles, CAMERA).mean() > 0.8
-        recur.append(self_similar(home, others, CAMERA).mean())
-    assert np.mean(recur) < 0.3  # of 150: of fifty alone chance adds 0.07
+        assert self_similar(home, others, CAMERA).mean() < 0.3
 
 
 def painted(at, times):

@@ -20,8 +20,9 @@ REACH = 2.5
 """A lamp's light has fallen to half at this distance [m]."""
 FAR = 100.0
 """The sun is so far away [m]."""
-NEAR_SURFACE = 1e-4
-"""Light reaches a place that is met but for this share of its way: the place is on a surface."""
+FLAT = 0.005
+"""What lies so flat on a surface, as posters and tags do, casts no shadow on it [m]: it hides what
+it would darken, and between places of the grid that shadow would reach beyond its edges."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,15 @@ def _light(
     for lamp in lamps:
         towards, seen = lamp.at - places, Viewpoint(lamp.at, np.eye(3))
         distance = np.maximum(np.linalg.norm(towards, axis=-1), 1e-6)
-        lit = lamp.power * np.maximum(np.einsum("nmi,ni->nm", towards, normal) / distance, 0.0)
+        above = np.maximum(np.einsum("nmi,ni->nm", towards, normal), 0.0)
+        lit = lamp.power * above / distance
         if lamp.window is None:
             lit /= 1.0 + (distance / REACH) ** 2
         else:
             lit *= trace(lamp.window, seen, -towards).surface >= 0
         if casting is not None and lit.any():
             bright = lit > 0
-            lit[bright] *= trace(casting, seen, -towards[bright]).distance > 1.0 - NEAR_SURFACE
+            met = trace(casting, seen, -towards[bright]).distance
+            lit[bright] *= (1.0 - met) * above[bright] < FLAT
         total += lit
     return total.reshape(-1, grid, grid).astype(np.float32)
