@@ -13,7 +13,7 @@ from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
 from homeward.vision.features.match_propagation import propagate_matches, thinned
-from homeward.vision.features.matching import match
+from homeward.vision.features.matching import RATIO
 from homeward.vision.features.moved_groups import moved_groups
 from homeward.vision.features.patch_alignment import Alignment, align_features
 from homeward.vision.features.self_similarity import self_similar
@@ -221,12 +221,11 @@ def _paired(
     Left out are features that turned in the image, further ones at the same two places, and those
     whose patches do not align.
     """
-    if heading is None:
-        rows, quality = match(home.descriptor, now.descriptor)
-    else:
-        possible = _near(home.angle, now.angle, WITHIN)
+    possible, ratio = None, RATIO
+    if heading is not None:
+        possible, ratio = _near(home.angle, now.angle, WITHIN), FORGIVING_RATIO
         possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
-        rows, quality = match(home.descriptor, now.descriptor, FORGIVING_RATIO, possible)
+    rows, quality = home.finder.match(home, now, ratio, possible)
     i, j = rows.T
     upright = np.abs(wrap(now.angle[j] - home.angle[i])) < WITHIN
     places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
@@ -239,7 +238,8 @@ def _paired(
     at_home, at_now = np.hsplit(places[kept], 2)
     laid = align_features(home.pyramid, now.pyramid, at_home, at_now, home.size[i], growth, turn)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
-    pairs = _pairs(directions, now, laid, np.log(growth), camera)
+    larger = growth**2 if home.finder.tells_size else laid.area
+    pairs = _pairs(directions, now, laid, np.log(larger) / 2, camera)
     found = laid.found
     return rows[kept][found], pairs[found], laid[found], quality[kept][found]
 

@@ -46,7 +46,7 @@ def better_settings(
         None where none does.
     """
     if not seen.accepted:
-        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
+        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera, finder=views[0].finder)
         if compare(views[0], flipped, camera).accepted:
             return "the pictures agree only if one of them is mirrored: mirror it back"
     if isinstance(camera, Ring):
@@ -55,7 +55,7 @@ def better_settings(
     best, most = None, told + LARGEST_LOG_FALSE_ALARMS - math.log10(HORIZONS.size)
     for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
-        home, now = (look(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
+        home, now = (look(p, other, v.mask, v.finder) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
         if found.accepted and found.acceptance.log_false_alarms < most:
             best, most = horizon, found.acceptance.log_false_alarms

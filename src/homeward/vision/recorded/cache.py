@@ -86,7 +86,7 @@ def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.nd
     pictures : sequence of Path
         Home's and the others in order: their contents count, not what they are called.
     settings : ImageSettings
-        Of which camera, landmarks and the mask's content count.
+        Of which camera, landmarks, features, and the contents of mask and models count.
     *numbers : ndarray
         Whatever else decides it: stamps, headings.
 
@@ -96,8 +96,11 @@ def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.nd
         When a file cannot be read.
     """
     masks = [] if settings.mask is None else [settings.mask]
-    told = [settings.camera.model_dump_json(), str(settings.landmarks), str(len(masks))]
-    contents = [_content(path) for path in (*masks, *pictures)]
+    own = settings.features
+    models = [] if own is None else own.files
+    sizes = [len(masks), len(models), *(own.size if own is not None else ())]
+    told = [settings.camera.model_dump_json(), str(settings.landmarks), str(sizes)]
+    contents = [_content(path) for path in (*masks, *models, *pictures)]
     rest = [hashlib.sha256(a.tobytes()).hexdigest() for a in numbers]
     return key_of(algorithm(), *told, *contents, *rest)
 

@@ -99,7 +99,7 @@ def see_folder(
     truth = read_truth(folder / TRUTH, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
-    picture, home = read_view(place, camera, mask=settings.mask)
+    picture, home = read_view(place, camera, mask=settings.mask, finder=settings.finder)
     if camera.seen is None and not (force or settings.force):
         _require_panoramas(picture, images.files, camera, folder)
     if ready is not None:
