@@ -108,6 +108,22 @@ def test_landmarks_keep_their_names_where_home_is_out_of_sight(room):
     assert len(last & before) > 5
 
 
+def test_what_is_followed_by_keyframes_is_no_surer_than_home_saw_it():
+    """How far a keyframe's patch is from home's point lasts: it is in every sigma from there on."""
+    camera, last, followed = Equirectangular(), {}, 0
+    front_end = FrontEnd(look(draw(make_room(3), 3.0, 3.0, 0.4), camera), camera)
+    for k in range(FRAMES):
+        seen = front_end.see(frame(3, k))
+        by_home = seen.home.home_row[seen.home.agrees | seen.home.moved] if seen.home else []
+        for name, sigma in seen.sigmas.items():
+            if name[0] == "h" and int(name[1:]) in by_home:
+                last[name] = sigma
+            elif name in last:
+                assert sigma >= last[name]
+                followed += 1
+    assert followed > 10
+
+
 def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
     camera = Equirectangular()
     front_end = FrontEnd(look(draw(room, *HOME), camera), camera)

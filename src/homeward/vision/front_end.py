@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama, sector_of
@@ -40,6 +41,9 @@ class Keyframe:
     view: View
     landmark: np.ndarray
     """(n,) int: number of each feature's landmark, or `NO_LANDMARK`."""
+    drift: np.ndarray
+    """(n,): standard deviation of where each feature is, against where its landmark was first seen
+    [rad]: all frames that are compared with this one share it."""
     tilt: Tilt = AS_HOME
     """Against home's picture."""
     shared: int = 0
@@ -90,7 +94,7 @@ class FrontEnd:
     _home_seen: bool = field(init=False, default=True)
 
     def __post_init__(self) -> None:
-        self._keyframes = [Keyframe(self.home, np.arange(len(self.home)))]
+        self._keyframes = [Keyframe(self.home, np.arange(len(self.home)), np.zeros(len(self.home)))]
         self._next = len(self.home)
 
     @property
@@ -172,8 +176,11 @@ class FrontEnd:
         ours = seen.agrees | seen.moved if k == 0 else seen.agrees
         theirs, mine = seen.home_row[ours], seen.now_row[ours]
         known = landmark[mine] != NO_LANDMARK
-        # A landmark that home names keeps that name in the chain from now on.
+        # A landmark that home names keeps that name in the chain from now on, and what lies here is
+        # as far from it as both are seen apart.
         keyframe.landmark[theirs[known]] = landmark[mine[known]]
+        apart = wrap(seen.pairs.now[ours][known, 0] - view.azimuth[mine[known]])
+        keyframe.drift[theirs[known]] = np.hypot(apart, view.sigma[mine[known]])
         fresh = theirs[~known][keyframe.landmark[theirs[~known]] == NO_LANDMARK]
         keyframe.landmark[fresh] = np.arange(self._next, self._next + fresh.size)
         self._next += fresh.size
@@ -181,7 +188,8 @@ class FrontEnd:
         free = ~known & ~taken
         landmark[mine[free]] = keyframe.landmark[theirs[free]]
         keyframe.shared = max(keyframe.shared, int(seen.agrees.sum()))
-        return seen, _moved_to(view, mine[free], seen, np.flatnonzero(ours)[free])
+        drift = keyframe.drift[theirs[free]]
+        return seen, _moved_to(view, mine[free], seen, np.flatnonzero(ours)[free], drift)
 
     def _keep_chain(
         self,
@@ -205,7 +213,8 @@ class FrontEnd:
         if not len(view) or (fits and seen.accepted and shared == last.shared):
             return
         self._lost = 0
-        self._keyframes.append(Keyframe(view, landmark.copy(), tilt))
+        drift = np.where(landmark == NO_LANDMARK, 0.0, view.sigma)
+        self._keyframes.append(Keyframe(view, landmark.copy(), drift, tilt))
         if len(self._keyframes) > MOST_KEYFRAMES:
             del self._keyframes[1]
 
@@ -240,10 +249,12 @@ class FrontEnd:
         return f"matches nothing seen before: {next(iter(compared.values())).acceptance.reason}"
 
 
-def _moved_to(view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray) -> View:
+def _moved_to(
+    view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray, drift: np.ndarray
+) -> View:
     """Return a view with some of its features where a comparison found them."""
     parts = {k: getattr(view, k).copy() for k in ("column", "row", "azimuth", "elevation", "sigma")}
     parts["column"][features], parts["row"][features] = seen.place[matches].T
     parts["azimuth"][features], parts["elevation"][features] = seen.pairs.now[matches].T
-    parts["sigma"][features] = seen.pairs.sigma[matches]
+    parts["sigma"][features] = np.hypot(seen.pairs.sigma[matches], drift)
     return replace(view, **parts)
