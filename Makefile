@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test test-mcu test-ros lint docs paper bench clean
+.PHONY: install demo plan test test-mcu test-ros wheel test-wheel lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -34,6 +34,16 @@ test-mcu: install
 # Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.
 test-ros: install
 	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 0 -rs -s tests/ros
+
+# For machines without a compiler, in out/wheel: with the C of vision and of rendered rooms compiled.
+wheel: install
+	rm -rf out/wheel
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair -w out/wheel out/wheel/built/*.whl
+
+# In an environment of its own, with an empty PATH.
+test-wheel: wheel
+	HOMEWARD_WHEEL=out/wheel $(BIN)/python -m pytest -n 0 -rs -s tests/test_wheel.py
 
 lint: install
 	$(BIN)/ruff check .

@@ -34,7 +34,8 @@ from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, S
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.containers.container import Channel
 from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.definitions import DEFINITIONS, ODOMETRY
+from homeward.drives.ros.messages.definitions import DEFINITIONS
+from homeward.drives.ros.messages.names import ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
 from homeward.drives.text.files import shipped as shipped_data

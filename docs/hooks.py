@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import homeward
 from homeward.cli.main import COMMANDS, app
-from homeward.cli.settings import other_models
+from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.text.keys import keys
 from homeward.estimator import Status
 from homeward.reasons import Reason, Rejection
@@ -81,8 +81,8 @@ def settings() -> str:
     for name in estimator_names():
         where = f"`homeward run --estimator {name} --set KEY=VALUE`"
         parts.append(_settings(name, where, settings_model(name)))
-    for name, (where, model) in other_models().items():
-        parts.append(_settings(name, f"`{where}`", model))
+    for name, (where, _) in OTHERS.items():
+        parts.append(_settings(name, f"`{where}`", other_model(name)))
     return "\n\n".join(parts)
 
 

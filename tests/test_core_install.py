@@ -1,5 +1,6 @@
 """What runs on a robot that has the core alone, and what is said of the rest."""
 
+import json
 import subprocess
 import sys
 
@@ -10,7 +11,8 @@ import sys
 
 
 class Absent:
-    NAMES = "bokeh casadi cv2 dask jinja2 matplotlib mpmath pandas rerun websockets xarray".split()
+    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 matplotlib mpmath pandas rerun"
+    NAMES = [*NAMES.split(), "rosbags", "ruamel", "shapely", "websockets", "xarray"]
 
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in self.NAMES:
@@ -64,7 +66,10 @@ def test_the_localiser_and_live_sessions_need_the_core_alone():
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
-        (("run", "sample", "--out", "out"), "report"),
+        (("run", "sample", "--estimator", "robust,ekf"), "report"),
+        (("convert", "sample", "sample.mcap"), "bags"),
+        (("render", "office", "--out", "out"), "vision"),
+        (("settings", "render"), "vision"),
         (("observe", "--landmarks", "3"), "filters"),
         (("export", "ekf", "--landmarks", "3", "--out", "out"), "filters"),
     ],
@@ -77,7 +82,28 @@ def test_a_command_says_in_one_line_which_extra_it_needs(words, extra, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", [("info", "sample"), ("convert", "sample", "sample.mcap")])
-def test_logs_need_the_core_alone(words, tmp_path):
+@pytest.mark.parametrize(
+    "words",
+    [("info", "sample"), ("convert", "sample", "drive"), ("settings",), ("settings", "robust")],
+)
+def test_folders_and_settings_need_the_core_alone(words, tmp_path):
     done = alone(COMMAND, *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_run_needs_the_core_alone_and_leaves_no_page_of_another(tmp_path):
+    words = ("run", "drive", "--out", "out")
+    alone(COMMAND, "simulate", "circle", "--out", "drive", cwd=tmp_path)
+    (tmp_path / "out").mkdir()
+    for name in ("run.yaml", "report.html", "run.mcap"):
+        (tmp_path / "out" / name).touch()
+    done = alone(COMMAND, *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Files: out" in done.stdout
+    assert "no page and no log: pages and pictures need the extra report" in done.stdout
+    written = {file.name for file in (tmp_path / "out").iterdir()}
+    assert written == {
+        *("estimate.csv", "landmarks.csv", "metrics.json", "run.yaml", "trajectory.tum")
+    }
+    told = json.loads(alone(COMMAND, *words, "--json", cwd=tmp_path).stdout)
+    assert told["report"] is None

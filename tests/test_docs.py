@@ -14,7 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from homeward.cli.main import app
-from homeward.cli.settings import other_models
+from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.settings import parse_settings
 from homeward.errors import InputError
@@ -93,7 +93,7 @@ def test_programs_beside_homeward_exist(page):
 def test_yaml_is_what_some_reader_takes(page):
     for text in re.findall(r"```yaml\n(.*?)```", PAGES[page], re.DOTALL):
         refusals = []
-        for model in (KnownLandmarks, *(model for _, model in other_models().values())):
+        for model in (KnownLandmarks, *map(other_model, OTHERS)):
             try:
                 parse_settings(text, model, ROOT / page)
                 break

@@ -43,6 +43,8 @@ class InputError(HomewardError):
 _OF_EXTRAS = {
     **dict.fromkeys(("casadi", "mpmath"), ("the paper's filters, and symbolic models,", "filters")),
     **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
+    **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
+    **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),
     "rerun": ("views of a run", "view"),
 }
 """What a package serves for, as a plural, and the extra that brings it."""

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import homeward
 from homeward.cli import terminal
 from homeward.cli.main import COMMANDS, app
-from homeward.cli.settings import other_models
+from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings
 from homeward.drives.text.keys import ANY, keys
 from homeward.drives.text.settings import nested, validated
@@ -279,11 +279,11 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    for package in ("bokeh.plotting", "casadi", "rerun"):
+    for package in ("bokeh.plotting", "casadi", "rerun", "rosbags.typesys"):
         told = without(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(told)))
     assert without(ModuleNotFoundError(name="nobody")) is None
-    told = {"filters", "gpu", "live", "report", "scale", "view", "vision"}
+    told = {"bags", "filters", "gpu", "live", "report", "scale", "view", "vision"}
     # Without a compiler the interpreter stands in.
     assert named == told == set(extras) - {"bench", "compiler", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
@@ -295,10 +295,10 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
 
 
 def test_settings_are_listed_for_all_that_has_any():
-    assert all(f"homeward settings {name}" in call("settings").stdout for name in other_models())
-    for name, (_, model) in other_models().items():
+    assert all(f"homeward settings {name}" in call("settings").stdout for name in OTHERS)
+    for name in OTHERS:
         told = call("settings", name).stdout
-        assert all(f"{key.name}=" in told for key in keys(model))
+        assert all(f"{key.name}=" in told for key in keys(other_model(name)))
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
     assert "there are robust" in refused(call("settings", "kalman"))
 
@@ -311,6 +311,6 @@ def test_every_default_that_is_listed_can_be_set(name):
 
 
 def test_listed_defaults_are_those_of_the_model_that_holds_them():
-    told = {key.name: key.default for key in keys(other_models()["render"][1])}
+    told = {key.name: key.default for key in keys(other_model("render"))}
     assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
     assert told["boxes.*.at"] == "needed"

@@ -340,12 +340,40 @@ def test_functions_that_many_threads_ask_for_at_once_are_loaded_once(cache, monk
         return library.load(source)
 
     monkeypatch.setattr(program, "load", load)
-    functions = program.Program("homeward.vision", ["shared.h", "refine.c"], {}, ())
+    functions = program.Program("homeward.vision", {}, ())
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(lambda _: functions(), range(8)))
     assert len(loaded) == 1
     assert found[0] is not None
     assert all(each is found[0] for each in found)
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_what_a_wheel_brought_is_taken_unless_it_is_damaged(damaged, cache, tmp_path, monkeypatch):
+    package = f"of_a_wheel_{damaged}".lower()
+    native = tmp_path / package / "native"
+    native.mkdir(parents=True)
+    (native.parent / "__init__.py").touch()
+    (native / "first.h").write_text("int homeward_lanes(void) { return 1; }\n")
+    (native / "twice.c").write_text(
+        "#ifndef EACH_PROCESSOR\n#define EACH_PROCESSOR\n#endif\n"
+        "EACH_PROCESSOR int twice(long n, double *x) {\n"
+        "  for (long i = 0; i < n; i++) x[i] *= 2;\n  return 0;\n}\n"
+    )
+    brought = native / library.PREBUILT
+    library.prebuild(native, brought)
+    if damaged:
+        brought.write_bytes(b"\x7fELF, and no more")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    functions = program.Program(package, {"twice": "ia"}, ("twice",))
+    assert functions()._name.startswith(str(cache if damaged else native))
+    numbers = np.arange(20.0)
+    assert functions().twice(numbers.size, numbers) == 0
+    assert numbers.tolist() == (2 * np.arange(20.0)).tolist()
+    assert (functions.maker == find_compiler().identity) == damaged
+    monkeypatch.setenv("CC", "none-of-that-name")
+    assert (program.Program(package, {}, ())() is None) == damaged
 
 
 def test_arguments_are_of_their_type_row_by_row_and_may_be_read_only_or_empty():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +14,22 @@ from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Strict
+
+OTHERS = {
+    "simulate": ("homeward simulate --set ..., scenario.yaml", "simulation.scenario:Scenario"),
+    "render": (
+        "homeward render --set ..., scenario.yaml",
+        "simulation.render.room.settings:RenderScenario",
+    ),
+    "reproduce": ("homeward reproduce --set ...", "studies.paper.settings:PaperSettings"),
+    "study": ("the YAML file of homeward study", "studies.study.settings:StudySettings"),
+    "map": ("the YAML file of homeward study, for a map", "studies.paper.map_settings:MapSettings"),
+    "plan": ("the YAML file of homeward plan", "studies.planning.settings:Plan"),
+    "drive": ("drive.yaml of a drive folder", "drives.drive:DriveSettings"),
+    "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),
+    "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
+}
+"""Where other settings than those of estimators are used, and their model; an extra may have it."""
 
 
 def settings(
@@ -30,22 +47,22 @@ def settings(
     from homeward.drives.text.keys import keys
     from homeward.registry import estimator_names, settings_model
 
-    models, estimators = other_models(), estimator_names()
+    estimators = estimator_names()
     if of is None and json:
-        answer({"settings": [*estimators, *models]})
+        answer({"settings": [*estimators, *OTHERS]})
         return
     if of is None:
         for name in estimators:
             say(f"homeward settings {name}  # homeward run --estimator {name} --set ...", "    ")
-        for name, (where, _) in models.items():
+        for name, (where, _) in OTHERS.items():
             say(f"homeward settings {name}  # {where}", indent="    ")
         return
     if of in estimators or ":" in of:
         model = settings_model(of)
-    elif of in models:
-        model = models[of][1]
+    elif of in OTHERS:
+        model = other_model(of)
     else:
-        there = ", ".join((*estimators, *models))
+        there = ", ".join((*estimators, *OTHERS))
         raise InputError(f"nothing called {of!r} has settings: there are {there}")
     if json:
         answer({"keys": [asdict(key) for key in keys(model)]})
@@ -54,26 +71,7 @@ def settings(
         say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
 
 
-def other_models() -> dict[str, tuple[str, type[Strict]]]:
-    """Return where other settings are used, and their model, by the word for them."""
-    from homeward.drives.drive import DriveSettings
-    from homeward.drives.ros.settings import LogSettings
-    from homeward.simulation.render.room.settings import RenderScenario
-    from homeward.simulation.scenario import Scenario
-    from homeward.studies.paper.map_settings import MapSettings
-    from homeward.studies.paper.settings import PaperSettings
-    from homeward.studies.planning.settings import Plan
-    from homeward.studies.study.settings import StudySettings
-    from homeward.vision.recorded.settings import ImageSettings
-
-    return {
-        "simulate": ("homeward simulate --set ..., scenario.yaml", Scenario),
-        "render": ("homeward render --set ..., scenario.yaml", RenderScenario),
-        "reproduce": ("homeward reproduce --set ...", PaperSettings),
-        "study": ("the YAML file of homeward study", StudySettings),
-        "map": ("the YAML file of homeward study, for a map", MapSettings),
-        "plan": ("the YAML file of homeward plan", Plan),
-        "drive": ("drive.yaml of a drive folder", DriveSettings),
-        "images": ("images.yaml of a folder of images", ImageSettings),
-        "topics": ("the topics file of a log", LogSettings),
-    }
+def other_model(name: str) -> type[Strict]:
+    """Return one of `OTHERS`."""
+    module, _, model = OTHERS[name][1].partition(":")
+    return getattr(import_module(f"homeward.{module}"), model)  # type: ignore[no-any-return]

@@ -44,7 +44,7 @@ def studio(
 
     from homeward.drives.folder import SETTINGS, is_drive_folder, read_drive_settings
     from homeward.drives.opening import SAMPLE, located
-    from homeward.drives.ros.containers.bag_folder import is_log
+    from homeward.drives.ros.containers.magic import is_log
     from homeward.drives.ros.info import log_info
     from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model

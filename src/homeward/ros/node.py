@@ -25,7 +25,7 @@ from homeward.drives.folder import read_home
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS, Eye
 from homeward.drives.ros.measurements.camera import from_camera_info
 from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
-from homeward.drives.ros.messages.decoding import PICTURES
+from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.drives.text.settings import read_settings, validated

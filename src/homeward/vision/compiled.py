@@ -13,9 +13,4 @@ _FUNCTIONS = {
     "residuals": "iiiaadaaab",
     "irls": "iiii" + 5 * "a" + "dda",
 }
-compiled = Program(
-    "homeward.vision",
-    ("shared.h", "align.c", "refine.c"),
-    _FUNCTIONS,
-    may_fail=("align", "residuals", "irls"),
-)
+compiled = Program("homeward.vision", _FUNCTIONS, may_fail=("align", "residuals", "irls"))

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from homeward.angles import wrap
 from homeward.drives.drive import Odometry
 from homeward.drives.ros.log_file import writing
-from homeward.drives.ros.messages.definitions import BEARINGS, POSE
+from homeward.drives.ros.messages.names import BEARINGS, POSE
 from homeward.frames import Pose, bearing, between
 
 NANO = 10**9

@@ -15,7 +15,7 @@ from homeward.drives.ros.containers.container import Channel
 from homeward.drives.ros.containers.sqlite import _only_reading
 from homeward.drives.ros.messages import decoding
 from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.definitions import ODOMETRY
+from homeward.drives.ros.messages.names import ODOMETRY
 from homeward.errors import InputError
 
 LINE = "=" * 80 + "\nMSG: "

@@ -103,9 +103,10 @@ def run(
     """Localise a robot along a drive, and write what came out.
 
     The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
-    report.html and run.yaml, from which the run repeats. Of several estimators it gets all that
-    in a folder of each, and estimators.html with table.csv, table.md and table.tex. Where no pose
-    was found, the exit status is 1.
+    report.html and run.yaml, from which the run repeats (without the extra report no run.mcap and
+    no report.html). Of several estimators it gets all that in a folder of each, and
+    estimators.html with table.csv, table.md and table.tex. Where no pose was found, the exit
+    status is 1.
     """
     from homeward.drives.text.settings import nested
     from homeward.places.files import check_place, newest
@@ -205,12 +206,12 @@ def _run(
 ) -> None:
     from homeward.places.files import save_place
     from homeward.report.place.words import route_words, visit_words
-    from homeward.report.run.folder import write_run
+    from homeward.report.run.folder import PAGE, missing_extra, write_run
     from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
     from homeward.studies.visits import ToStore, after_visit, check_update
 
-    store = ToStore(*names)
+    store, lack = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
     after: Place | None = None
     with progress(f"{settings.drive}, {settings.estimator}") as tell:
@@ -231,15 +232,19 @@ def _run(
     if after is not None and store.route in after.routes:
         words.append(route_words(after, str(store.route)))
     if json:
-        told = {"summary": "\n".join(words), "folder": str(folder)}
-        told["report"] = str(folder / "report.html")
+        told: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
+        told["report"] = str(folder / PAGE) if lack is None else None
         answer({**told, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))})
     else:
         for paragraph in words:
             say(paragraph)
         for line in (*drive.remark_lines, *track.notes):
             warn(line)
-        say(f"Report: {folder / 'report.html'}")
+        if lack is None:
+            say(f"Report: {folder / PAGE}")
+        else:
+            say(f"Files: {folder}")
+            warn(f"no page and no log: {lack}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():

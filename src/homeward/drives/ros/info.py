@@ -26,7 +26,6 @@ from homeward.drives.images import IMAGES, read_images
 from homeward.drives.mrclam import is_mrclam
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
-from homeward.drives.ros.containers.bag_folder import open_log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
 from homeward.drives.ros.messages.stamps import NANO
@@ -79,6 +78,8 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)
+    from homeward.drives.ros.containers.bag_folder import open_log  # the extra bags
+
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
     known = survey(log, tell=tell)

@@ -20,7 +20,8 @@ from homeward.drives.ros.measurements.camera import CameraRows
 from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
-from homeward.drives.ros.messages.decoding import PICTURES, Decoder
+from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, survey

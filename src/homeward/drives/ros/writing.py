@@ -11,7 +11,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.drives.ros.log_file import LogFile, writing
-from homeward.drives.ros.messages.definitions import BEARINGS, ODOMETRY, POSE
+from homeward.drives.ros.messages.names import BEARINGS, ODOMETRY, POSE
 from homeward.drives.ros.messages.stamps import split
 from homeward.drives.ros.topics.choosing import (
     OUR_BEARINGS,

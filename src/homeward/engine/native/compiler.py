@@ -46,15 +46,23 @@ class Compiler:
         """Everything but the source that decides what comes out: compiler, flags and processor."""
         return "\n".join([*self.command, self.version, *flags(), processor()])
 
-    def compile(self, source: Path, library: Path) -> None:
+    def compile(self, source: Path, library: Path, options: tuple[str, ...] | None = None) -> None:
         """Compile a C file into a shared library.
+
+        Parameters
+        ----------
+        source, library : Path
+            What to read, and what to write.
+        options : tuple of str, optional
+            Flags; default: `flags`.
 
         Raises
         ------
         NativeError
             When that fails, takes too long, or leaves no file.
         """
-        call = [*self.command, *flags(), "-o", str(library), str(source), "-lm"]
+        told = flags() if options is None else options
+        call = [*self.command, *told, "-o", str(library), str(source), "-lm"]
         code, words = _call(call, COMPILE_S)
         if code != 0:
             raise NativeError(f"{shlex.join(self.command)} failed: {_first_line(words)}")
@@ -106,6 +114,18 @@ def flags() -> tuple[str, ...]:
     """Return the compiler's flags for this machine's own processor."""
     arm = platform.machine().lower() in ("aarch64", "arm64")
     return (*FLAGS, "-mcpu=native" if arm else "-march=native")
+
+
+def portable_flags() -> tuple[str, ...]:
+    """Return the flags for all processors of this kind.
+
+    Functions that are marked EACH_PROCESSOR come out once for each level of x86-64, and the loader
+    takes the one of the processor that it finds.
+    """
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return FLAGS
+    levels = ",".join(f'"{level}"' for level in ("arch=x86-64-v4", "arch=x86-64-v3", "default"))
+    return (*FLAGS, f"-DEACH_PROCESSOR=__attribute__((target_clones({levels}),flatten))")
 
 
 @lru_cache(maxsize=1)

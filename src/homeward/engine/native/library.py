@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -11,10 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from homeward.engine.native.cache import Cache, default_folder, key_of
-from homeward.engine.native.compiler import Compiler, NativeError, find_compiler
+from homeward.engine.native.compiler import Compiler, NativeError, find_compiler, portable_flags
 
 PROOF_S = 60.0
 """A fresh library must load and answer in a process of its own within this time [s]."""
+PREBUILT = "prebuilt.so"
+"""What a wheel brings beside the sources of a program."""
 _PROOF = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
 
 
@@ -43,6 +46,33 @@ def is_kept(source: str) -> bool:
     """
     cache = Cache(default_folder())
     return cache.problem() is None and cache.find(_key(source, find_compiler())) is not None
+
+
+def source_in(folder: Path) -> str:
+    """Return the C of a folder as one text: headers, then programs, by their names."""
+    files = [*sorted(folder.glob("*.h")), *sorted(folder.glob("*.c"))]
+    return "\n".join(file.read_text(encoding="utf-8") for file in files)
+
+
+def prebuild(folder: Path, library: Path) -> None:
+    """Compile the C of a folder for all processors of this kind, as a wheel brings it.
+
+    Raises
+    ------
+    NativeError
+        When there is no compiler, or it fails.
+    """
+    with tempfile.TemporaryDirectory() as workshop:
+        made = _compiled(source_in(folder), find_compiler(), Path(workshop), portable_flags())
+        shutil.copyfile(made, library)
+
+
+def prebuilt(folder: Path) -> Library | None:
+    """Return what a wheel brought for the C of a folder; None where there is nothing that loads."""
+    try:
+        return _opened(folder / PREBUILT, ())
+    except NativeError:
+        return None
 
 
 def load(source: str) -> Library:
@@ -84,11 +114,13 @@ def _unkept(source: str, compiler: Compiler, problem: str) -> Library:
         raise NativeError(f"no folder to compile in: {error.strerror}") from None
 
 
-def _compiled(source: str, compiler: Compiler, workshop: Path) -> Path:
+def _compiled(
+    source: str, compiler: Compiler, workshop: Path, flags: tuple[str, ...] | None = None
+) -> Path:
     """Compile, and prove in another process that the result can be loaded at all."""
     text, library = workshop / "program.c", workshop / "program.so"
     text.write_text(source, encoding="utf-8")
-    compiler.compile(text, library)
+    compiler.compile(text, library, flags)
     try:
         proof = subprocess.run(
             [sys.executable, "-I", "-S", "-c", _PROOF, str(library)],

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from importlib.resources import files
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from homeward.engine.native.compiler import NativeError
-from homeward.engine.native.library import load
+from homeward.engine.native.compiler import NativeError, find_compiler, processor
+from homeward.engine.native.library import load, prebuilt, source_in
 
 
 class Array:
@@ -42,9 +43,7 @@ class Program:
     Parameters
     ----------
     package : str
-        Its folder ``native`` holds the sources.
-    sources : sequence of str
-        Files of one program, in this order.
+        Its folder ``native`` holds the sources of one program, and in a wheel also its code.
     functions : mapping of str to str
         What each function takes, in order: ``i`` an integer, ``d`` a double, ``a`` an array of
         doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool.
@@ -55,13 +54,14 @@ class Program:
     def __init__(
         self,
         package: str,
-        sources: Sequence[str],
         functions: Mapping[str, str],
         may_fail: Collection[str],
     ) -> None:
-        self._package, self._sources = package, sources
+        self._package = package
         self._functions, self._may_fail = functions, may_fail
         self._lock = Lock()
+        self.maker = processor()
+        """What, beside the files in the package, decides what they answer; known once loaded."""
 
     def __call__(self) -> ctypes.CDLL | None:
         """Return the compiled functions; None where there is no compiler, or it fails."""
@@ -73,12 +73,14 @@ class Program:
         return self._loaded
 
     def _load(self) -> ctypes.CDLL | None:
-        folder = files(self._package).joinpath("native")
-        source = "\n".join(folder.joinpath(name).read_text("utf-8") for name in self._sources)
-        try:
-            library = load(source).functions
-        except NativeError:
-            return None
+        folder = Path(str(files(self._package)), "native")
+        if (found := prebuilt(folder)) is None:
+            try:
+                found = load(source_in(folder))
+                self.maker = find_compiler().identity
+            except NativeError:
+                return None
+        library = found.functions
         for name, kinds in self._functions.items():
             function = getattr(library, name)
             function.argtypes = tuple(_TYPES[kind] for kind in kinds)

@@ -67,6 +67,7 @@ static void dots(long blocks, const Block *a, const Block *slopes, double *found
 /* Values (height, width) between pixels, at n places that `map` (2, 3) makes of across and down.
  * Neighbours in a row are fetched together. Not inlined: compilers then still know that arrays do
  * not overlap, and compute several at once. */
+EACH_PROCESSOR
 __attribute__((noinline)) static void interpolate(long n, const float *restrict across,
                                                   const float *restrict down, const float *map,
                                                   const float *restrict values, int height,
@@ -213,6 +214,7 @@ static void undo(const double *step, double least, double *map) {
  * `carried` (n, 2, 3) begin as features say, with radius `reach` (n), and end where the patches
  * agree best. Also returned: how alike they then are, and the covariance (n, 2, 2) of the places for
  * noise of one grey value. 1 if some matrix is not positive definite or a picture too narrow. */
+EACH_PROCESSOR
 int align(long n, long points, long steps, const double *limits, const double *prior,
         const float *grids, long home_count, const int64_t *home_levels, const double *home_layout,
         long now_count, const int64_t *now_levels, const double *now_layout, const double *at,

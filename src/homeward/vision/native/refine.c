@@ -121,6 +121,7 @@ static Told told_of(const Pose *p, long n, const double *table, double looseness
 
 /* Residuals (m, n), Jacobians (UNKNOWNS, m, n) and what is possible, of m motions and n matches in a
  * table (columns, n). 1 if it has other columns or n is no multiple of WIDE. */
+EACH_PROCESSOR
 int residuals(long m, long n, long columns, const double *motions, const double *table,
               double looseness, const double *limits, double *value, double *jacobian,
               uint8_t *possible) {
@@ -199,6 +200,7 @@ static void equations(const Pose *p, long n, const double *table, const double *
 /* Fit m motions (m, UNKNOWNS), each to n matches that count for `counts` (m, n), by as many steps
  * as there are `looseness`. 1 if the table has other columns, n is no multiple of WIDE or a system
  * has no solution: motions are of no use then. */
+EACH_PROCESSOR
 int irls(long m, long n, long columns, long steps, double *motions, const double *table,
             const double *counts, const double *looseness, const double *prior, double scale,
             double longest, const double *limits) {

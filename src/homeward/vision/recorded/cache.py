@@ -23,7 +23,6 @@ import numpy as np
 from homeward.drives.drive import HomeBearing, Sightings
 from homeward.drives.text.files import naming, opened
 from homeward.engine.native.cache import Cache, default_folder, key_of
-from homeward.engine.native.compiler import find_compiler, processor
 from homeward.vision.comparison import Comparison
 from homeward.vision.compiled import compiled
 from homeward.vision.geometry.a_contrario import Acceptance
@@ -109,16 +108,16 @@ def cache_key(pictures: Sequence[Path], settings: ImageSettings, *numbers: np.nd
 def algorithm() -> str:
     """Return a key of everything beside the input that decides what is found.
 
-    That is all of homeward's sources: to count up a version would be forgotten, and so would a part
+    That is all of homeward's code: to count up a version would be forgotten, and so would a part
     of what vision uses. Other libraries, processors and compilers round otherwise.
     """
     package = Path(str(files("homeward")))
-    sources = sorted(f for f in package.rglob("*") if f.suffix in (".py", ".c", ".h"))
+    sources = sorted(f for f in package.rglob("*") if f.suffix in (".py", ".c", ".h", ".so"))
     texts = [f"{file.relative_to(package)}\0{_content(file)}" for file in sources]
     libraries = [version(name) for name in ("homeward", "numpy", "scipy", "pillow")]
-    machine = processor() if compiled() is None else find_compiler().identity
+    compiled()  # so that its maker is known
     build = opencv().getBuildInformation()
-    return key_of(*texts, *libraries, platform.python_version(), build, machine)
+    return key_of(*texts, *libraries, platform.python_version(), build, compiled.maker)
 
 
 def _content(path: Path) -> str:

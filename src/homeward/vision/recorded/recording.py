@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from homeward.drives.drive import Drive
-from homeward.drives.ros.containers.bag_folder import is_log
+from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.vision.recorded.folder import IMAGE_SETTINGS, see_folder

@@ -18,35 +18,33 @@ from homeward.drives.ros.containers.container import (
     walking,
     zstd,
 )
-from homeward.drives.ros.containers.mcap import MAGIC as MCAP_MAGIC
+from homeward.drives.ros.containers.magic import (
+    MCAP,
+    METADATA,
+    OLDER_ROSBAG,
+    ROSBAG1,
+    SQLITE,
+    bare_files,
+    first_bytes,
+)
 from homeward.drives.ros.containers.mcap import Mcap
-from homeward.drives.ros.containers.rosbag1 import MAGIC as ROSBAG1_MAGIC
 from homeward.drives.ros.containers.rosbag1 import Rosbag1
-from homeward.drives.ros.containers.sqlite import MAGIC as SQLITE_MAGIC
 from homeward.drives.ros.containers.sqlite import Sqlite
-from homeward.drives.text.files import is_there, naming, opened
+from homeward.drives.text.files import is_there, opened
 from homeward.drives.text.settings import read_tree
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
-METADATA = "metadata.yaml"
 _ROOT = "rosbag2_bagfile_information"
 LARGEST_UNPACKED = 2**34
 """Of a file that was compressed as a whole; it is unpacked to a temporary one [byte]."""
 
 _KINDS: dict[bytes, Callable[[Path], Log]] = {
-    ROSBAG1_MAGIC: Rosbag1,
-    MCAP_MAGIC: Mcap,
-    SQLITE_MAGIC: Sqlite,
+    ROSBAG1: Rosbag1,
+    MCAP: Mcap,
+    SQLITE: Sqlite,
 }
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-
-def is_log(path: Path) -> bool:
-    """Whether a file begins as a log does, or a folder holds a ROS 2 bag."""
-    if path.is_dir():
-        return is_there(path / METADATA) or bool(_bare_files(path))
-    return is_there(path) and (_first_bytes(path).startswith((*_KINDS, b"#ROSBAG")))
 
 
 def open_log(path: Path) -> Log:
@@ -59,11 +57,11 @@ def open_log(path: Path) -> Log:
     """
     if path.is_dir():
         return BagFolder(path)
-    first = _first_bytes(path)
+    first = first_bytes(path)
     for magic, kind in _KINDS.items():
         if first.startswith(magic):
             return kind(path)
-    if first.startswith(b"#ROSBAG"):
+    if first.startswith(OLDER_ROSBAG):
         raise InputError("a ROS bag of a format before 2.0; rosbag fix converts it", path)
     raise InputError("neither a ROS bag nor an MCAP file", path)
 
@@ -90,22 +88,11 @@ class BagFolder:
                     yield Message(channel, receive, data)
 
 
-def _first_bytes(path: Path) -> bytes:
-    with naming(path, "cannot be read"), opened(path) as stream:
-        return bytes(stream.read(16))
-
-
-def _bare_files(path: Path) -> list[Path]:
-    """Return the files of a bag folder whose recorder had no time to write its metadata."""
-    with naming(path, "cannot be read"):
-        return sorted(f for f in path.iterdir() if f.suffix in (".mcap", ".db3") and f.is_file())
-
-
 def _contents(path: Path) -> tuple[list[Path], bool]:
     """Return a folder's files in order, and whether their messages are compressed."""
     file = path / METADATA
     if not is_there(file):
-        if not (files := _bare_files(path)):
+        if not (files := bare_files(path)):
             raise InputError("no ROS bag and no MCAP file in it", path)
         return files, False
     told = _metadata(file)
@@ -132,7 +119,7 @@ def _metadata(file: Path) -> dict[str, Any]:
 @contextmanager
 def _unpacked(file: Path) -> Iterator[Path]:
     """Lend a file as it is, or unpacked when it was compressed as a whole."""
-    if not _first_bytes(file).startswith(_ZSTD_MAGIC):
+    if not first_bytes(file).startswith(_ZSTD_MAGIC):
         yield file
         return
     with tempfile.TemporaryDirectory(prefix="homeward-") as folder:

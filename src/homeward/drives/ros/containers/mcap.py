@@ -7,9 +7,9 @@ from binascii import crc32
 from collections.abc import Iterator
 
 from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
+from homeward.drives.ros.containers.magic import MCAP
 from homeward.errors import InputError
 
-MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _CHUNK_INDEX, _STATISTICS = 0x08, 0x0B
 _KEPT = (_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX, _STATISTICS)
@@ -19,7 +19,7 @@ _SYNTAX = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"
 class Mcap(RecordFile):
     """An MCAP file."""
 
-    kind, magic = "MCAP", MAGIC
+    kind, magic = "MCAP", MCAP
 
     def _walk(self) -> Iterator[Message]:
         self._schemas: dict[int, tuple[str, str, str]] = {}
@@ -41,7 +41,7 @@ class Mcap(RecordFile):
                     yield from self._record(inner, content)
             else:
                 yield from self._record(op, record)
-        if source.take(len(MAGIC), "the last line") != MAGIC:
+        if source.take(len(MCAP), "the last line") != MCAP:
             raise InputError("damaged: it does not end as an MCAP file does", source.path)
         self._check_index()
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import TypeAlias
 
 from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
+from homeward.drives.ros.containers.magic import ROSBAG1
 from homeward.errors import InputError
 
-MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
 LARGEST_HEADER = 2**20
 """Of a record [byte]."""
@@ -20,7 +20,7 @@ Fields: TypeAlias = dict[bytes, memoryview]
 class Rosbag1(RecordFile):
     """A ROS 1 bag."""
 
-    kind, magic = "ROS 1 bag", MAGIC
+    kind, magic = "ROS 1 bag", ROSBAG1
 
     def _walk(self) -> Iterator[Message]:
         self._counted = 0

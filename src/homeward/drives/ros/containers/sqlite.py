@@ -23,7 +23,6 @@ from homeward.drives.ros.containers.container import (
 from homeward.drives.text.files import opened
 from homeward.errors import InputError
 
-MAGIC = b"SQLite format 3\x00"
 _SYNTAX = {"ros2msg": "msg", "ros2idl": "idl"}
 _READ = {"topics", "messages", "message_definitions"}
 STEPS_A_LOOK = 100_000

@@ -12,8 +12,7 @@ import numpy as np
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.measurements.rows import Remarks
-from homeward.drives.ros.messages.decoding import PICTURES
-from homeward.drives.ros.messages.definitions import BEARINGS
+from homeward.drives.ros.messages.names import BEARINGS, PICTURES
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError

@@ -11,7 +11,7 @@ from homeward.drives.dead_reckoning import twists_from_poses
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
-from homeward.drives.ros.messages.definitions import ODOMETRY, POSE
+from homeward.drives.ros.messages.names import ODOMETRY, POSE
 from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError

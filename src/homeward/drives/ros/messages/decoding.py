@@ -20,6 +20,7 @@ from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.containers.container import Channel, in_short
 from homeward.drives.ros.messages.definitions import typestore
+from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 
@@ -31,7 +32,6 @@ MOST_NUMBERS = 10_000
 """In the parts of a message that have a fixed size."""
 MOST_ELEMENTS = 1_000_000
 """In a sequence, but for those of `PICTURES`."""
-PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 DEEPEST = 20
 """Types within types."""
 LARGEST_DEFINITIONS = 2**20

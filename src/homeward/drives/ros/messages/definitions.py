@@ -14,10 +14,6 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-ODOMETRY = "homeward_msgs/msg/Odometry"
-BEARINGS = "homeward_msgs/msg/Bearings"
-POSE = "homeward_msgs/msg/Pose"
-
 
 def _told(package: str) -> dict[str, str]:
     """Return the .msg files of a package, by the names of their types."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from homeward.drives.ros.containers.container import Message
+if TYPE_CHECKING:
+    from homeward.drives.ros.containers.container import Message
 
 NANO = 10**9
 EXACT = 2**52

@@ -6,8 +6,7 @@ from collections.abc import Container
 
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
-from homeward.drives.ros.messages.decoding import PICTURES
-from homeward.drives.ros.messages.definitions import BEARINGS, POSE
+from homeward.drives.ros.messages.names import BEARINGS, PICTURES, POSE
 from homeward.drives.ros.settings import (
     BearingsTopic,
     HomeFrom,

@@ -6,13 +6,15 @@ import struct
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from homeward.drives.ros.containers.container import Channel, Log, Message
-from homeward.drives.ros.messages.decoding import begins_with_header
 from homeward.drives.ros.messages.stamps import NANO, ClockOffset, clock_offset, header_stamp
 from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.drives.ros.containers.container import Channel, Log, Message
 
 TELL_EVERY = 2000
 """Messages between two words on progress."""
@@ -99,6 +101,8 @@ class _Record:
     """A topic that is being surveyed."""
 
     def __init__(self, channel: Channel) -> None:
+        from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
+
         self.receive = array("q")
         self.header = array("q") if begins_with_header(channel) else None
 

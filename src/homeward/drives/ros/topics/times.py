@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import require_overlap
-from homeward.drives.ros.containers.container import Message
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.topics.survey import Survey, Topic
 from homeward.errors import InputError
+
+if TYPE_CHECKING:
+    from homeward.drives.ros.containers.container import Message
 
 LATEST_S = 1.0
 """A stamp further behind that of an earlier message is of a clock that was set back [s]."""

@@ -9,7 +9,6 @@ from homeward.engine.native.program import Program
 
 compiled = Program(
     "homeward.simulation.render.rays",
-    ("cast.c",),
     {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"},
     may_fail=("cast",),
 )

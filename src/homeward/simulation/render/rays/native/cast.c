@@ -2,6 +2,11 @@
 
 #include <stdint.h>
 
+/* What comes before a function that wheels hold once for each kind of processor. */
+#ifndef EACH_PROCESSOR
+#define EACH_PROCESSOR
+#endif
+
 #define TILES 6  /* limits of a rectangle: shift, least and greatest tile coordinates */
 #define WINDOW 5 /* rectangle, rows from and to, columns from and to */
 
@@ -10,6 +15,7 @@ int homeward_lanes(void) { return 1; }
 
 /* Keep of one row's hits (n) on a rectangle those that are nearer than what was met before.
  * Not inlined: compilers then still know that rows do not overlap, and take several rays at once. */
+EACH_PROCESSOR
 __attribute__((noinline)) static void meet(long n, const float *restrict x, const float *restrict y,
                                            const float *restrict z, const float *m,
                                            const float *limits, float tiny, int16_t index,
@@ -33,6 +39,7 @@ __attribute__((noinline)) static void meet(long n, const float *restrict x, cons
 
 /* Find what the rays of a picture, (3, height, width), meet, in `count` windows on m rectangles,
  * each with its matrix, (m, 3, 3). 1 if a window lies outside. */
+EACH_PROCESSOR
 int cast(long count, long m, long height, long width, const int64_t *windows,
          const int64_t *indices, const float *rays, const float *matrices, const float *limits,
          double tiny, float *distance, float *across, float *along, int16_t *surface) {

@@ -1,0 +1,141 @@
+"""The wheel where there is no compiler: the core alone, then with the C that came with it.
+
+`make test-wheel` builds it and sets HOMEWARD_WHEEL.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LARGEST_MB = 255
+"""Of the core's files: 248, of which NumPy and SciPy are 214, and what the next versions add."""
+STARTS_NOTHING = """
+import sys
+
+STARTS = {"subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork"}
+
+
+def refuse(event, told):
+    if event in STARTS and told[0] != "uname":  # with which Python finds out where it is
+        raise SystemExit(f"{event} {told}")
+
+
+sys.addaudithook(refuse)
+"""
+ONLINE = """
+from homeward import Localizer
+
+home = {"door": 0.31, "lamp": -1.20, "crate 7": 2.75}
+localizer = Localizer(home, sensor={"x": 0.2, "bearing_sigma": 0.01})
+localizer.odometry(0.00, 0.20, 0.05)
+print(localizer.bearings(0.05, {"door": 0.30, "lamp": -1.21}).status.value)
+"""
+RUN = """
+from homeward.__main__ import main
+
+sys.argv[1:] = ["run", "sample", "--json"]
+main()
+"""
+LOOK = """
+from dataclasses import astuple
+
+import numpy as np
+
+from homeward.frames import Polar, from_polar
+from homeward.simulation.render.eye import Eye
+from homeward.simulation.render.rays.compiled import compiled as rays
+from homeward.simulation.render.room.presets import room
+from homeward.vision import Equirectangular, compare, look
+from homeward.vision.compiled import compiled as vision
+
+eye = Eye(room("office", 1))
+start = eye.scenario.start
+pose = from_polar(Polar(start.R, start.theta, start.alpha))
+pictures = [np.asarray(p) for p in (eye.home_picture(), eye.look(0.0, pose, 1))]
+greys = [np.rint(p.mean(axis=2)).astype(np.uint8) for p in pictures]
+found = compare(*(look(grey, Equirectangular()) for grey in greys), Equirectangular())
+files = [program()._name for program in (rays, vision)]
+numbers = {"heading": found.heading, "homewards": found.homewards, "covariance": found.covariance}
+np.savez(sys.argv[1], *pictures, files=files, **numbers)
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    if "HOMEWARD_WHEEL" not in os.environ:
+        pytest.skip("a wheel in an environment of its own: make test-wheel")
+    (file,) = Path(os.environ["HOMEWARD_WHEEL"]).resolve().glob("*.whl")
+    return file
+
+
+@pytest.fixture(scope="module")
+def core(wheel, tmp_path_factory):
+    """An environment with the wheel's core alone."""
+    place = tmp_path_factory.mktemp("environment")
+    subprocess.run([sys.executable, "-m", "venv", str(place)], check=True)
+    install(place / "bin" / "python", str(wheel))
+    return place / "bin" / "python"
+
+
+def install(python, what):
+    command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run([*command, "-c", "constraints.txt", what], cwd=ROOT, capture_output=True)
+    if done.returncode:
+        pytest.skip(f"cannot be installed here: {done.stderr.decode().splitlines()[-1]}")
+
+
+def called(python, code, *words, cwd, path=""):
+    """Run Python where, by default, nothing can be found that could be started."""
+    bare = {"PATH": path, "HOME": str(cwd), "OPENBLAS_NUM_THREADS": "1"}
+    command = [str(python), "-c", code, *words]
+    done = subprocess.run(command, cwd=cwd, env=bare, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_core_is_small_and_runs_a_drive(core, tmp_path):
+    assert called(core, STARTS_NOTHING + ONLINE, cwd=tmp_path).strip() == "mapping"
+    told = json.loads(called(core, STARTS_NOTHING + RUN, cwd=tmp_path))
+    assert told["report"] is None
+    assert told["metrics"]["position_rmse_m"] < 0.1
+    assert (tmp_path / "out" / "sample" / "estimate.csv").exists()
+    sizes = {}
+    for file in core.parent.parent.glob("lib/python*/site-packages/*/**/*"):
+        if file.is_file():
+            package = file.relative_to(core.parent.parent).parts[3].partition(".")[0]
+            sizes[package] = sizes.get(package, 0.0) + file.stat().st_size / 1e6
+    for brought in ("pip", "setuptools", "pkg_resources"):  # by the environment itself
+        sizes.pop(brought, None)
+    told = ", ".join(f"{n} {s:.1f}" for n, s in sorted(sizes.items(), key=lambda e: -e[1])[:9])
+    print(f"\nthe core takes {sum(sizes.values()):.0f} MB: {told}, ...")
+    assert sum(sizes.values()) < LARGEST_MB
+
+
+def test_what_came_compiled_answers_as_what_is_compiled_here(wheel, core, tmp_path):
+    install(core, f"{wheel}[vision]")
+    called(core, STARTS_NOTHING + LOOK, "wheel.npz", cwd=tmp_path)
+    assert not (tmp_path / ".cache").exists()  # nothing was compiled
+    called(sys.executable, "import sys" + LOOK, "here.npz", cwd=tmp_path, path=os.environ["PATH"])
+    came, made = np.load(tmp_path / "wheel.npz"), np.load(tmp_path / "here.npz")
+    assert all(str(file).endswith("native/prebuilt.so") for file in came["files"])
+    assert all(".cache" in str(file) for file in made["files"])
+    equal = all(np.array_equal(came[key], made[key]) for key in made if key != "files")
+    print(f"\n{wheel.name}: answers are equal", "bit for bit" if equal else "but for rounding")
+    for key in ("arr_0", "arr_1"):  # of other vectors another last digit may come
+        assert np.mean(came[key] != made[key]) < 1e-3
+    for key in ("heading", "homewards", "covariance"):
+        np.testing.assert_allclose(came[key], made[key], rtol=1e-5)
+
+
+def test_without_a_compiler_the_wheel_is_pure(wheel, tmp_path):
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path)]
+    bare = os.environ | {"PATH": "", "CC": ""}
+    done = subprocess.run([*command, str(ROOT)], env=bare, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["homeward-0.1.0-py3-none-any.whl"]
