@@ -12,6 +12,8 @@ import numpy as np
 from homeward.frames import Pose, compose
 
 CENTRE = Pose(0.0, 0.0, 0.0)
+AT_ONCE = 128
+"""Stamps whose matrices are held, and inverted, together: 2 MB with 20 landmarks."""
 
 
 def posterior_bound(
@@ -73,15 +75,18 @@ def posterior_bound(
         start_covariance=start_covariance,
         mount=mount,
     )
-    bounds = np.full((len(poses), 3, 3), np.inf)
-    for k, pose in enumerate(poses):
-        if k and carried is not None and carried[k - 1]:
-            bound.carry()
-        elif k:
-            bound.drive(poses[k - 1], pose, twists[k - 1], float(intervals[k - 1]))
-        bound.see(pose, landmarks, visible[k])
-        bounds[k] = bound.covariance()
-    return bounds
+    bounds = [np.empty((0, 3, 3))]
+    for first in range(0, len(poses), AT_ONCE):
+        told = bound.told_by(poses[first : first + AT_ONCE], landmarks, visible[first:])
+        for k, added in enumerate(told, first):
+            if k and carried is not None and carried[k - 1]:
+                bound.carry()
+            elif k:
+                bound.drive(poses[k - 1], poses[k], twists[k - 1], float(intervals[k - 1]))
+            bound.add(added)
+            added[:] = bound.information
+        bounds.append(_of_poses(told))
+    return np.concatenate(bounds)
 
 
 class RunningBound:
@@ -102,34 +107,44 @@ class RunningBound:
         self.bearing_sigma, self._sigmas = bearing_sigma, (speed_sigma, turn_sigma)
         self.mount = mount
         right = np.ones(len(landmarks), bool) if moved is None else ~moved
-        jacobian = _bearing_jacobian(np.zeros(3), landmarks, mount)[right]
+        jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, mount)[0, right]
         jacobian[:, :3] = 0.0  # home itself is known
-        self._information = jacobian.T @ jacobian / home_sigma**2
+        self.information = jacobian.T @ jacobian / home_sigma**2
+        """On the pose and the landmarks, (3 + 2 q, 3 + 2 q)."""
         if start_covariance is not None:
-            self._information[:3, :3] += np.linalg.inv(start_covariance)
+            self.information[:3, :3] += np.linalg.inv(start_covariance)
 
     def drive(self, before: np.ndarray, after: np.ndarray, twist: np.ndarray, dt: float) -> None:
         """Carry the information over a motion between poses (3,), by a twist (2,) over `dt` [s].
 
         Its noise may be singular, and zero.
         """
-        back = np.eye(len(self._information))
+        back = np.eye(len(self.information))
         back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
-        carried = back.T @ self._information @ back
+        carried = back.T @ self.information @ back
         middle = before[2] + 0.5 * twist[1] * dt
-        noise = np.zeros((len(self._information), 2))
+        noise = np.zeros((len(self.information), 2))
         noise[:2, 0] = np.cos(middle), np.sin(middle)
         swing = 0.5 * twist[0] * dt
         noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
         noise *= np.array(self._sigmas) * np.sqrt(dt)
         pulled = carried @ noise
         left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
-        self._information = 0.5 * (left + left.T)  # what is not symmetric would grow at each step
+        self.information = 0.5 * (left + left.T)  # what is not symmetric would grow at each step
 
     def see(self, pose: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> None:
         """Add one bearing to each visible landmark (q,), seen from a pose (3,)."""
-        jacobian = _bearing_jacobian(pose, landmarks, self.mount)[visible]
-        self._information = self._information + jacobian.T @ jacobian / self.bearing_sigma**2
+        self.add(self.told_by(pose[None], landmarks, visible[None])[0])
+
+    def told_by(self, poses: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> np.ndarray:
+        """Return what the bearings seen from each pose tell, (n, 3 + 2 q, 3 + 2 q)."""
+        jacobians = _bearing_jacobians(poses, landmarks, self.mount)
+        jacobians *= visible[: len(poses), :, None]
+        return jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2
+
+    def add(self, information: np.ndarray) -> None:
+        """Add information that is independent of all before."""
+        self.information = self.information + information
 
     def carry(self) -> None:
         """Forget the pose: the robot was carried, and nothing is known of how."""
@@ -141,34 +156,37 @@ class RunningBound:
 
     def covariance(self) -> np.ndarray:
         """Return the least covariance of the pose now, shape (3, 3); infinite if not fixed."""
-        return _of_pose(self._information)
+        return np.asarray(_of_poses(self.information[None])[0])
 
     def _forget(self, part: slice) -> None:
-        own, cross = self._information[part, part], self._information[part]
+        own, cross = self.information[part, part], self.information[part]
         inverse = np.linalg.pinv(own, 1e-12, hermitian=True)
-        self._information = self._information - cross.T @ inverse @ cross
-        self._information[part], self._information[:, part] = 0.0, 0.0
+        self.information = self.information - cross.T @ inverse @ cross
+        self.information[part], self.information[:, part] = 0.0, 0.0
 
 
-def _bearing_jacobian(pose: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:
-    """Return derivatives of all bearings from a pose by pose and landmarks, shape (q, 3 + 2 q)."""
+def _bearing_jacobians(poses: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:
+    """Return derivatives of all bearings by pose and landmarks, (n, q, 3 + 2 q), at n poses."""
     q = len(landmarks)
-    camera = np.array(compose(Pose(*pose), mount)[:2])
-    d, arm = landmarks - camera, camera - pose[:2]
-    across = np.stack([-d[:, 1], d[:, 0]], axis=1) / (d**2).sum(axis=1)[:, None]
-    jacobian = np.zeros((q, 3 + 2 * q))
-    jacobian[:, :2] = -across
-    jacobian[:, 2] = across[:, 0] * arm[1] - across[:, 1] * arm[0] - 1.0
+    camera = np.stack(compose(Pose(*poses.T), mount)[:2], axis=1)
+    d, arm = landmarks - camera[:, None], (camera - poses[:, :2])[:, None]
+    across = np.stack([-d[..., 1], d[..., 0]], axis=-1) / (d**2).sum(axis=-1)[..., None]
+    jacobians = np.zeros((len(poses), q, 3 + 2 * q))
+    jacobians[..., :2] = -across
+    jacobians[..., 2] = across[..., 0] * arm[..., 1] - across[..., 1] * arm[..., 0] - 1.0
     rows = np.arange(q)
-    jacobian[rows, 3 + 2 * rows], jacobian[rows, 4 + 2 * rows] = across.T
-    return jacobian
+    jacobians[:, rows, 3 + 2 * rows] = across[..., 0]
+    jacobians[:, rows, 4 + 2 * rows] = across[..., 1]
+    return jacobians
 
 
-def _of_pose(information: np.ndarray) -> np.ndarray:
-    """Return the covariance of the pose, the landmarks marginalised; infinite if not fixed."""
-    landmarks, cross = information[3:, 3:], information[3:, :3]
-    own = information[:3, :3] - cross.T @ np.linalg.pinv(landmarks, 1e-12, hermitian=True) @ cross
+def _of_poses(information: np.ndarray) -> np.ndarray:
+    """Return covariances of the pose, the landmarks marginalised; infinite where not fixed."""
+    landmarks, cross = information[:, 3:, 3:], information[:, 3:, :3]
+    inverse = np.linalg.pinv(landmarks, 1e-12, hermitian=True)
+    own = information[:, :3, :3] - cross.transpose(0, 2, 1) @ inverse @ cross
     values = np.linalg.eigvalsh(own)
-    if not values[0] > 1e-9 * max(float(values[-1]), 1e-300):
-        return np.full((3, 3), np.inf)
-    return np.asarray(np.linalg.inv(own))
+    fixed = values[:, 0] > 1e-9 * np.maximum(values[:, -1], 1e-300)
+    covariances = np.full(own.shape, np.inf)
+    covariances[fixed] = np.linalg.inv(own[fixed])
+    return covariances
