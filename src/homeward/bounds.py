@@ -140,7 +140,7 @@ class RunningBound:
         """Return what the bearings seen from each pose tell, (n, 3 + 2 q, 3 + 2 q)."""
         jacobians = _bearing_jacobians(poses, landmarks, self.mount)
         jacobians *= visible[: len(poses), :, None]
-        return jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2
+        return np.asarray(jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2)
 
     def add(self, information: np.ndarray) -> None:
         """Add information that is independent of all before."""

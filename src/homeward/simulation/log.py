@@ -81,7 +81,10 @@ class Log:
 
     def face(self, t: float, true: Pose) -> None:
         """Turn what was seen at `t` [s] into the home frame, by the heading of what steers."""
-        pose, _ = self.believed(t, true)
+        if self.estimates and self.estimates[-1].t == t:
+            pose = self.estimates[-1].pose  # it has just answered
+        else:
+            pose, _ = self.believed(t, true)
         if pose is not None:
             turn = self._yaw + pose.heading
             self.seen = {i: float(wrap(b + turn)) for i, b in self._latest.items()}

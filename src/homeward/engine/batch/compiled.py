@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,24 +16,6 @@ _Long = ctypes.c_int64
 _Pointer = ctypes.c_void_p
 CHUNKS_PER_THREAD = 8
 """So that one slow run does not leave the other threads without work."""
-
-
-class _Given(ctypes.Structure):
-    _fields_ = [
-        ("place", _Long),
-        ("size", _Long),
-        ("data", _Pointer),
-        ("by_run", _Long),
-        ("by_step", _Long),
-    ]
-
-
-class _Draw(ctypes.Structure):
-    _fields_ = [(k, _Long) for k in ("place", "size", "scale", "normal", "stream")]
-
-
-class _Kept(ctypes.Structure):
-    _fields_ = [("place", _Long), ("size", _Long), ("data", _Pointer)]
 
 
 _COUNTS = ("start", "series", "draws", "guarded", "sums", "final", "history")
@@ -86,16 +68,16 @@ def execute(job: Job, result: Result, code: Source, threads: int) -> tuple[str, 
 
 def _described(
     job: Job, result: Result, places: Mapping[str, int]
-) -> tuple[_Job, list[ctypes.Array[ctypes.Structure]]]:
+) -> tuple[_Job, list[np.ndarray]]:
     """Return a job as the C loop takes it, and what must live as long as it is used."""
-    tables = {
-        "start": _table(_Given, [_given(g, places) for g in job.start]),
-        "series": _table(_Given, [_given(g, places) for g in job.series]),
-        "draws": _table(_Draw, [_draw(d, job, places) for d in job.draws]),
-        "guarded": _table(_Kept, [(places[k], job.size(k), None) for k in job.guarded]),
-        "sums": _table(_Kept, _kept(result.sums, places)),
-        "final": _table(_Kept, _kept(result.final, places)),
-        "history": _table(_Kept, _kept(result.history, places)),
+    tables: dict[str, list[tuple[int, ...]]] = {
+        "start": [_given(g, places) for g in job.start],
+        "series": [_given(g, places) for g in job.series],
+        "draws": [_draw(d, job, places) for d in job.draws],
+        "guarded": [(places[k], job.size(k), 0) for k in job.guarded],
+        "sums": _kept(result.sums, places),
+        "final": _kept(result.final, places),
+        "history": _kept(result.history, places),
     }
     told = _Job(
         runs=job.runs,
@@ -108,31 +90,29 @@ def _described(
         stopped=result.stopped.ctypes.data,
         diverged=result.diverged.ctypes.data,
     )
-    for name, table in tables.items():
-        setattr(told, f"n_{name}", len(table))
-        setattr(told, name, ctypes.addressof(table))
-    return told, list(tables.values())
+    alive = []
+    for name, rows in tables.items():
+        table = np.array(rows, np.int64)  # as the structures of loop.c: whole numbers and addresses
+        setattr(told, f"n_{name}", len(rows))
+        setattr(told, name, table.ctypes.data)
+        alive.append(table)
+    return told, alive
 
 
-def _table(
-    kind: type[ctypes.Structure], rows: Sequence[tuple[int | None, ...]]
-) -> ctypes.Array[ctypes.Structure]:
-    return (kind * len(rows))(*(kind(*row) for row in rows))
-
-
-def _given(given: Given, places: Mapping[str, int]) -> tuple[int | None, ...]:
+def _given(given: Given, places: Mapping[str, int]) -> tuple[int, ...]:
+    """Return its place, size, address, and how far it is from run to run and step to step."""
     runs, steps, size = given.values.shape
     by_run = steps * size if runs > 1 else 0
     place = places[given.name]
     return place, size, given.values.ctypes.data, by_run, size if steps > 1 else 0
 
 
-def _draw(draw: Draw, job: Job, places: Mapping[str, int]) -> tuple[int | None, ...]:
+def _draw(draw: Draw, job: Job, places: Mapping[str, int]) -> tuple[int, ...]:
+    """Return its place, size, scale, whether it is normal, and its stream."""
     size = job.size(draw.name)
     return places[draw.name], size, places[draw.scale], int(draw.normal), draw.stream
 
 
-def _kept(
-    arrays: Mapping[str, np.ndarray], places: Mapping[str, int]
-) -> list[tuple[int | None, ...]]:
+def _kept(arrays: Mapping[str, np.ndarray], places: Mapping[str, int]) -> list[tuple[int, ...]]:
+    """Return place, size and address of each."""
     return [(places[k], a.shape[-1], a.ctypes.data) for k, a in arrays.items()]
