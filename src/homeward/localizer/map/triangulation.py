@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.frames import position_sigma
 from homeward.localizer.tunables import AGREES, CLOSE, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
 
 FEWEST = 3
@@ -61,8 +62,7 @@ def triangulate(
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
-    deviation = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(information))[-1])
-    if not deviation < LINEAR * distance:
+    if not position_sigma(np.linalg.inv(information)) < LINEAR * distance:
         return None
     none_wrong = agree.all() and not _is_beside(position, cameras)
     if not none_wrong:

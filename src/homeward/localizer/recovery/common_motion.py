@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.tunables import AGREES, CLOSE
 
@@ -50,7 +51,7 @@ def carried_since(landmarks: Landmarks) -> int | None:
     displaced = Displaced(
         before,
         now,
-        np.linalg.eigvalsh(covariance + more)[:, -1],
+        position_sigma(covariance + more) ** 2,
         np.array([was.last for was, _ in pairs]),
         np.array([is_.first for _, is_ in pairs]),
     )
