@@ -205,6 +205,11 @@ def test_what_is_no_such_model_is_refused_in_one_line(
     assert "WARN" not in capfd.readouterr().err
 
 
+def test_tags_and_features_are_not_looked_for_together():
+    with pytest.raises(ValueError, match="tags or features"):
+        ImageSettings(tags="36h11", features={"model": "features.onnx"})
+
+
 def test_a_file_that_is_not_there_is_named_from_python_too(tmp_path):
     with pytest.raises(InputError, match=r"none\.onnx: no such file"):
         Learned(tmp_path / "none.onnx")

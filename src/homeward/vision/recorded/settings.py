@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -94,6 +94,12 @@ class ImageSettings(Strict):
         """
         told = self.features
         return SIFT if told is None else Learned(told.model, told.matcher, told.size)
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if self.tags is not None and self.features is not None:
+            raise ValueError("tags or features, not both")
+        return self
 
     @model_validator(mode="before")
     @classmethod
