@@ -118,6 +118,8 @@ def test_the_core_is_small_and_runs_a_drive(core, tmp_path):
 
 
 def test_what_came_compiled_answers_as_what_is_compiled_here(wheel, core, tmp_path):
+    if wheel.name.endswith("-any.whl"):
+        pytest.skip("no C compiler: the wheel is pure")
     install(core, f"{wheel}[vision]")
     called(core, STARTS_NOTHING + LOOK, "wheel.npz", cwd=tmp_path)
     assert not (tmp_path / ".cache").exists()  # nothing was compiled
