@@ -14,7 +14,6 @@ from made_up_run import FILES, SETTINGS, made_up
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.report import output
-from homeward.report.run import folder as run_folder
 from homeward.report.run import page
 from homeward.report.run.folder import write_run
 
@@ -139,7 +138,7 @@ def test_nothing_is_half_written(tmp_path, monkeypatch, unplotted, failure):
     old, new = tmp_path / "old", tmp_path / "new"
     write_run(old, *made_up(), {"run": 1})
     before = {p.name: p.read_bytes() for p in old.iterdir()}
-    monkeypatch.setattr(run_folder, "write_page", fail)
+    monkeypatch.setattr(page, "write_page", fail)
     raised = InputError if isinstance(failure, OSError) else KeyboardInterrupt
     for out in (old, new):
         with pytest.raises(raised):

@@ -212,8 +212,11 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
 def _search(
     drives: Sequence[Drive], noise: Noise, fields: Sequence[str], tell: Callable[[], None]
 ) -> Noise:
-    """Let each noise go up, or else down, while innovations become notably likelier."""
-    likely = _likelihoods(drives, noise)
+    """Let each noise go up, or else down, while innovations become notably likelier.
+
+    Not down to where the localiser doubts what it was told, and takes more.
+    """
+    likely, _ = _likelihoods(drives, noise)
     tell()
     for factor in FACTORS:
         for field in fields:
@@ -221,25 +224,35 @@ def _search(
             for way in (factor, 1.0 / factor):
                 for _ in range(MOST_STEPS if noise is begun else 0):
                     other = noise._replace(**{field: way * getattr(noise, field)})
-                    found = _likelihoods(drives, other)
+                    found, doubted = _likelihoods(drives, other)
                     both = likely.keys() & found.keys()
-                    if sum(found[key] - likely[key] for key in both) <= NOTABLE:
+                    gained = sum(found[key] - likely[key] for key in both)
+                    if gained <= NOTABLE or (doubted and way < 1.0):
                         break
                     noise, likely = other, found
                 tell()
     return noise
 
 
-def _likelihoods(drives: Sequence[Drive], noise: Noise) -> dict[tuple[int, float, str], float]:
-    """Return the log-likelihood of each innovation when all drives run with a noise."""
+def _likelihoods(
+    drives: Sequence[Drive], noise: Noise
+) -> tuple[dict[tuple[int, float, str], float], bool]:
+    """Return the log-likelihood of each innovation when all drives run with a noise.
+
+    And whether that noise was doubted.
+    """
     found: dict[tuple[int, float, str], float] = {}
+    doubted = False
     for number, drive in enumerate(drives):
         told = _told(drive, noise, None, None)
-        i = run(told, _localizer(told)).innovations
+        localizer = _localizer(told)
+        i = run(told, localizer).innovations
+        chart = localizer.chart
+        doubted |= chart.noise.scale > 1.0 or bool((chart.process_noise.scales > 1.0).any())
         stamps = zip(i.t.tolist(), i.landmark.tolist(), strict=True)
         values = _log_likelihoods(i)[1].tolist()
         found |= {(number, *s): value for s, value in zip(stamps, values, strict=True)}
-    return found
+    return found, doubted
 
 
 def _localizer(drive: Drive) -> Localizer:

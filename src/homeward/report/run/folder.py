@@ -68,10 +68,9 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
 
             write_recording(scratch / RECORDING, drive, track)
             write_page(scratch / PAGE, drive, track, metrics, settings)
-        else:  # none of another run should stay
-            (directory / RECORDING).unlink(missing_ok=True)
-            (directory / PAGE).unlink(missing_ok=True)
         write_settings(scratch / SETTINGS_FILE, settings)
+    for file in (RECORDING, PAGE) if missing_extra() else ():  # none of another run should stay
+        (directory / file).unlink(missing_ok=True)
     return summary
 
 
