@@ -269,17 +269,22 @@ class Localizer:
         """Return whether a sample of `t` [s] can not be taken any more."""
         return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self.charts)
 
-    @one_thread()
     def _process_due(self) -> tuple[Innovation, ...]:
         """Take the bearings that need not wait; return the innovations of the newest of all."""
         innovations: list[Innovation] = []
         for frame in self._reorder.due(self._twists.newest, self._t):
-            innovations = self._chart.add_bearings(frame, self._t)
-            if self._beside is not None:
-                innovations = self._update_beside(self._beside, frame, innovations)
-            elif self._chart.monitor.fits_badly:
-                self._begin_beside(frame.t)
+            with one_thread():
+                innovations = self._process(frame)
         return () if self._reorder.waits else tuple(innovations)
+
+    def _process(self, frame: BearingFrame) -> list[Innovation]:
+        """Take a stamp into each map; return its innovations in the one that answers."""
+        innovations = self._chart.add_bearings(frame, self._t)
+        if self._beside is not None:
+            return self._update_beside(self._beside, frame, innovations)
+        if self._chart.monitor.fits_badly:
+            self._begin_beside(frame.t)
+        return innovations
 
     def _update_beside(
         self, beside: Chart, frame: BearingFrame, before: list[Innovation]

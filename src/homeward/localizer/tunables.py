@@ -36,6 +36,9 @@ ENOUGH = 6
 ones are left, of which one checks the other two."""
 ESTABLISHED = 2 * ENOUGH
 """That a landmark moved is said after so many at its old place, and as many at its new one."""
+EXCESSIVE = 1.5
+"""Given deviations, of bearings and of motions, are doubted where the map leaves so many times more
+[1]."""
 
 # How large is small: a bearing is linear in what is small against the distance of the landmark
 LINEAR = 0.3

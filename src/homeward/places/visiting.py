@@ -13,7 +13,7 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey.evidence import wrong_probabilities
+from homeward.localizer.map.survey.evidence import MOST_JUDGED, wrong_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.tunables import AGREES, CLOSE, ENOUGH, PROOF
 from homeward.places.evidence import evidence, require_new
@@ -22,8 +22,6 @@ from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probab
 from homeward.places.place import Event, Place, StoredHome, Visit
 from homeward.places.telling import Told, require_name
 
-MOST_JUDGED = 48
-"""So many landmarks are judged together: it takes the cube of their number."""
 LEAST_AGREEING = 0.5
 """A visit of which less than this share of what should have stayed did is of another place, or most
 was rearranged; nothing of it is merged."""

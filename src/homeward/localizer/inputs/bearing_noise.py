@@ -22,7 +22,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.inputs.reorder import BearingFrame
-from homeward.localizer.tunables import GATE
+from homeward.localizer.tunables import EXCESSIVE, GATE
 
 RESIDUALS = 40
 """So many residuals are needed to judge it by the map ..."""
@@ -40,8 +40,6 @@ CLEAR = 1.1
 """Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
 LATEST = 300
 """So many of the latest are looked at: a camera may become worse on the way."""
-EXCESSIVE = 1.5
-"""Given deviations are doubted where the map leaves residuals so many times larger [1]."""
 
 
 class WeighedFrame(NamedTuple):

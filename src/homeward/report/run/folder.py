@@ -57,19 +57,20 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
     """
     metrics = score(track, drive.truth)
     summary = summarise(drive, track, metrics)
+    pages = missing_extra() is None
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         write_estimate(scratch / ESTIMATE, track)
         write_trajectory(scratch / "trajectory.tum", track, drive.settings.epoch or 0)
         write_landmarks(scratch / "landmarks.csv", track.landmarks)
         write_metrics(scratch / "metrics.json", metrics)
-        if missing_extra() is None:
+        if pages:
             from homeward.report.run.mcap import write_recording
             from homeward.report.run.page import write_page
 
             write_recording(scratch / RECORDING, drive, track)
             write_page(scratch / PAGE, drive, track, metrics, settings)
         write_settings(scratch / SETTINGS_FILE, settings)
-    for file in (RECORDING, PAGE) if missing_extra() else ():  # none of another run should stay
+    for file in () if pages else (RECORDING, PAGE):  # none of another run should stay
         (directory / file).unlink(missing_ok=True)
     return summary
 

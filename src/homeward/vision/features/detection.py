@@ -156,7 +156,7 @@ def look(
         What its pixels look at.
     mask : Mask, optional
         Leaves out what belongs to the robot.
-    finder : Finder
+    finder : Sift, optional
         Of features.
 
     Raises
@@ -214,7 +214,7 @@ def read_view(
         found as there.
     mask : Path, optional
         Of home's picture, see `read_mask`.
-    finder : Finder
+    finder : Sift, optional
         Of the features of home's picture.
 
     Returns

@@ -24,6 +24,8 @@ from homeward.localizer.map.survey.factors import (
 from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import NEGLIGIBLE, UPHEAVAL
 
+MOST_JUDGED = 48
+"""So many landmarks at most are judged together: it takes the cube of their number."""
 ANYWHERE = 10.0
 """Beforehand the datum is so vague [size of the survey; rad]."""
 

@@ -10,13 +10,10 @@ import numpy as np
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import wrong_probabilities
+from homeward.localizer.map.survey.evidence import MOST_JUDGED, wrong_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-
-MOST_JUDGED = 48
-"""Of so many landmarks at most the survey is used; those that came first."""
 
 
 class Survey:
@@ -67,7 +64,7 @@ class Survey:
         numpy.linalg.LinAlgError
             When the map is too vague to judge by; then nothing is changed.
         """
-        names = [n for n in self.places if n in numbers][:MOST_JUDGED]
+        names = [n for n in self.places if n in numbers][:MOST_JUDGED]  # those that came first
         names = names if len(names) >= 2 else []
         pairs = [i for i, d in enumerate(self.known.distances) if {*d.between} <= {*numbers}]
         if not names and not pairs:
