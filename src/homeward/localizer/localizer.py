@@ -148,7 +148,8 @@ class Localizer:
     ) -> Estimate:
         """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
 
-        Where odometry comes late they wait for it, and the answer is without them as yet.
+        Where odometry comes late they wait for it, and the answer is without them as yet. A look
+        that saw nothing says nothing: the answer is that of `estimate`.
         """
         said, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
@@ -158,6 +159,8 @@ class Localizer:
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
+        if not usable:
+            return self.estimate(said)
         self._advance(t)
         told = {n: deviation(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}

@@ -63,7 +63,7 @@ class ReorderBuffer:
 
         Parameters
         ----------
-        felt : float
+        last_odometry_t : float
             The newest stamp of odometry [s].
         now : float
             The newest stamp of all [s].
