@@ -3,6 +3,8 @@
 import csv
 import os
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +69,26 @@ def test_old_versions_go_and_a_slower_one_is_refused(folder):
         save_place(place, folder, 2)
     with pytest.raises(InputError, match="is not kept"):
         load_place(folder, 1)
+
+
+@pytest.mark.parametrize("after", [None, 2])
+def test_of_robots_that_save_at_the_same_instant_each_is_first_or_told(folder, after):
+    place, start = load_place(folder), threading.Barrier(4)
+
+    def save(_):
+        start.wait()
+        try:
+            return save_place(place, folder, after)
+        except InputError as told:
+            return str(told)
+
+    with ThreadPoolExecutor(4) as robots:
+        answers = list(robots.map(save, range(4)))
+    numbers = sorted(a for a in answers if isinstance(a, int))
+    assert numbers == ([3, 4, 5, 6] if after is None else [3])
+    assert all("changed meanwhile" in a for a in answers if isinstance(a, str))
+    assert newest(folder) == numbers[-1]
+    same(load_place(folder), place)
 
 
 def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):

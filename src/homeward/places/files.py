@@ -7,73 +7,23 @@ goes back to. A version enters by one rename, after everything in it has reached
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import tempfile
 import time
-import zipfile
-from collections.abc import Iterable, Sequence
-from dataclasses import Field, astuple, fields
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import yaml
-
-from homeward.drives.drive import HomeBearing, NonNegative, Strict
-from homeward.drives.text.files import is_there, naming, opened, require_folder
-from homeward.drives.text.settings import read_settings
-from homeward.drives.text.table import (
-    Parser,
-    Table,
-    identifiers,
-    numbers,
-    numbers_or_nothing,
-    read_csv,
-    write_csv,
-)
+from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.errors import InputError
-from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
-from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit
-from homeward.places.route import Node, Route
+from homeward.places.place import Place
+from homeward.places.version import SETTINGS, read_version, write_version
 
-FORMAT = 1
 KEPT = 10
 """So many versions are kept."""
-SETTINGS, LANDMARKS, HOMES, BEARINGS = (
-    "place.yaml",
-    "landmarks.csv",
-    "homes.csv",
-    "home_bearings.csv",
-)
-VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
-ROUTES = "routes.csv"
-DAYS = ("when", "since", "last")
-"""Fields of records that are days since 1970."""
 SCRATCH = ".being-written-"
 CUT_SHORT_S = 3600.0
 """What was begun so long ago nobody writes any more; till then it may be another robot's [s]."""
-FARTHEST = 1e6
-"""No route leads farther [m]."""
-MOST_LANDMARKS = 5000
-"""A covariance of more takes more than a gigabyte."""
-
-
-class PlaceSettings(Strict):
-    """What place.yaml says."""
-
-    format: int
-    name: str
-    landmarks: int
-    homes: int
-    visits: int
-    forgotten_changes: NonNegative
-    """How often landmarks that are forgotten had changed their places ..."""
-    forgotten_days: NonNegative
-    """... and how long they had been watched [days]."""
-    nodes: int = 0
-    """Of all routes together; places of old have none."""
 
 
 def is_place(folder: Path) -> bool:
@@ -109,7 +59,7 @@ def load_place(folder: str | os.PathLike[str], version: int | None = None) -> Pl
     found = _required(path)
     if version is not None and version not in found:
         raise InputError(f"version {version} is not kept; {min(found)} to {max(found)} are", path)
-    return _read(path / _name(version if version is not None else max(found)))
+    return read_version(path / _name(version if version is not None else max(found)))
 
 
 def newest(folder: str | os.PathLike[str]) -> int:
@@ -151,10 +101,13 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
             raise InputError(f"was changed meanwhile: version {number - 1} is newer", path)
         scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=path))
         try:
-            _write(place, scratch)
+            write_version(place, scratch)
             for file in (*scratch.iterdir(), scratch):
                 _sync(file)
-            scratch.rename(path / _name(number))
+            while not _enters(scratch, path / _name(number)):
+                if after is not None:
+                    raise InputError(f"was changed meanwhile: version {number} is newer", path)
+                number += 1
         except BaseException:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
@@ -185,6 +138,17 @@ def undo(folder: str | os.PathLike[str]) -> int:
     return found[-2]
 
 
+def _enters(scratch: Path, version: Path) -> bool:
+    """Rename what was written to its version; return whether nobody else was quicker."""
+    try:
+        scratch.rename(version)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return False
+        raise
+    return True
+
+
 def _name(version: int) -> str:
     return f"{version:04d}"
 
@@ -211,201 +175,3 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _write(place: Place, folder: Path) -> None:
-    """Write the files of a version."""
-    held = place.map
-    told = PlaceSettings(
-        format=FORMAT,
-        name=place.name,
-        landmarks=len(held.names),
-        homes=len(held.homes),
-        visits=len(place.visits),
-        forgotten_changes=place.past[0],
-        forgotten_days=place.past[1],
-        nodes=sum(len(route.nodes) for route in place.routes.values()),
-    )
-    text = yaml.safe_dump(told.model_dump(), sort_keys=False, allow_unicode=True)
-    (folder / SETTINGS).write_text(text, encoding="utf-8")
-    columns = [f.name for f in fields(Standing)]
-    write_csv(
-        folder / LANDMARKS,
-        ["landmark", "x", "y", "sigma", *columns],
-        (
-            [name, *map(repr, (x, y)), f"{sigma:.4f}", *astuple(place.standings[name])]
-            for name, (x, y), sigma in zip(
-                held.names, held.positions.tolist(), held.sigmas.tolist(), strict=True
-            )
-        ),
-    )
-    poses = dict(zip(held.homes, held.poses.tolist(), strict=True))
-    write_csv(
-        folder / HOMES,
-        ["home", "x", "y", "heading", "stored"],
-        ([n, *map(repr, poses[n]), repr(h.stored)] for n, h in place.homes.items()),
-    )
-    write_csv(
-        folder / BEARINGS,
-        ["home", "landmark", "bearing", "sigma"],
-        (
-            [home, name, repr(b.bearing), "" if np.isnan(b.sigma) else repr(b.sigma)]
-            for home, stored in place.homes.items()
-            for name, b in stored.seen.items()
-        ),
-    )
-    for file, kind, rows in ((VISITS, Visit, place.visits), (EVENTS, Event, place.events)):
-        write_csv(folder / file, [f.name for f in fields(kind)], map(astuple, rows))
-    write_csv(
-        folder / ROUTES,
-        ["route", "taught", *(f.name for f in fields(Node))],
-        ([n, repr(r.taught), *astuple(node)] for n, r in place.routes.items() for node in r.nodes),
-    )
-    with (folder / COVARIANCE).open("wb") as out:
-        np.savez_compressed(out, covariance=held.covariance)
-
-
-def _read(folder: Path) -> Place:
-    """Read the files of a version."""
-    told = read_settings(folder / SETTINGS, PlaceSettings)
-    if told.format != FORMAT:
-        raise InputError(
-            f"of format {told.format}; this homeward reads {FORMAT}", folder / SETTINGS
-        )
-    place = {"landmark": identifiers, "x": numbers, "y": numbers}
-    table = read_csv(folder / LANDMARKS, place | _parsers(Standing))
-    table.require_unique("landmark")
-    table.require("stands", (table["stands"] >= 0) & (table["stands"] <= 1), "not a probability")
-    for name in ("watched", "seen", "missed", "moved", "returned"):
-        table.require(name, table[name] >= 0, "less than nothing")
-    homes = read_csv(
-        folder / HOMES,
-        {"home": identifiers, **dict.fromkeys(("x", "y", "heading"), numbers), "stored": _days},
-    )
-    homes.require_rows()
-    homes.require_unique("home")
-    for found, number, file in ((table, told.landmarks, LANDMARKS), (homes, told.homes, HOMES)):
-        if len(found) != number:
-            raise InputError(f"{len(found)} rows where {number} are due", folder / file)
-    names, stored = tuple(table["landmark"].tolist()), tuple(homes["home"].tolist())
-    mean = np.concatenate(
-        [
-            np.column_stack([table["x"], table["y"]]).ravel(),
-            np.column_stack([homes["x"], homes["y"], homes["heading"]]).ravel(),
-        ]
-    )
-    held = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
-    visits, events = (
-        read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
-    )
-    visits.require_rows()
-    return Place(
-        told.name,
-        held,
-        dict(zip(names, _records(table, Standing), strict=True)),
-        _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
-        tuple(_records(visits, Visit)),
-        tuple(_records(events, Event)),
-        (told.forgotten_changes, told.forgotten_days),
-        _routes(folder / ROUTES, told.nodes) if told.nodes else {},
-    )
-
-
-def _parsers(kind: Any) -> dict[str, Parser]:
-    """Return what reads the columns of records."""
-    return {f.name: _parser(f) for f in fields(kind)}
-
-
-def _parser(of: Field[Any]) -> Parser:
-    """Return what reads the column of a record's field."""
-    if of.name in DAYS:
-        return _days
-    if of.default == "":
-        return _identifiers_or_nothing
-    return identifiers if of.type == "str" else numbers
-
-
-def _identifiers_or_nothing(
-    name: str, cells: Sequence[str], rows: Sequence[int], path: Path
-) -> np.ndarray:
-    """Parse ids; an empty cell gives an empty one."""
-    given = [i for i, cell in enumerate(cells) if cell.strip()]
-    values = np.full(len(cells), "", object)
-    values[given] = identifiers(name, [cells[i] for i in given], [rows[i] for i in given], path)
-    return values
-
-
-def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    """Parse days since 1970, of which a date can be made."""
-    values = numbers(name, cells, rows, path)
-    for value, row in zip(values.tolist(), rows, strict=True):
-        if not FIRST_DAY <= value <= LAST_DAY:
-            raise InputError(f"{name} is {value:g}, no day that has a date", path, row)
-    return values
-
-
-def _records(table: Table, kind: Any) -> Iterable[Any]:
-    """Yield the rows of a table as records, whose fields are columns of it."""
-    kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
-    columns = [table[f.name].tolist() for f in fields(kind)]
-    for row in zip(*columns, strict=True):
-        yield kind(*(cast(value) for cast, value in zip(kinds, row, strict=True)))
-
-
-def _routes(path: Path, nodes: int) -> dict[str, Route]:
-    """Return the routes, of so many nodes together."""
-    table = read_csv(path, {"route": identifiers, "taught": _days, **_parsers(Node)})
-    if len(table) != nodes:
-        raise InputError(f"{len(table)} rows where {nodes} are due", path)
-    table.require_angle("heading")
-    for name in ("sigma", "dwell"):
-        table.require(name, table[name] >= 0, "less than nothing")
-    for name in ("x", "y"):
-        table.require(name, np.abs(table[name]) <= FARTHEST, "too far to drive there")
-    columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
-    routes = dict[str, tuple[float, list[Node]]]()
-    for name, when, node in zip(*columns, strict=True):
-        routes.setdefault(name, (when, []))[1].append(node)
-    return {name: Route(when, tuple(nodes)) for name, (when, nodes) in routes.items()}
-
-
-def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
-    """Return the homes with what was seen there."""
-    table = read_csv(
-        path,
-        {"home": identifiers, "landmark": identifiers, "bearing": numbers},
-        {"sigma": numbers_or_nothing},
-    )
-    table.require_angle("bearing")
-    known = np.array([name in stored for name in table["home"]], bool)
-    table.require("home", known, f"which is no home of {HOMES}")
-    homes = {name: StoredHome(when, {}) for name, when in stored.items()}
-    columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))
-    for home, landmark, bearing, sigma in zip(*columns, strict=True):
-        homes[home].seen[landmark] = HomeBearing(bearing, sigma)
-    return homes
-
-
-def _covariance(path: Path, size: int) -> np.ndarray:
-    """Return the covariance of a map with so many coordinates."""
-    damaged = "is damaged: not the covariance of this place"
-    if size > 2 * MOST_LANDMARKS:
-        raise InputError(f"more than {MOST_LANDMARKS:,} landmarks", path)
-    with naming(path, "cannot be read"), opened(path) as stream:
-        try:
-            # What a file says of its own size is believed only as far as it is due.
-            with zipfile.ZipFile(stream) as archive:
-                (entry,) = archive.infolist()
-                if entry.file_size > 8 * size * size + 4096:
-                    raise InputError(damaged, path)
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as arrays:
-                covariance = np.asarray(arrays["covariance"], float)
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError):
-            raise InputError(damaged, path) from None
-    sound = covariance.shape == (size, size) and np.isfinite(covariance).all()
-    if not sound or not np.allclose(covariance, covariance.T):
-        raise InputError(damaged, path)
-    if size and np.linalg.eigvalsh(covariance)[0] < -1e-6 * max(np.abs(covariance).max(), 1e-12):
-        raise InputError(damaged, path)
-    return covariance
