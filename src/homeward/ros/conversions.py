@@ -33,6 +33,9 @@ from homeward.live.messages import (
 )
 from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
 
+JSON = "std_msgs/msg/String"
+"""The type of bearings as JSON."""
+TFS = "tf2_msgs/msg/TFMessage"
 PLANAR = (0, 1, 5)
 """Places of x, y and the turn about z in ROS's covariances of six."""
 FARTHEST_M = 1e4

@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,39 +17,27 @@ from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
-from homeward.drives.cameras.calibration import read_calibration
-from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS, Eye
-from homeward.drives.ros.measurements.camera import from_camera_info
-from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
-from homeward.drives.ros.messages.names import PICTURES
+from homeward.drives.ros.measurements.mount import TF_STATIC
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.drives.text.settings import read_settings, validated
 from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose
 from homeward.live.messages import (
-    Answer,
     BearingsIn,
     BeginRoute,
     Cancel,
-    Command,
     EStop,
     FollowRoute,
     GoHome,
     Input,
-    Landmarks,
     LookRound,
-    MountIs,
-    Output,
     Reset,
     SavePlace,
     StoreHome,
     StoreRoute,
     TurnHome,
-    line_of,
     parse,
 )
 from homeward.live.recording import Recorder
@@ -59,11 +46,11 @@ from homeward.live.settings import LiveSettings
 from homeward.live.visiting import visiting
 from homeward.one_thread import one_thread
 from homeward.ros import conversions as convert
+from homeward.ros.camera import Camera
+from homeward.ros.conversions import JSON, TFS
 from homeward.ros.newest import Newest
+from homeward.ros.publishers import Publishers
 
-JSON = "std_msgs/msg/String"
-"""The type of bearings as JSON."""
-TFS = "tf2_msgs/msg/TFMessage"
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what was said once, before anybody listened."""
 PARAMETERS: dict[str, Any] = {
@@ -93,6 +80,14 @@ PARAMETERS: dict[str, Any] = {
     "autostart": True,
 }
 """With their defaults; docs/do/live.md says what they are."""
+NAMED: dict[str, Any] = {
+    "store_home": StoreHome,
+    "turn_home": TurnHome,
+    "go_home": GoHome,
+    "store_route": StoreRoute,
+    "follow_route": FollowRoute,
+}
+"""What is asked for with a name, by topic."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -106,16 +101,11 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._session: Session | None = None
         self._recorder: Recorder | None = None
         self._parts: list[tuple[Any, Any]] = []
-        self._out: dict[str, Any] = {}
+        self._say = Publishers(self)
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
-        self._camera: Lens | None = None
-        self._eye: Eye | None = None
-        """Of pictures."""
+        self._camera: Camera | None = None
         self._pictures: Newest[BearingsIn] | None = None
-        self._transforms = Transforms()
-        self._awaited: MountFrames | None = None
-        """Whose transform is not there yet; until then bearings are left out."""
         self._stamps = convert.Clock()
         self._map_to_odom: Pose | None = None
         self._complained = ""
@@ -131,43 +121,17 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 robot = read_settings(Path(told("robot")), DriveSettings)
             if told("home"):
                 homes["home"] = read_home(Path(told("home")), {})
-            kinds = (JSON, *READERS, *PICTURES)
-            if told("bearings_type") not in kinds:
-                raise InputError(f"bearings_type: one of {', '.join(kinds)}")
-            convert.message_class(told("bearings_type"))  # not all are there on each robot
-            self._camera = None
-            if told("camera"):
-                file = Path(told("camera"))
-                self._camera = read_calibration(file.parent, file.name)
-            self._eye = None
-            if told("bearings_type") in PICTURES:
-                from homeward.vision.tags.messages import tag_eye  # the extra vision
-
-                self._eye = tag_eye(told("tags"))
-            axes, sigma = told("bearings_axes") or None, told("bearing_sigma") or None
-            self._topic = validated(
-                BearingsTopic,
-                {
-                    "topic": told("bearings_topic"),
-                    "axes": axes,
-                    "sigma": sigma,
-                    "rectified": told("rectified"),
-                },
-            )
+            self._camera = Camera({name: told(name) for name in PARAMETERS})
             place = None
             if told("place_update") and not told("place"):
                 raise InputError("place_update needs a place")
             if told("place"):
                 place = visiting(Path(told("place")), told("place_update"), settings.estimator)
-            if told("camera_frame"):
-                frames = {"camera": told("camera_frame"), "base": told("base_frame")}
-                self._awaited = validated(MountFrames, frames)
-                convert.message_class(TFS)
             if told("record"):
                 self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)
             keep = self._recorder.keep if self._recorder else None
             self._session = Session(settings, robot, homes, keep, place)
-            self._publish()
+            self._say.make()
         except (HomewardError, ImportError) as error:
             missing = "; its ROS package is not installed, or ROS's setup.bash was not sourced"
             self.get_logger().error(f"{error}{missing if isinstance(error, ImportError) else ''}")
@@ -211,55 +175,27 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _told(self, name: str) -> Any:
         return self.get_parameter(name).value
 
-    def _publish(self) -> None:
-        make = self.create_lifecycle_publisher
-        stamped = "Stamped" if self._told("cmd_vel_stamped") else ""
-        topics = {
-            "said": (JSON, "~/said"),
-            "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", "~/pose"),
-            "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics"),
-            "landmarks": ("visualization_msgs/msg/MarkerArray", "~/landmarks"),
-            "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._told("cmd_vel_topic")),
-            "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
-        }
-        self._out = {
-            key: make(convert.message_class(kind), topic, 10)
-            for key, (kind, topic) in topics.items()
-        }
-        try:
-            self._out["tf"] = make(convert.message_class(TFS), "/tf", 10)
-        except ImportError:
-            self.get_logger().warning("no tf2_msgs here: map to odom is on ~/map_to_odom alone")
-
     def _listen(self) -> None:
         """Subscribe, and offer services."""
-        told = self._told
-        kind = told("bearings_type")
-        hear = self._line if kind == JSON else self._bearings
-        if self._eye is not None:
+        told, camera = self._told, self._camera
+        assert camera is not None
+        hear = self._line if camera.kind == JSON else self._bearings
+        if camera.takes_pictures:
             seen = self.create_guard_condition(self._guarded(self._seen))
             self._parts.append((self.destroy_guard_condition, seen))
             self._pictures, hear = Newest(seen.trigger), self._picture
-        topics = [
+        topics: list[tuple[str, str, Callable[[Any], None]]] = [
             ("nav_msgs/msg/Odometry", told("odometry_topic"), self._odometry),
-            (kind, told("bearings_topic"), hear),
+            (camera.kind, told("bearings_topic"), hear),
             ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
             (JSON, "~/request", self._line),
-            (JSON, "~/store_home", lambda m: self._take(validated(StoreHome, {"name": m.data}))),
-            (JSON, "~/turn_home", lambda m: self._take(validated(TurnHome, {"name": m.data}))),
-            (JSON, "~/go_home", lambda m: self._take(validated(GoHome, {"name": m.data}))),
-            (JSON, "~/store_route", lambda m: self._take(validated(StoreRoute, {"name": m.data}))),
-            (
-                JSON,
-                "~/follow_route",
-                lambda m: self._take(validated(FollowRoute, {"name": m.data})),
-            ),
         ]
+        topics += [(JSON, f"~/{topic}", self._named(asked)) for topic, asked in NAMED.items()]
         if told("camera_info_topic"):
-            topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), self._info))
+            topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), camera.info))
         if told("scan_topic"):
             topics.append(("sensor_msgs/msg/LaserScan", told("scan_topic"), self._scan))
-        if self._awaited is not None:
+        if camera.awaits_mount:
             topics.append((TFS, TF_STATIC, self._mount))
         for kind, topic, callback in topics:
             guarded = self._guarded(callback)
@@ -306,6 +242,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
         return serve
 
+    def _named(self, kind: Any) -> Callable[[Any], None]:
+        """Return a callback that asks for something with the name that a message says."""
+        return lambda message: self._take(validated(kind, {"name": message.data}))
+
     def _take(self, message: Input) -> None:
         assert self._session is not None
         self._session.receive(message, time.monotonic())
@@ -316,14 +256,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _mount(self, message: Any) -> None:
         """Hear where the camera sits."""
-        self._transforms.add(0.0, message)
-        if self._awaited is not None:
-            kind = self._told("bearings_type")
-            found = mount(self._transforms, self._awaited, kind, self._topic)
-            if found is not None:
-                sits, self._topic = found
-                self._take(MountIs(**dict(sits)))
-                self._awaited = None
+        assert self._camera is not None
+        sits = self._camera.mount(message)
+        if sits is not None:
+            self._take(sits)
 
     def _bearings(self, message: Any) -> None:
         self._take(self._read(message)())
@@ -341,31 +277,19 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _read(self, message: Any) -> Callable[[], BearingsIn]:
         """Return what reads the bearings in a message, on whatever thread."""
-        self._require_mount()
-        t, kind = self._stamps.seconds(message.header.stamp), self._told("bearings_type")
-        if kind in IN_IMAGE and self._camera is None:
-            raise InputError("bearings are left out: nothing on camera_info_topic, and no camera")
-        return partial(convert.bearings_in, message, t, kind, self._topic, self._camera, self._eye)
-
-    def _require_mount(self) -> None:
-        if self._awaited is not None:
-            mount(self._transforms, self._awaited, self._told("bearings_type"), self._topic)
-            raise InputError(f"bearings are left out: {not_tied(self._awaited)} yet")
+        assert self._camera is not None
+        return self._camera.reader(message, self._stamps.seconds(message.header.stamp))
 
     def _line(self, message: Any) -> None:
         said = parse(message.data)
-        if isinstance(said, BearingsIn):
-            self._require_mount()
+        if isinstance(said, BearingsIn) and self._camera is not None:
+            self._camera.require_mount()
         if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
             said = said.model_copy(update={"t": self._stamps.of_unix(said.t)})
         self._take(said)
 
     def _start(self, message: Any) -> None:
         self._take(convert.start_in(message))
-
-    def _info(self, message: Any) -> None:
-        if self._camera is None:
-            self._camera = from_camera_info(message, self._topic.rectified)
 
     def _scan(self, message: Any) -> None:
         self._take(convert.obstacle_in(message, self._told("scan_half_angle")))
@@ -379,66 +303,27 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                     self._work.wait(0.1)
                     self._work.clear()
                     for said in self._session.process():
-                        self._say(said)
-                        if isinstance(said, Answer) and said.pose is not None:
-                            self._answer(said)
-                        if isinstance(said, Landmarks):
-                            self._mark(said)
+                        self._say.output(said, (self._stamps.epoch or 0) * NANO)
         except Exception as error:
             if self.context.ok():  # else it was shut down, and nobody hears
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
                 raise
-
-    def _say(self, said: Output) -> None:
-        self._out["said"].publish(convert.message_class(JSON)(data=line_of(said).rstrip()))
-
-    def _answer(self, said: Answer) -> None:
-        message = convert.message_class("geometry_msgs/msg/PoseWithCovarianceStamped")()
-        message.header.frame_id = self._told("map_frame")
-        stamp = round(said.t * NANO) + (self._stamps.epoch or 0) * NANO
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANO)
-        convert.fill_pose(message.pose.pose, Pose(*said.pose or (0.0, 0.0, 0.0)))
-        convert.fill_covariance(message.pose, said)
-        self._out["pose"].publish(message)
-
-    def _mark(self, said: Landmarks) -> None:
-        stamp = self.get_clock().now().to_msg()
-        markers = convert.markers_out(said, stamp, self._told("map_frame"))
-        self._out["landmarks"].publish(markers)
 
     def _tick(self) -> None:
         """Say the command, and where the odometry frame lies."""
         assert self._session is not None
         command = self._session.tick(time.monotonic())
         if command is not None:
-            self._drive(command)
+            self._say.command(command)
         # Where there is no pose any more, the last transform is the best there is.
         self._map_to_odom = self._session.localisation.fix.odom or self._map_to_odom
         if self._map_to_odom is not None:
-            stamp = self.get_clock().now().to_msg()
-            frames = self._told("map_frame"), self._told("odom_frame")
-            message = convert.transform(stamp, *frames, self._map_to_odom)
-            self._out["transform"].publish(message)
-            if "tf" in self._out:
-                tf = convert.message_class(TFS)
-                self._out["tf"].publish(tf(transforms=[message]))
-
-    def _drive(self, command: Command) -> None:
-        stamped = self._told("cmd_vel_stamped")
-        message = convert.message_class(f"geometry_msgs/msg/Twist{'Stamped' * stamped}")()
-        if stamped:
-            message.header.stamp = self.get_clock().now().to_msg()
-        twist = message.twist if stamped else message
-        twist.linear.x, twist.angular.z = float(command.v), float(command.omega)
-        self._out["cmd_vel"].publish(message)
-        self._say(command)
+            self._say.transform(self._map_to_odom)
 
     def _tell(self) -> None:
+        """Say how everything is, and ask where the landmarks are."""
         assert self._session is not None
-        stamp = self.get_clock().now().to_msg()
-        said = self._session.diagnostics(time.monotonic())
-        self._out["diagnostics"].publish(convert.diagnostics_out(said, stamp))
-        self._say(said)
+        self._say.diagnostics(self._session.diagnostics(time.monotonic()))
         self._session.ask_landmarks()
         self._work.set()
 
@@ -456,12 +341,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._parts.clear()
 
     def _clean(self) -> None:
-        for publisher in self._out.values():
-            self.destroy_publisher(publisher)
-        self._out = {}
+        self._say.destroy()
         session, self._session, self._map_to_odom = self._session, None, None
-        self._stamps, self._transforms = convert.Clock(), Transforms()
-        self._awaited = None
+        self._stamps, self._camera = convert.Clock(), None
         recorder, self._recorder = self._recorder, None
         ends: list[Callable[[], str | None]] = []
         ends += [] if session is None else [session.localisation.conclude]
