@@ -238,6 +238,13 @@ def test_furnishing_twice_changes_nothing():
     assert furnished(once) == once
 
 
+def test_chance_adds_to_what_is_listed_and_takes_none_of_its_names():
+    listed = {"box 1": {"at": [5, 3], "size": [0.5, 0.5, 0.5]}}
+    hung = {"box 2": {"wall": 0, "along": 1.0}}
+    made = furnished(scenario(boxes=listed, posters=hung, furnish={"boxes": 2}))
+    assert set(made.boxes) == {"box 1", "box 3", "box 4"}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -259,6 +266,8 @@ def test_furnishing_twice_changes_nothing():
         ({"lights": [{"at": [1, 1, 7]}]}, "lights.0"),
         ({"home_light": {"lights": [{"at": [1, 1, 7]}]}}, "home_light.lights.0"),
         ({"sun": SUN | {"wall": 7}}, "sun.wall: the room has 4 walls"),
+        ({"sun": SUN | {"along": 5.8}}, "sun: beyond the wall"),
+        ({"home_light": {"sun": SUN | {"height": 2.4}}}, "home_light.sun: higher than the wall"),
         (
             {
                 "boxes": {"x": {"at": [1, 1], "size": [1, 1, 1]}},

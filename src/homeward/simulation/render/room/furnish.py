@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator
+from itertools import count, islice
 
 import numpy as np
 from shapely import LineString, Point, contains_xy
 
-from homeward.drives.drive import Strict
 from homeward.errors import InputError
 from homeward.frames import Pose, compose
 from homeward.simulation.render.rays.surfaces import footprint
@@ -46,11 +46,12 @@ def furnished(scenario: RenderScenario) -> RenderScenario:
     room = _Room(scenario)
     boxes, posters = dict(scenario.boxes), dict(scenario.posters)
     movers = dict(scenario.movers)
-    for name in _names("box", wanted.boxes, boxes):
+    taken = {*boxes, *posters, *movers}
+    for name in _names("box", wanted.boxes, taken):
         boxes[name] = _box(rng, room, boxes)
-    for name in _names("poster", wanted.posters, posters):
+    for name in _names("poster", wanted.posters, taken):
         posters[name] = _poster(rng, room, posters)
-    for name in _names("mover", wanted.movers, movers):
+    for name in _names("mover", wanted.movers, taken):
         movers[name] = _mover(rng, room)
     _move(rng, room, boxes, scenario)
     return scenario.model_copy(
@@ -98,8 +99,9 @@ class _Room:
         return bool(self.way.distance(Point(at)) > radius + CLEAR)
 
 
-def _names(kind: str, count: int, taken: Mapping[str, Strict]) -> list[str]:
-    return [name for i in range(1, count + 1) if (name := f"{kind} {i}") not in taken]
+def _names(kind: str, number: int, taken: Collection[str]) -> Iterator[str]:
+    """Return so many names that nothing listed has."""
+    return islice((name for i in count(1) if (name := f"{kind} {i}") not in taken), number)
 
 
 def _radius(size: tuple[float, ...]) -> float:

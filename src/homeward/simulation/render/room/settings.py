@@ -10,7 +10,7 @@ from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.simulation.render.room.camera import RoomCamera
-from homeward.simulation.render.room.light import Length, Lighting, Where
+from homeward.simulation.render.room.light import Length, Lighting, Sun, Where
 from homeward.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
 TextureName = Literal[
@@ -173,24 +173,23 @@ class RenderScenario(Course, Lighting):
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"{twice[0]!r} is a name given twice")
         sides = np.hypot(*(np.roll(outline, -1, axis=0) - outline).T)
-        for name, poster in self.posters.items():
-            half_width, half_height = poster.size[0] / 2, poster.size[1] / 2
-            if poster.wall >= len(outline):
-                raise ValueError(f"posters.{name}.wall: the room has {len(outline)} walls")
-            if not half_width <= poster.along <= sides[poster.wall] - half_width:
-                raise ValueError(f"posters.{name}: beyond the wall")
-            if not half_height <= poster.height <= self.room.height - half_height:
-                raise ValueError(f"posters.{name}: higher than the wall, or through the floor")
         for name, mover in self.movers.items():
             if not contains_xy(floor, mover.path).all():
                 raise ValueError(f"movers.{name}: outside the room")
-        times: dict[str, Lighting] = {"": self}
-        if self.home_light is not None:
-            times["home_light."] = self.home_light
+        hung: dict[str, Poster | Sun] = {f"posters.{name}": p for name, p in self.posters.items()}
+        times: dict[str, Lighting] = {"": self, "home_light.": self.light(at_home=True)}
         for key, light in times.items():
             for i, lamp in enumerate(light.lights):
                 if not contains_xy(floor, *lamp.at[:2]) or not 0 < lamp.at[2] < self.room.height:
                     raise ValueError(f"{key}lights.{i}: outside the room")
-            if light.sun is not None and light.sun.wall >= len(outline):
-                raise ValueError(f"{key}sun.wall: the room has {len(outline)} walls")
+            if light.sun is not None:
+                hung[f"{key}sun"] = light.sun
+        for key, on in hung.items():
+            half_width, half_height = on.size[0] / 2, on.size[1] / 2
+            if on.wall >= len(outline):
+                raise ValueError(f"{key}.wall: the room has {len(outline)} walls")
+            if not half_width <= on.along <= sides[on.wall] - half_width:
+                raise ValueError(f"{key}: beyond the wall")
+            if not half_height <= on.height <= self.room.height - half_height:
+                raise ValueError(f"{key}: higher than the wall, or through the floor")
         return self
