@@ -121,11 +121,9 @@ def _things(scene: Scene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
     """Return header and rows of things.csv; places are in room coordinates [m]."""
     rows: list[tuple[object, ...]] = []
     for index, name in enumerate(scene.things):
-        box = scene.scenario.boxes.get(name)
-        if box is None:
-            rows.append((index, name, "", "", "", "", ""))
+        if (box := scene.scenario.boxes.get(name)) is None:
+            rows.append((index, name, *[""] * 5))
         else:
-            old = box.stood
-            stood = ("", "") if old is None else old.at
-            rows.append((index, name, int(old is not None), *box.at, *stood))
+            stood = ("", "") if box.stood is None else box.stood.at
+            rows.append((index, name, int(box.stood is not None), *box.at, *stood))
     return ("index", "thing", "moved", "x", "y", "stood_x", "stood_y"), rows

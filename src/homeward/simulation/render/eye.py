@@ -91,14 +91,8 @@ class Eye:
         # A generator of its own: how a picture is tilted does not hang on its noise.
         shaken = np.random.default_rng([self.scenario.seed, int(Stream.TILT), number])
         roll, pitch = settings.tilt_sigma * shaken.standard_normal(2)
-        return viewpoint(
-            camera.x,
-            camera.y,
-            settings.above_floor,
-            camera.heading,
-            settings.roll + roll,
-            settings.pitch + pitch,
-        )
+        tilt = settings.roll + roll, settings.pitch + pitch
+        return viewpoint(camera.x, camera.y, settings.above_floor, camera.heading, *tilt)
 
     def _chance(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self.scenario.seed, int(Stream.IMAGES), number])

@@ -74,11 +74,6 @@ class ImageLoop:
             self.front_end = FrontEnd(there, camera)
             self._home = self.front_end.all_home_bearings()
 
-    def _as_seen(self, picture: np.ndarray) -> np.ndarray:
-        """Return a picture as the front-end takes it."""
-        eye = self.front_end
-        return eye.camera.panorama(picture) if isinstance(eye, FrontEnd) else picture
-
     @property
     def drive(self) -> Drive:
         """The drive before it begins: home and settings, for making an estimator."""
@@ -111,8 +106,10 @@ class ImageLoop:
             picture = self.eye.look(t, robot, self._taken)
             if keep is not None:
                 keep(t, robot, picture)
+            if isinstance(self.front_end, FrontEnd):
+                picture = self.front_end.camera.panorama(picture)
             if self.front_end is not None:
-                seen = self.front_end.see(self._as_seen(picture))
+                seen = self.front_end.see(picture)
                 if isinstance(sight, VisualHoming) and isinstance(seen, FrameBearings):
                     sight.home(t, seen.home)
                 log.bearings(t, seen.bearings, seen.sigmas)

@@ -21,7 +21,7 @@ from homeward.simulation.render.rays.surfaces import (
 )
 from homeward.simulation.render.room.light import Light, Lighting
 from homeward.simulation.render.room.settings import Mover, RenderScenario
-from homeward.simulation.render.shading.lighting import FAR, Lamp, bake, shine
+from homeward.simulation.render.shading.lighting import FAR, Lamp, light_on
 from homeward.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
 POSTER_GAP = 0.002
@@ -58,7 +58,7 @@ class Scene:
         people = self._people(t, view)
         if people is None:
             return self.still, self.light
-        shone = shine(people, self.lamps, self.ambient)
+        shone = light_on(people, self.lamps, self.ambient)
         return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
 
     def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
@@ -76,17 +76,16 @@ class Scene:
         return None
 
     def _people(self, t: float, view: Viewpoint) -> Surfaces | None:
-        parts: list[Surfaces] = []
-        scenario = self.scenario
-        for name, mover in self.scenario.movers.items():
+        parts, scenario = list[Surfaces](), self.scenario
+        for name, mover in scenario.movers.items():
             x, y, yaw = _aside(place_on_path(mover, t), view)
             width, height = mover.size
-            skin = Skin(self.textures.index(_texture(scenario, mover.texture, name)), 1.0)
-            thing, body = self.things.index(name), 0.86 * height
+            seed, thing, body = _seed(scenario, name), self.things.index(name), 0.86 * height
+            skin = Skin(self.textures.index(Texture(mover.texture, seed)), 1.0)
             size = (0.6 * width, width, body)
-            parts += block((x, y), yaw, size, 0.0, skin, thing, _seed(scenario, name))
+            parts += block((x, y), yaw, size, 0.0, skin, thing, seed)
             head = (0.45 * width, 0.4 * width, height - body)
-            parts += block((x, y), yaw, head, body, skin, thing, _seed(scenario, name) + 1)
+            parts += block((x, y), yaw, head, body, skin, thing, seed + 1)
         return Surfaces.joined(parts) if parts else None
 
 
@@ -99,13 +98,9 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
     parts = [*_walls(scenario, textures), *_posters(scenario, textures, names)]
     parts += [*_tags(scenario, textures, names, at_home)]
     for name, box in scenario.boxes.items():
-        stand = box.where(at_home)
-        skin = Skin(
-            textures.index(_texture(scenario, box.texture, name)), TILES.get(box.texture, 1.0)
-        )
-        parts += block(
-            stand.at, stand.yaw, box.size, box.base, skin, names.index(name), _seed(scenario, name)
-        )
+        stand, seed = box.where(at_home), _seed(scenario, name)
+        skin = Skin(textures.index(Texture(box.texture, seed)), TILES.get(box.texture, 1.0))
+        parts += block(stand.at, stand.yaw, box.size, box.base, skin, names.index(name), seed)
     still = Surfaces.joined(parts)
     light = scenario.light(at_home)
     lamps = _lamps(scenario, light)
@@ -114,7 +109,7 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
         at_home,
         tuple(names),
         still,
-        bake(still, lamps, light.ambient),
+        light_on(still, lamps, light.ambient, casting=still),
         tuple(textures),
         build_atlas(tuple(textures)),
         lamps,
@@ -157,16 +152,12 @@ def _seed(scenario: RenderScenario, name: str) -> int:
     return zlib.crc32(f"{scenario.seed} {scenario.name} {name}".encode())
 
 
-def _texture(scenario: RenderScenario, kind: str, name: str) -> Texture:
-    return Texture(kind, _seed(scenario, name))
-
-
 def _textures(scenario: RenderScenario) -> list[Texture]:
     """Return every texture of the room once."""
     room, seed = scenario.room, scenario.seed
     found = [Texture(kind, seed) for kind in (room.walls, room.floor, room.ceiling)]
     for things in (scenario.boxes, scenario.posters, scenario.movers):
-        found += [_texture(scenario, thing.texture, name) for name, thing in things.items()]
+        found += [Texture(thing.texture, _seed(scenario, n)) for n, thing in things.items()]
     if scenario.tags is not None:
         places = tag_places(scenario, at_home=False)
         found += [tag_texture(scenario.tags.family, tag.number) for tag in places]
@@ -205,17 +196,9 @@ def _posters(scenario: RenderScenario, textures: list[Texture], names: list[str]
         middle = a + poster.along * along + POSTER_GAP * np.array([-along[1], along[0]])
         half = 0.5 * poster.size[0] * along
         bottom = poster.height - poster.size[1] / 2
-        skin = Skin(textures.index(_texture(scenario, poster.texture, name)), None)
-        parts.append(
-            upright(
-                middle + half,
-                middle - half,
-                bottom,
-                bottom + poster.size[1],
-                skin,
-                names.index(name),
-            )
-        )
+        skin = Skin(textures.index(Texture(poster.texture, _seed(scenario, name))), None)
+        edges = middle + half, middle - half, bottom, bottom + poster.size[1]
+        parts.append(upright(*edges, skin, names.index(name)))
     return parts
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.cameras.camera import unit_vectors
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.simulation.render.rays.compiled import compiled
 from homeward.simulation.render.rays.projection import Blocks, project, windows
 from homeward.simulation.render.rays.surfaces import Surfaces
@@ -39,11 +39,9 @@ def viewpoint(
     x: float, y: float, height: float, heading: float, roll: float = 0.0, pitch: float = 0.0
 ) -> Viewpoint:
     """Return the viewpoint of a camera [m, rad]; first rolled about its axis, then pitched down."""
-    (cr, sr), (cp, sp), (ch, sh) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, heading))
-    rolled = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    pitched = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    turned = np.array([[ch, -sh, 0], [sh, ch, 0], [0, 0, 1]])
-    return Viewpoint(np.array([x, y, height]), turned @ pitched @ rolled)
+    c, s = math.cos(heading), math.sin(heading)
+    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return Viewpoint(np.array([x, y, height]), turned @ tilt_matrix(roll, pitch))
 
 
 @dataclass(frozen=True)

@@ -92,20 +92,6 @@ def upright(
     return rectangle(np.array([a[0], a[1], bottom]), along, up, skin, thing)
 
 
-def prism(
-    base: np.ndarray, bottom: float, top: float, skin: Skin, thing: int, seed: int
-) -> list[Surfaces]:
-    """Return the sides of a prism over an anti-clockwise polygon, (m, 2) [m], between two heights.
-
-    Each shows another part of the texture, drawn by a seed.
-    """
-    rng, sides = np.random.default_rng(seed), []
-    for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
-        cover = Skin(skin.texture, skin.tile, tuple(rng.random(2).tolist()))
-        sides.append(upright(a, b, bottom, top, cover, thing))
-    return sides
-
-
 def block(
     centre: tuple[float, float],
     yaw: float,
@@ -117,12 +103,14 @@ def block(
 ) -> list[Surfaces]:
     """Return the six faces of a box that stands on its base, at the height `bottom` [m].
 
-    Its centre is (x, y) [m], its size length, width and height [m], its length at `yaw` [rad];
-    otherwise as `prism`.
+    Its centre is (x, y) [m], its size length, width and height [m], its length at `yaw` [rad]. Each
+    side shows another part of the texture, drawn by a seed.
     """
-    base = footprint(centre, yaw, size[:2])
-    top = bottom + size[2]
-    faces = prism(base, bottom, top, skin, thing, seed)
+    base, top = footprint(centre, yaw, size[:2]), bottom + size[2]
+    rng, faces = np.random.default_rng(seed), []
+    for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
+        cover = Skin(skin.texture, skin.tile, tuple(rng.random(2).tolist()))
+        faces.append(upright(a, b, bottom, top, cover, thing))
     along, across = base[1] - base[0], base[3] - base[0]
     first = np.append(base[0], top)
     faces.append(rectangle(first, np.append(along, 0.0), np.append(across, 0.0), skin, thing))

@@ -110,13 +110,12 @@ def _radius(size: tuple[float, ...]) -> float:
 
 def _apart(at: Place, size: tuple[float, ...], others: dict[str, Box], but: str = "") -> bool:
     """Say whether a box would keep clear of where all others stand and stood."""
-    for name, other in others.items():
-        stands = [other] if other.stood is None or name == but else [other, other.stood]
-        for stand in stands:
-            gap = math.hypot(at[0] - stand.at[0], at[1] - stand.at[1])
-            if gap < _radius(size) + _radius(other.size) + GAP and name != but:
-                return False
-    return True
+    return all(
+        math.dist(at, stand.at) >= _radius(size) + _radius(other.size) + GAP
+        for name, other in others.items()
+        for stand in (other, other.stood or other)
+        if name != but
+    )
 
 
 def _box(rng: np.random.Generator, room: _Room, others: dict[str, Box]) -> Box:
@@ -132,8 +131,8 @@ def _box(rng: np.random.Generator, room: _Room, others: dict[str, Box]) -> Box:
         clear = room.clear_of_way(place, _radius(size)) and room.clear_of_arc(place, _radius(size))
         if fits and clear:
             texture = str(rng.choice(["cardboard", "painted"]))
-            values = [round(v, 3) for v in size]
-            return Box(at=place, yaw=round(yaw, 4), size=tuple(values), texture=texture)
+            size = tuple(round(v, 3) for v in size)
+            return Box(at=place, yaw=round(yaw, 4), size=size, texture=texture)
     raise InputError(f"furnish.boxes: the room has no place for {len(others) + 1} boxes")
 
 
@@ -208,11 +207,9 @@ def _old_place(
         x, y = box.at[0] + way * math.cos(direction), box.at[1] + way * math.sin(direction)
         yaw = box.yaw + rng.normal(0, 0.3)
         place = (round(x, 3), round(y, 3))
-        holds = room.holds(footprint(place, yaw, box.size[:2]))
-        if (
-            holds
-            and _apart(place, box.size, boxes, name)
-            and room.clear_of_way(place, _radius(box.size))
-        ):
+        fits = room.holds(footprint(place, yaw, box.size[:2])) and room.clear_of_way(
+            place, _radius(box.size)
+        )
+        if fits and _apart(place, box.size, boxes, name):
             return Stand(at=place, yaw=round(yaw, 4))
     return None

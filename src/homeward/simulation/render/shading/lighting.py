@@ -36,25 +36,16 @@ class Lamp:
     """The sun's: one rectangle, seen from outside; its light does not fall with the distance."""
 
 
-def bake(surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float) -> np.ndarray:
-    """Return the light on surfaces with the shadows that they cast on each other.
+def light_on(
+    surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None = None
+) -> np.ndarray:
+    """Return the light on surfaces, with the shadows that others, or they themselves, cast.
 
     Returns
     -------
     ndarray, shape (n, g, g), float32
         Rows along `up`, columns along `right`.
     """
-    return _light(surfaces, lamps, ambient, surfaces)
-
-
-def shine(surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float) -> np.ndarray:
-    """Return the light on surfaces as if nothing cast shadows; as `bake`."""
-    return _light(surfaces, lamps, ambient, None)
-
-
-def _light(
-    surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None
-) -> np.ndarray:
     grid = SUN_GRID if any(lamp.window is not None for lamp in lamps) else GRID
     b, a = np.mgrid[0 : 1 : grid * 1j, 0 : 1 : grid * 1j].reshape(2, -1)
     places, normal = surfaces.at(a, b), surfaces.normal

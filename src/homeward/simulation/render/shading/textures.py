@@ -65,15 +65,14 @@ def _tag(family: str, number: int) -> np.ndarray:
     return np.asarray(0.05 + 0.85 * grey[..., None].repeat(3, axis=2) / 255.0, np.float32)
 
 
-def noise(rng: np.random.Generator, slope: float, coarsest: float = 1.0) -> np.ndarray:
+def noise(rng: np.random.Generator, slope: float) -> np.ndarray:
     """Return seamless noise with mean 0 and deviation 1, shape (SIZE, SIZE).
 
-    The amplitude falls with the power `slope` of the frequency; 0 is white. Frequencies below
-    `coarsest` cycles a tile are left out.
+    The amplitude falls with the power `slope` of the frequency; 0 is white.
     """
     f = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)) * SIZE
     f[0, 0] = 1.0
-    gain = np.where(f >= coarsest, f**-slope, 0.0)
+    gain = f**-slope
     gain[0, 0] = 0.0
     field = np.fft.irfft2(gain * np.fft.rfft2(rng.standard_normal((SIZE, SIZE))), (SIZE, SIZE))
     return np.asarray(field / field.std())
