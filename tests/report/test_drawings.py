@@ -1,5 +1,7 @@
 """Figures to look at: labels that collide with nothing and are whole, and what is noted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from figure_faults import faults
@@ -37,6 +39,28 @@ def test_no_label_of_a_map_over_settings_collides_or_is_cut(tmp_path):
     results = made_up_study(tmp_path, 3.0, estimators=entries, grid={})
     (found,) = grids(results)
     assert faults(draw_maps(results, found)) == []
+
+
+def test_two_grids_of_one_estimator_are_two_maps(tmp_path):
+    values = {"parameter_sigma": [0.1, 0.2], "parameter_walk": [0.0, 0.01]}
+    entries = [
+        {"estimator": "a-ekf", "label": label, "settings": {"gate": gate}, "grid": values}
+        for label, gate in (("gated", 0.99), ("open", None))
+    ]
+    results = made_up_study(tmp_path, estimators=["ekf", *entries], grid={})
+    gated, ungated = grids(results)
+    assert [*gated.contenders] == [1, 2, 3, 4]
+    assert [*ungated.contenders] == [5, 6, 7, 8]
+    assert gated.caption != ungated.caption
+
+
+def test_the_mean_nees_of_one_run_may_be_farther_off_than_that_of_many(tmp_path):
+    results = made_up_study(tmp_path)
+    many, *rest = results.plan.cases
+    one = replace(results.plan, cases=(many, *(replace(case, runs=1) for case in rest)))
+    figure = draw_nees(replace(results, plan=one))
+    wide, narrow = (figure.axes[k].patches[0].get_height() for k in (1, 0))
+    assert wide > narrow
 
 
 def test_a_page_explains_the_figures_that_it_has_alone(tmp_path):

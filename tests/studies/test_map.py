@@ -111,6 +111,8 @@ def test_an_a_ekf_is_mapped_with_one_parameter_too(tmp_path):
         ({"map": {"printed.Pi": {"from": 0, "to": 1, "number": 3}}}, "from"),
         ({"filter": "robust"}, "filter"),
         ({"set": {"assumed.nothing": 1}}, "nothing"),
+        ({"set": {"measurements": "images"}}, "measurements"),
+        ({"set": {"printed.sample_time": 1e-9}}, "100,000 bearings in a run"),
         ({"runs": 0}, "runs"),
     ],
 )

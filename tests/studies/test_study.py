@@ -111,6 +111,7 @@ def test_an_axis_may_name_points_that_set_several_keys(tmp_path):
         ({"grid": {"noise.bearing_sigma": []}}, "has no values"),
         ({"grid": {f"noise.{k}": list(range(30)) for k in "abcd"}}, "810,000 scenarios"),
         ({"runs": 1_000_000, "interval": 0.001}, "memory"),
+        ({"interval": 1e-12}, "memory"),
         ({"nuns": 3}, "nuns"),
     ],
 )

@@ -11,14 +11,8 @@ from typing import Any
 import yaml
 
 _PACKAGES = (
-    "homeward",
-    "numpy",
-    "casadi",
-    "gtsam",
-    "pydantic",
-    "matplotlib",
-    "bokeh",
-    "rosbags",
+    *("homeward", "numpy", "scipy", "casadi", "opencv-python-headless", "pydantic"),
+    *("matplotlib", "bokeh", "rosbags"),
 )
 
 

@@ -180,7 +180,7 @@ def draw_nees(results: Results) -> Figure:
             nees = over_time(results, "nees_over_time", i, j, root=False)
             axes.plot(results.plan.times, nees, color=COLOURS[j])
         # Of the mean of N draws from chi-square(3), which has variance 6.
-        half = 1.96 * math.sqrt(6.0 / results.plan.study.runs)
+        half = 1.96 * math.sqrt(6.0 / results.plan.cases[i].runs)
         axes.axhspan(max(CONSISTENT - half, 0.1), CONSISTENT + half, color=RULE, lw=0, zorder=0)
         axes.axhline(CONSISTENT, color=INK, lw=0.8, zorder=0)
         axes.set(yscale="log", ylabel="mean NEES")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from dataclasses import dataclass
 from typing import Any
@@ -49,31 +50,24 @@ class Grid:
     """The settings of one estimator that fill a plane, perhaps several planes."""
 
     name: str
+    caption: str
     estimator: str
     axes: tuple[str, ...]
     """Two or three settings: across, up, and from panel to panel."""
-    contenders: tuple[int, ...]
+    contenders: range
     """Indices of those that fill it."""
-    scenario: int
-
-    @property
-    def caption(self) -> str:
-        """What the figure shows."""
-        return f"{self.estimator} over {', '.join(self.axes)}"
 
 
 def grids(results: Results) -> list[Grid]:
-    """Return the grids of two or three settings, in the first scenario."""
-    found = []
+    """Return the grids of two or three settings; what is drawn is of the first scenario."""
+    found, first = [], 0
     for k, entry in enumerate(results.plan.study.estimators):
-        if 2 <= len(entry.grid) <= 3 and all(len(values) > 1 for values in entry.grid.values()):
-            keys = tuple(entry.grid)
-            members = tuple(
-                j
-                for j, c in enumerate(results.plan.contenders)
-                if c.estimator == entry.estimator and tuple(c.point) == keys
-            )
-            found.append(Grid(f"{k}_{entry.estimator}", entry.estimator, keys, members, 0))
+        sizes, name = [len(values) for values in entry.grid.values()], entry.estimator
+        members = range(first, first + math.prod(sizes))
+        first = members.stop
+        if 2 <= len(sizes) <= 3 and min(sizes) > 1:
+            caption = f"{entry.label or name} over {', '.join(entry.grid)}"
+            found.append(Grid(f"{k}_{name}", caption, name, tuple(entry.grid), members))
     return found
 
 
@@ -91,7 +85,7 @@ def draw_maps(results: Results, grid: Grid) -> Figure:
         figure = new_figure(0.5 + (0.65 + 0.27 * len(up)) * len(shown))
         panels = figure.subplots(len(shown), len(pages), squeeze=False, sharex=True, sharey=True)
         for row, (quantity, words) in zip(panels, shown.items(), strict=True):
-            reference = _reference(results, grid, quantity)
+            reference = _reference(results, quantity)
             for axes, page in zip(row, pages, strict=True):
                 cells = _cells(results, grid, quantity, (across, up), page)
                 _draw_map(axes, cells, quantity, reference, size)
@@ -136,19 +130,19 @@ def _cells(
         point = results.plan.contenders[j].point
         if page is None or point[grid.axes[2]] == page:
             at = up.index(point[grid.axes[1]]), across.index(point[grid.axes[0]])
-            cells[at] = _median(results, quantity, grid.scenario, j)
+            cells[at] = _median(results, quantity, j)
     return cells
 
 
-def _median(results: Results, quantity: str, i: int, j: int) -> float:
-    return float(quantiles(results.run[quantity][i, j])[2])
+def _median(results: Results, quantity: str, j: int) -> float:
+    return float(quantiles(results.run[quantity][0, j])[2])
 
 
-def _reference(results: Results, grid: Grid, quantity: str) -> float:
+def _reference(results: Results, quantity: str) -> float:
     """Return the plain EKF's number, where the study has one."""
     for j, contender in enumerate(results.plan.contenders):
         if contender.estimator == "ekf" and not contender.point:
-            return _median(results, quantity, grid.scenario, j)
+            return _median(results, quantity, j)
     return float("nan")
 
 

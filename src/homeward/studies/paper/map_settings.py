@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -11,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Positive, Strict
+from homeward.drives.text.files import shipped
 from homeward.drives.text.settings import nested, read_tree, validated
 from homeward.errors import InputError
 from homeward.studies.paper.settings import PaperSettings
@@ -76,8 +76,7 @@ class MapSettings(Strict):
 
 def shipped_maps() -> dict[str, Path]:
     """Return the maps that come with homeward, by name."""
-    folder = Path(str(files("homeward").joinpath("data", "maps")))
-    return {file.stem: file for file in sorted(folder.glob("*.yaml"))}
+    return {file.stem: file for file in sorted(shipped("maps").glob("*.yaml"))}
 
 
 def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
@@ -99,7 +98,9 @@ def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
     tree.pop("homeward", None)
     settings = validated(MapSettings, {**tree, **changes}, file)
     try:
-        _ = settings.paper
+        paper = settings.paper
     except InputError as error:
         raise InputError(f"set: {error.what}", file) from None
+    if paper.measurements != "model":
+        raise InputError("set: measurements: those of a map come from the model alone", file)
     return settings

@@ -12,6 +12,8 @@ from homeward.simulation.scenario import ascending
 
 Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]
 """Least and most."""
+MOST_BEARINGS = 100_000
+"""Of a run, samples times landmarks; of more, those of a block would not fit into memory."""
 
 
 class Printed(Strict):
@@ -107,7 +109,13 @@ class PaperSettings(Strict):
     """Of the first of them."""
 
     @model_validator(mode="after")
-    def _at_least_one_sample(self) -> Self:
-        if min(self.assumed.longest, self.assumed.circle_time) < self.printed.sample_time:
+    def _as_many_samples_as_fit(self) -> Self:
+        times, dt, q = self.assumed, self.printed.sample_time, self.printed.landmarks
+        if min(times.longest, times.circle_time) < dt:
             raise ValueError("assumed.longest and circle_time: shorter than printed.sample_time")
+        if max(times.longest, times.circle_time) / dt * q > MOST_BEARINGS:
+            raise ValueError(
+                f"printed.sample_time and landmarks, assumed.longest and circle_time: more than"
+                f" {MOST_BEARINGS:,} bearings in a run"
+            )
         return self

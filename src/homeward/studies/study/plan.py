@@ -112,10 +112,11 @@ def make_plan(study: StudySettings) -> Plan:
         )
     cases = (*_cases(study), *_recordings(study))
     plan = Plan(study, cases, tuple(_contenders(study)))
-    numbers = points * entries * study.runs * plan.times.size
+    longest = max(case.duration for case in cases)
+    numbers = points * entries * study.runs * (longest / study.interval + 1)
     if numbers > MOST_NUMBERS:
         raise InputError(
-            f"{numbers:,} errors over time would not fit into memory: fewer runs, or a longer "
+            f"{numbers:,.0f} errors over time would not fit into memory: fewer runs, or a longer "
             "interval than " + f"{study.interval:g} s"
         )
     _refuse_equal("estimators", [c.label for c in plan.contenders])
