@@ -5,7 +5,7 @@ import csv
 import pytest
 from cli.commands import call, done, first_seconds, refused
 
-from homeward.report.tables import comma_separated, latex, markdown
+from homeward.report.tables import latex, markdown, write_tables
 
 BAD = """
 from homeward.estimator import Counts
@@ -85,13 +85,12 @@ def test_without_truth_the_page_shows_what_each_claims(short, tmp_path):
     assert "claimed sigma" in (out / "estimators.html").read_text()
 
 
-def test_tables_escape_what_their_formats_mean_otherwise():
+def test_tables_escape_what_their_formats_mean_otherwise(tmp_path):
     rows = [["a|b", "c_d"], ["50 %", "x\\y"]]
     assert markdown(rows).splitlines()[0] == "| a\\|b | c_d |"
     assert markdown(rows).splitlines()[1] == "| --- | --: |"
     text = latex(rows)
     assert r"a|b & c\_d \\" in text
     assert r"50 \% & x\textbackslash{}y \\" in text
-    assert comma_separated([["a,b", "n"], ["x", float("nan")], ["y", 0.1]]) == (
-        '"a,b",n\nx,\ny,0.1\n'
-    )
+    write_tables(tmp_path, rows, [["a,b", "n"], ["x", float("nan")], ["y", 0.1]])
+    assert (tmp_path / "table.csv").read_text() == '"a,b",n\nx,\ny,0.1\n'

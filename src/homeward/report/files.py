@@ -56,18 +56,9 @@ def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
     rows = (
         [
             landmark.landmark,
-            *map(
-                number,
-                (
-                    landmark.x,
-                    landmark.y,
-                    landmark.distance,
-                    landmark.sigma_distance,
-                    landmark.home_bearing_stored,
-                    landmark.home_bearing_estimated,
-                    landmark.moved_probability,
-                ),
-            ),
+            *map(number, (landmark.x, landmark.y, landmark.distance, landmark.sigma_distance)),
+            *map(number, (landmark.home_bearing_stored, landmark.home_bearing_estimated)),
+            number(landmark.moved_probability),
             {True: "yes", False: "no", None: ""}[landmark.moved],
             landmark.sightings,
             repr(landmark.moved_at) if math.isfinite(landmark.moved_at) else "",

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from homeward.drives.text.table import write_csv
 from homeward.errors import printable
 
 _LATEX = str.maketrans(
@@ -33,15 +32,6 @@ def latex(rows: Sequence[Sequence[str]], left: int = 1) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def comma_separated(rows: Sequence[Sequence[object]]) -> str:
-    """Return a table as CSV, numbers to the last bit; empty where there is none."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    for row in rows:
-        writer.writerow(["" if _unknown(cell) else cell for cell in row])
-    return out.getvalue()
-
-
 def write_tables(
     folder: Path, rows: Sequence[Sequence[str]], exact: Sequence[Sequence[object]], left: int = 1
 ) -> None:
@@ -58,9 +48,10 @@ def write_tables(
     left : int
         So many columns stand left, the others right.
     """
-    texts = {"md": markdown(rows, left), "tex": latex(rows, left), "csv": comma_separated(exact)}
-    for kind, text in texts.items():
-        (folder / f"table.{kind}").write_text(text, encoding="utf-8")
+    (folder / "table.md").write_text(markdown(rows, left), encoding="utf-8")
+    (folder / "table.tex").write_text(latex(rows, left), encoding="utf-8")
+    known = (["" if _unknown(cell) else cell for cell in row] for row in exact)
+    write_csv(folder / "table.csv", next(known), known)
 
 
 def _unknown(cell: object) -> bool:

@@ -155,7 +155,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
         )
 
 
-def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+def write_csv(path: Path, header: Iterable[object], rows: Iterable[Iterable[object]]) -> None:
     """Write a CSV file as RFC 4180 has it, but with plain line ends."""
     with path.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(_PlainEnds(out))

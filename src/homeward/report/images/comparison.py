@@ -32,7 +32,8 @@ def describe(seen: Comparison) -> str:
         return f"No answer: {seen.acceptance.reason}."
     heading = f"Heading change: {_turn(seen.heading)} +- {_deg(seen.heading_sigma)}."
     if seen.knows_direction:
-        home = f"Home lies {_towards(seen.homewards)} +- {_deg(seen.homewards_sigma)}."
+        home = f"Home lies {_turn(seen.homewards)} of the camera's axis"
+        home += f" +- {_deg(seen.homewards_sigma)}."
     else:
         home = "The direction home is not known: home is too near, or too few features agree."
     text = f"{heading} {home} {seen.acceptance.reason[0].upper()}{seen.acceptance.reason[1:]}."
@@ -41,12 +42,7 @@ def describe(seen: Comparison) -> str:
     return text
 
 
-def write_comparison(
-    directory: Path,
-    seen: Comparison,
-    images: tuple[np.ndarray, np.ndarray],
-    views: tuple[View, View],
-) -> None:
+def write_comparison(directory: Path, seen: Comparison, images: Images, views: Views) -> None:
     """Write comparison.json, matches.csv and comparison.png, all or none.
 
     Of both `images` and `views`, home's comes first.
@@ -172,11 +168,6 @@ def _write_matches(file: Path, seen: Comparison) -> None:
 
 def _turn(angle: float) -> str:
     return f"{abs(math.degrees(angle)):.2f} deg to the {'left' if angle >= 0 else 'right'}"
-
-
-def _towards(angle: float) -> str:
-    size = abs(math.degrees(angle))
-    return f"{size:.2f} deg to the {'left' if angle >= 0 else 'right'} of the camera's axis"
 
 
 def _deg(angle: float) -> str:

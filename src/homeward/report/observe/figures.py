@@ -129,7 +129,7 @@ def draw_drive_view(view: DriveView) -> Figure:
         top.set_aspect("equal")
         middles = np.array([(w.begin + w.end) / 2 for w in view.windows])
         sigmas = np.array([w.position_sigma for w in view.windows])
-        nearest = np.abs(view.t[:, None] - middles).argmin(axis=1)
+        nearest = np.searchsorted((middles[1:] + middles[:-1]) / 2, view.t)
         lines = LineCollection(
             list(np.stack([view.poses[:-1, :2], view.poses[1:, :2]], axis=1)),
             cmap=COLOURS,

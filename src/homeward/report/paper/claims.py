@@ -15,6 +15,7 @@ from homeward.studies.paper.layouts import BOUND, LONG, Outcome, Reading
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed, better_shares
 from homeward.studies.paper.world import CaseName
+from homeward.studies.study.summary import root_mean_square
 
 Readings = Mapping[tuple[CaseName, Reading], Outcome]
 MOST = 0.5
@@ -140,7 +141,7 @@ def _start_claims(study: LayoutStudy) -> list[Claim]:
         bounds, below = {}, 0
         for case in ("2", "4"):
             reading = study.reading(case, initial_error=start)
-            bounds[case] = 100 * _rms(study.bounds[case, reading].of(BOUND)[:, 0])
+            bounds[case] = 100 * root_mean_square(study.bounds[case, reading].of(BOUND)[:, 0])
             below += sum(row[0] < bounds[case] for row in PRINTED[case].values())
         table.append(
             Claim(
@@ -257,10 +258,6 @@ def median(outcome: Outcome, name: str) -> np.ndarray:
 
 def _final(outcome: Outcome, name: str) -> np.ndarray:
     return np.asarray(outcome.final[outcome.names.index(name)])
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _three(values: np.ndarray) -> str:

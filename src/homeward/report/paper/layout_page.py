@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
+from homeward.drives.text.table import write_csv
 from homeward.report.below_bound import below_bound, note_below
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
@@ -49,7 +51,7 @@ def write_layouts(directory: Path, study: LayoutStudy) -> None:
         pictures = [
             drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()
         ]
-        (scratch / DATA).write_text(_every_run(study), encoding="utf-8")
+        write_csv(scratch / DATA, RUNS, _every_run(study))
         (scratch / PAGE).write_text(_page(study, pictures), encoding="utf-8")
 
 
@@ -206,15 +208,15 @@ def _below(study: LayoutStudy) -> dict[str, str]:
     return found
 
 
-def _every_run(study: LayoutStudy) -> str:
-    """Return case, start, filter, layout and RMSE in the paper's units as CSV."""
-    lines = ["case,start,filter,layout,R_cm,theta_rad,alpha_rad,final_distance_m"]
+RUNS = ("case", "start", "filter", "layout", "R_cm", "theta_rad", "alpha_rad", "final_distance_m")
+
+
+def _every_run(study: LayoutStudy) -> Iterator[list[object]]:
+    """Yield `RUNS` of each: errors are RMSE in the paper's units, empty where there are none."""
     for case, start, outcomes in product(STUDIED, study.starts, (study.grid, study.bounds)):
         reading = study.reading(case, initial_error=start)
         outcome, words = outcomes[case, reading], " ".join(f"{v:g}" for v in start)
         for j, name in enumerate(outcome.names):
             for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):
                 values = (*errors, outcome.final_distance[j, k])
-                cells = (f"{v:.6g}" if v == v else "" for v in values)
-                lines.append(f"{case},{words},{name},{k},{','.join(cells)}")
-    return "\n".join(lines) + "\n"
+                yield [case, words, name, k, *(f"{v:.6g}" if v == v else "" for v in values)]

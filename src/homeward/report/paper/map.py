@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm, LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from homeward.drives.text.table import write_csv
 from homeward.report.canvas import new_figure, png, style
 from homeward.report.output import whole_folder
 from homeward.report.palette import BLUE, INK, VERMILLION
@@ -29,8 +29,8 @@ def write_map(directory: Path, results: MapResults) -> None:
     """Write the figure and the table, both or neither; errors as of `whole_folder`."""
     with whole_folder(directory, MARKER) as scratch:
         (scratch / FIGURE).write_bytes(png(draw_map(results)))
-        with (scratch / TABLE).open("w", newline="", encoding="utf-8") as stream:
-            csv.writer(stream).writerows(cells(results))
+        head, *rows = cells(results)
+        write_csv(scratch / TABLE, head, rows)
 
 
 def cells(results: MapResults) -> list[list[object]]:
@@ -72,9 +72,7 @@ def headline(results: MapResults) -> str:
 
 def _share(share: float, runs: int) -> str:
     """Return a share with its 95 % interval (Clopper and Pearson)."""
-    count = round(share * runs)
-    low = float(beta.ppf(0.025, count, runs - count + 1)) if count else 0.0
-    high = float(beta.ppf(0.975, count + 1, runs - count)) if count < runs else 1.0
+    low, high = binomtest(round(share * runs), runs).proportion_ci(method="exact")
     return f"{share:.3g} ({low:.2g} to {high:.2g})"
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import yaml
 from markupsafe import Markup
 
+from homeward.drives.text.table import write_csv
 from homeward.report.canvas import drawn
 from homeward.report.output import whole_folder
 from homeward.report.paper.claims import median, triple, verdict
@@ -39,7 +41,7 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
             drawn(scratch, name, caption, draw())
             for name, (caption, draw) in figures_of(result).items()
         ]
-        (scratch / "rmse.csv").write_text(_every_run(result), encoding="utf-8")
+        write_csv(scratch / "rmse.csv", RUNS, _every_run(result))
         (scratch / PAGE).write_text(_page(result, figures), encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, result.settings.model_dump(mode="json"))
 
@@ -126,12 +128,13 @@ def found(result: Reproduction) -> list[str]:
     return words
 
 
-def _every_run(result: Reproduction) -> str:
-    """Return case, filter, run, faults and RMSE in the paper's units as CSV."""
-    lines = ["case,filter,run,moved,R_cm,theta_rad,alpha_rad,final_distance_m"]
+RUNS = ("case", "filter", "run", "moved", "R_cm", "theta_rad", "alpha_rad", "final_distance_m")
+
+
+def _every_run(result: Reproduction) -> Iterator[list[object]]:
+    """Yield `RUNS` of each: errors are RMSE in the paper's units."""
     for case, outcome in result.outcomes.items():
         for j, name in enumerate(outcome.names):
             for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):
-                values = (outcome.moved[k], *errors, outcome.final_distance[j, k])
-                lines.append(f"{case},{name},{k}," + ",".join(f"{v:.6g}" for v in values))
-    return "\n".join(lines) + "\n"
+                values = (*errors, outcome.final_distance[j, k])
+                yield [case, name, k, outcome.moved[k], *(f"{v:.6g}" for v in values)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from homeward.places.persistence import GONE
-from homeward.places.place import DAY_S, Event, Place, Visit
+from homeward.places.place import DAY_S, Place
 from homeward.report.words import count, listing, name, percent
 
 
@@ -26,7 +26,8 @@ def visit_words(place: Place) -> str:
         )
     parts = [f"{visit.stayed:,} stayed"]
     for what in ("moved", "gone", "returned", "new"):
-        names = [name(e.landmark) for e in events(place, visit, what)]
+        mine = (e for e in place.events if e.visit == visit.number and e.what == what)
+        names = [name(e.landmark) for e in mine]
         if names:
             parts.append(f"{len(names):,} {what} ({listing(names, 8)})")
     return f"{place.name}: of its landmarks {listing(parts)}; it has {visit.of:,} now."
@@ -48,11 +49,6 @@ def forget_words(place: Place) -> str:
     left = [count(len(place.standings), "landmark"), count(len(place.homes), "home")]
     left += [count(len(place.routes), "route")] if place.routes else []
     return f"{place.name}: {listing(left)} are left."
-
-
-def events(place: Place, visit: Visit, what: str) -> list[Event]:
-    """Return the events of one kind in one visit."""
-    return [e for e in place.events if e.visit == visit.number and e.what == what]
 
 
 def info_lines(place: Place) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from markupsafe import Markup
 
+from homeward.drives.text.table import write_csv
 from homeward.report import words
 from homeward.report.canvas import drawn
 from homeward.report.files import number
@@ -45,7 +46,7 @@ def write_plan(directory: Path, view: PlanView) -> None:
             key: drawn(scratch, key, label, figure, vector=True)[1]
             for key, (figure, label) in figures.items()
         }
-        (scratch / "floor.csv").write_text(_floor(view), encoding="utf-8")
+        _write_floor(scratch / "floor.csv", view)
         (scratch / PAGE).write_text(_page(view, drawings), encoding="utf-8")
         (scratch / SETTINGS_FILE).write_text(_settings(view), encoding="utf-8")
 
@@ -91,11 +92,13 @@ def _settings(view: PlanView) -> str:
     return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def _floor(view: PlanView) -> str:
-    """Return the map as CSV: empty where the pose is not told."""
+def _write_floor(file: Path, view: PlanView) -> None:
+    """Write the map as CSV: empty where the pose is not told."""
     columns = np.column_stack([view.floor.points, view.position, view.heading])
-    lines = ["x,y,position_sigma,heading_sigma,landmarks,begins,safe"]
-    for row, k, begins, safe in zip(columns, view.common, view.begins, view.safe, strict=True):
-        numbers = ",".join(number(float(f"{v:.4g}")) for v in row)
-        lines.append(f"{numbers},{k},{'yes' if begins else 'no'},{'yes' if safe else 'no'}")
-    return "\n".join(lines) + "\n"
+    told = (np.where(yes, "yes", "no") for yes in (view.begins, view.safe))
+    rows = zip(columns, view.common, *told, strict=True)
+    write_csv(
+        file,
+        ("x", "y", "position_sigma", "heading_sigma", "landmarks", "begins", "safe"),
+        ([*(number(float(f"{v:.4g}")) for v in row), *words] for row, *words in rows),
+    )

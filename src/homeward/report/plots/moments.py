@@ -10,7 +10,7 @@ import numpy as np
 from homeward.drives.drive import Drive, Sightings
 from homeward.naming import natural
 from homeward.report.palette import STATUS_COLOURS
-from homeward.report.plots.probability import COLOURS, UNJUDGED, colour
+from homeward.report.plots.probability import COLOURS, UNJUDGED, colour, levels
 from homeward.report.words import name
 from homeward.track import Track
 
@@ -128,7 +128,7 @@ def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[lis
     most = min(history.t.size, max(2, MOST_CELLS // len(names)))
     kept = np.unique(np.linspace(0, history.t.size - 1, most).astype(int))
     columns = {name: i for i, name in enumerate(history.landmark)}
-    level = np.round((len(COLOURS) - 1) * history.moved_probability)
+    level = levels(history.moved_probability)
     table = [
         [
             None
@@ -136,9 +136,7 @@ def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[lis
             else [
                 round(float(history.x[k, columns[name]]), 3),
                 round(float(history.y[k, columns[name]]), 3),
-                int(level[k, columns[name]])
-                if math.isfinite(level[k, columns[name]])
-                else UNJUDGED,
+                int(level[k, columns[name]]),
             ]
             for name in names
         ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from homeward.report.palette import BLUE, MOVED, MUTED
 
 LEVELS = 10
@@ -20,6 +22,12 @@ def colour(level: int) -> str:
         for i in (1, 3, 5)
     )
     return "#" + "".join(f"{part:02x}" for part in mixed)
+
+
+def levels(chances: np.ndarray) -> np.ndarray:
+    """Return the level of each probability, or `UNJUDGED` where it is NaN."""
+    judged = np.isfinite(chances)
+    return np.where(judged, np.round(LEVELS * np.nan_to_num(chances)), UNJUDGED).astype(int)
 
 
 COLOURS = [colour(level) for level in range(LEVELS + 1)]

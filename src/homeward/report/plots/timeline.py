@@ -15,7 +15,7 @@ from homeward.naming import natural
 from homeward.report import words
 from homeward.report.palette import INK, MOVED
 from homeward.report.plots.look import THEMED, add_hover, new_plot
-from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+from homeward.report.plots.probability import LEVELS, UNJUDGED, colour, levels
 from homeward.report.plots.thinning import runs, thin_dots
 from homeward.track import Track
 
@@ -62,8 +62,8 @@ def _draw_presence(plot: figure, shown: list[str], track: Track, sightings: Sigh
     for row, landmark in enumerate(shown):
         t = sightings.t[sightings.landmark == landmark] - track.t[0]
         present = np.histogram(t, edges)[0] > 0
-        levels = np.where(present, _levels(track, landmark, edges), -2)
-        for first, last, level in runs(levels.tolist()):
+        shades = np.where(present, _levels(track, landmark, edges), -2)
+        for first, last, level in runs(shades.tolist()):
             if level != -2:
                 columns["row"].append(row)
                 columns["left"].append(float(edges[first]))
@@ -94,10 +94,7 @@ def _levels(track: Track, landmark: str, edges: np.ndarray) -> np.ndarray:
         return np.full(edges.size - 1, UNJUDGED)
     chance = history.moved_probability[:, history.landmark.index(landmark)]
     rows = history.at(edges[1:] + track.t[0])
-    known = np.where(rows >= 0, chance[rows], np.nan)
-    return np.where(np.isfinite(known), np.round(LEVELS * np.nan_to_num(known)), UNJUDGED).astype(
-        int
-    )
+    return levels(np.where(rows >= 0, chance[rows], np.nan))
 
 
 def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:

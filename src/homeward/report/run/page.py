@@ -100,8 +100,8 @@ def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
         rows.append(("time inside its 95 % region", words.percent(a.nees_inside_95_share), "95 %"))
         shares = zip(a.position_inside_sigma_shares, ELLIPSE_SHARES, strict=True)
         for k, (found, expected) in enumerate(shares, start=1):
-            row = f"time inside the {k}-sigma ellipse", words.percent(found), f"{expected:.0%}"
-            rows.append((row[0], row[1], row[2].replace("%", " %")))
+            name = f"time inside the {k}-sigma ellipse"
+            rows.append((name, words.percent(found), f"{100 * expected:.0f} %"))
     if metrics.innovation_inside_95_share is not None:
         share = words.percent(metrics.innovation_inside_95_share)
         rows.append(("sightings inside their 95 % interval", share, "95 %"))

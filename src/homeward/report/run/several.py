@@ -122,15 +122,10 @@ def draw_paths(outcomes: Sequence[Outcome]) -> Figure:
         axes = figure.add_subplot()
         if truth is not None:
             axes.plot(truth.x, truth.y, color=MUTED, lw=2.4)
+            axes.set(xlim=_span(truth.x), ylim=_span(truth.y))
         for j, track in enumerate(tracks):
             axes.plot(track.x, track.y, color=_colour(j), lw=0.9)
         axes.plot(0.0, 0.0, marker="*", ms=11, color=INK, ls="none")
-        if truth is not None:
-            for low, high, span in (
-                (*_span(truth.x), axes.set_xlim),
-                (*_span(truth.y), axes.set_ylim),
-            ):
-                span(low, high)
         axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
         _legend(figure, outcomes, "truth" if truth is not None else "")
         uncrowd(figure)

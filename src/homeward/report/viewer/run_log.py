@@ -10,7 +10,7 @@ from homeward.drives.images import KINDS, Images
 from homeward.frames import Pose, compose
 from homeward.report.palette import BLUE, MOVED, MUTED, STATUS_COLOURS
 from homeward.report.plots.moments import NEW, REJECTED, USED, bearings_at
-from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+from homeward.report.plots.probability import colour, levels
 from homeward.report.plots.thinning import runs
 from homeward.report.viewer.blueprint import TIMELINE
 from homeward.scoring import errors
@@ -141,13 +141,11 @@ def _log_landmarks(stream: rr.RecordingStream, track: Track) -> None:
     if not history.t.size:
         return
     index = [_time(history.t - track.t[0])]
-    placed = np.isfinite(history.x)
-    chance = history.moved_probability
-    levels = np.where(np.isfinite(chance), np.round(LEVELS * np.nan_to_num(chance)), UNJUDGED)
+    placed, chance = np.isfinite(history.x), history.moved_probability
     names = np.broadcast_to(np.array(history.landmark), placed.shape)[placed]
     marks = rr.Points3D.columns(
         positions=flat(history.x[placed], history.y[placed]),
-        colors=rgb([colour(int(level)) for level in levels[placed]]),
+        colors=rgb([colour(level) for level in levels(chance[placed]).tolist()]),
         labels=names.tolist(),
         radii=points(5.0, len(names)),
     )
