@@ -27,7 +27,6 @@ MOST_ROWS = 2000
 MARGIN_M = 0.5
 VIEW_S = 0.5
 """A view is shown for so long [s]."""
-AS_IT_IS = Adjust(do="adjust")
 
 
 class Replay:
@@ -67,12 +66,8 @@ class Replay:
         self._file = "drive.yaml" if log is None else "topics.yaml"
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
         sensor = drive.settings.sensor
-        self._asked = AS_IT_IS.model_copy(
-            update={
-                **sensor.model_dump(include={"x", "y", "yaw", "bearing_sigma"}),
-                "bearings_late": self._late,
-            }
-        )
+        known = sensor.model_dump(include={"x", "y", "yaw", "bearing_sigma"})
+        self._asked = Adjust(do="adjust").model_copy(update={**known, "bearings_late": self._late})
         self._first, self._undo = self._asked, Undo()
         self.version = self._begun = 0
         self._run()
@@ -116,7 +111,7 @@ class Replay:
         """
         match asked:
             case Adjust():
-                if len(set(self._drive.home) - set(asked.moved)) < 1:
+                if self._drive.home.keys() <= set(asked.moved):
                     raise InputError("one home bearing at least must be left")
                 before = self._asked
                 self._change(asked)
@@ -147,8 +142,8 @@ class Replay:
     def _mount_told(self) -> MountFrames | None:
         """Return the log's frames of the mount, unless the camera was put elsewhere."""
         assert self._log is not None
-        place = (self._asked.x, self._asked.y, self._asked.yaw)
-        same = place == (self._first.x, self._first.y, self._first.yaw)
+        now, first = self._asked, self._first
+        same = (now.x, now.y, now.yaw) == (first.x, first.y, first.yaw)
         return self._log.mount if same else None
 
     def _change(self, asked: Adjust) -> None:
@@ -178,29 +173,24 @@ class Replay:
 
     def picture(self) -> dict[str, Any]:
         """Return the whole run, a row a moment."""
-        tracks = [t for t in self._tracks.values() if isinstance(t, Track)]
         first, last = self._drive.span
         number = min(MOST_ROWS, max(2, int((last - first) / 0.1)))
         t = np.linspace(first, last, number)
         adjusted, true = self.adjusted(), self._drive.truth
-        truth = None
-        if true is not None:
-            there = true.at(t)
-            truth = np.stack([there.x, there.y, there.heading], axis=1)
         return {
             "type": "run",
             "t": (t - first).tolist(),
-            "truth": None if truth is None else truth.tolist(),
+            "truth": None if true is None else np.stack(true.at(t), axis=1).tolist(),
             "camera": list(adjusted.settings.sensor.pose),
             "seen": _seen(adjusted, t),
             "rivals": {
                 name: {"failure": track} if isinstance(track, str) else _rows(track, t, true)
                 for name, track in self._tracks.items()
             },
-            "said": self._words(tracks),
+            "said": self._words(),
         }
 
-    def _words(self, tracks: list[Track]) -> str:
+    def _words(self) -> str:
         if self._asked == self._first:
             return f"{self._drive.name}, as it was driven."
         return f"{self._drive.name}, with other settings; {self._file} keeps them."

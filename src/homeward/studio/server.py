@@ -102,12 +102,10 @@ class Studio:
     ----------
     session : Played
         What is shown.
-    token : str, optional
-        That a page must say; None: a new one.
     """
 
-    def __init__(self, session: Played, token: str | None = None) -> None:
-        self._session, self.token = session, token or secrets.token_urlsafe(16)
+    def __init__(self, session: Played) -> None:
+        self._session, self.token = session, secrets.token_urlsafe(16)
         self._pages: set[Page] = set()
         self._asked: deque[tuple[Asked, Page]] = deque(maxlen=MOST_WAITING)
         self._pace = 1.0

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-import numpy as np
-
 from homeward.angles import wrap
 from homeward.errors import InputError
 from homeward.frames import Pose, between, compose
@@ -262,8 +260,8 @@ class Session:
             "extent": self._extent,
             "room": None if scenario.room is None else scenario.room.model_dump(),
             "home": [float(v) for v in world.home],
-            "landmarks": _placed(world.ids, world.places),
-            "stood": _placed(world.ids, world.stood),
+            "landmarks": dict(zip(world.ids, world.places.tolist(), strict=True)),
+            "stood": dict(zip(world.ids, world.stood.tolist(), strict=True)),
             "stored": sorted(self._robot.drive.home),
             "path": [list(point) for point in getattr(scenario.trajectory, "points", ())],
             "settings": scenario.model_dump(include={"noise", "visibility", "sensor"}),
@@ -288,7 +286,3 @@ class Session:
             "rivals": {rival.name: rival.told(home) for rival in self._rivals},
             "said": done or self._said,
         }
-
-
-def _placed(ids: tuple[str, ...], places: np.ndarray) -> dict[str, list[float]]:
-    return {i: [float(x), float(y)] for i, (x, y) in zip(ids, places, strict=True)}

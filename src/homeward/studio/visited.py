@@ -65,7 +65,8 @@ class Visited:
     def _told(self) -> Iterator[dict[str, Any]]:
         """Yield what is drawn and said of each visit."""
         place = self._place
-        here = _rows(place.map.names, place.map.positions)
+        here: dict[str, list[float]]
+        here = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
         known = {e.landmark for e in place.events if e.what == "new"}
         # Events of long ago are not kept: who has none of its coming was always here.
         at, away = {n: xy for n, xy in here.items() if n not in known}, set[str]()
@@ -111,16 +112,11 @@ class Visited:
 
 def _follow(event: Event, at: dict[str, list[float]], away: set[str]) -> None:
     """Take what an event says of where a landmark is, or that it is away."""
-    if event.what == "forgotten":
-        at.pop(event.landmark, None)
-        away.discard(event.landmark)
-        return
     if event.what == "gone":
         away.add(event.landmark)
         return
-    at[event.landmark] = [event.x, event.y]
     away.discard(event.landmark)
-
-
-def _rows(names: tuple[str, ...], places: np.ndarray) -> dict[str, list[float]]:
-    return {n: [float(x), float(y)] for n, (x, y) in zip(names, places, strict=True)}
+    if event.what == "forgotten":
+        at.pop(event.landmark, None)
+    else:
+        at[event.landmark] = [event.x, event.y]
