@@ -203,7 +203,7 @@ def test_a_stopped_reproduction_goes_on_from_its_blocks(tmp_path, monkeypatch):
     words = ["reproduce", "--runs", "2", "--set", "assumed.longest=1", "--out", tmp_path / "paper"]
     done(call(*words))
 
-    def compute(function, arguments):
+    def compute(function, arguments, processes):
         raise AssertionError(f"{len(arguments)} blocks computed again")
 
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)

@@ -161,7 +161,7 @@ def test_shelves_and_walls_hide():
 
 def test_the_first_place_is_the_best_one():
     p = plan(further=1, candidates=[(0, 1), (0, 5), (3, 6), (6, 3), (5, 0)])
-    chosen, candidates = best_places(p, make_floor(p), Arcs(p))
+    chosen, candidates = best_places(p, make_floor(p), Arcs(p), lambda done: None)
     worst = {}
     for c in map(tuple, candidates):
         more = p.model_copy(update={"landmarks": {**p.landmarks, "new": c}})

@@ -35,7 +35,7 @@ def die_always(x):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def in_this_process(function, arguments):
+def in_this_process(function, arguments, processes):
     """Stand in for a pool of processes where a test is not about it."""
     for name, argument in arguments.items():
         yield name, function(argument)

@@ -206,7 +206,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     table = np.genfromtxt(tmp_path / "out" / "layouts.csv", delimiter=",", dtype=str)
     assert len(table) == 1 + 3 * 2 * (4 * len(FILTERS) + 2 * len((ROBUST, BOUND)))
 
-    def compute(function, arguments):
+    def compute(function, arguments, processes):
         raise AssertionError(f"{len(arguments)} blocks computed again")
 
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)

@@ -38,8 +38,8 @@ TRUTH_NEAR_S = 1.0
 """The truth must know the start at least this nearly [s]."""
 
 
-class RunSettings(Strict):
-    """Everything that a run depends on; run.yaml holds it, and a run repeats from it."""
+class DriveChoice(Strict):
+    """A drive, and what its reader has to be told."""
 
     drive: str
     """A path, or `SAMPLE`."""
@@ -48,11 +48,16 @@ class RunSettings(Strict):
     home: tuple[Finite, Finite, Finite] | None = None
     """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
     home_noise_deg: NonNegative = 0.0
-    """For an MRCLAM folder: standard deviation of the home bearings [deg]."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """For an MRCLAM folder: of that noise."""
+    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
     topics: str | None = None
     """For a log: the path of a YAML file that says which topics hold what."""
+
+
+class RunSettings(DriveChoice):
+    """Everything that a run depends on; run.yaml holds it, and a run repeats from it."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    """For an MRCLAM folder: of the noise of the home bearings."""
     home_spin: Span | None = None
     """From when until when the robot turned on the spot at home, in the drive itself [s]."""
     estimator: str = DEFAULT

@@ -63,8 +63,8 @@ class Work:
             return
         if self.where.scheduler is None:
             # Pipes alone: a scheduler of our own would listen to whoever else works on this one.
-            count = () if self.where.workers is None else (self.where.workers,)
-            results: Generator[tuple[str, Arrays]] = on_processes(function, missing, *count)
+            results: Generator[tuple[str, Arrays]]
+            results = on_processes(function, missing, self.where.workers)
         else:
             results = on_cluster(function, missing, self.where.scheduler)
         with closing(results):

@@ -27,7 +27,7 @@ AHEAD = 2
 def on_processes(
     function: Callable[[Argument], Arrays],
     arguments: Mapping[str, Argument],
-    processes: int | None = None,
+    processes: int | None,
 ) -> Generator[tuple[str, Arrays]]:
     """Yield (name, result) of each block as it finishes, computed by a pool of processes.
 
@@ -40,7 +40,7 @@ def on_processes(
         Of a module, so that workers can import it.
     arguments : mapping of name to argument
         What can be pickled.
-    processes : int, optional
+    processes : int or None
         None: as many as there are processors.
 
     Raises

@@ -157,9 +157,10 @@ class Arcs:
         """Return the bound on the last pose, given summed informations (n, d (d + 1) / 2)."""
         size = self.d
         table = [[np.empty(0)] * size for _ in range(size)]
-        by_entry = np.ascontiguousarray(information.T)
-        for k, (i, j) in enumerate(np.argwhere(np.triu(np.ones((size, size)))).tolist()):
-            table[i][j] = by_entry[k]
+        for row, column, entry in zip(
+            *self.upper, np.ascontiguousarray(information.T), strict=True
+        ):
+            table[row][column] = entry
         for i in range(POSE):
             table[i][i] = table[i][i] + 1 / VAGUE**2
         for pivot in reversed(range(POSE, size)):

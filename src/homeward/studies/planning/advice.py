@@ -48,7 +48,7 @@ class _State:
 
 
 def best_places(
-    plan: Plan, floor: Floor, arcs: Arcs, progress: Callable[[float], None] | None = None
+    plan: Plan, floor: Floor, arcs: Arcs, tell: Callable[[float], None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the places for the plan's number of further landmarks that greedy takes.
 
@@ -59,7 +59,6 @@ def best_places(
     candidates : ndarray, shape (c, 2)
         Among which [m].
     """
-    tell = progress or (lambda fraction: None)
     points = floor.points
     places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
     candidates = candidate_places(plan, floor) if plan.further else np.zeros((0, 2))

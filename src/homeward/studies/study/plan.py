@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -179,9 +180,9 @@ def _settings(entry: EstimatorEntry, point: dict[str, Any]) -> Strict:
 
 
 def _refuse_equal(what: str, labels: list[str]) -> None:
-    for label in labels:
-        if labels.count(label) > 1:
-            raise InputError(f"{what}: two are called {label!r}; give one of them a label")
+    label, number = Counter(labels).most_common(1)[0]
+    if number > 1:
+        raise InputError(f"{what}: two are called {label!r}; give one of them a label")
 
 
 def _short(value: Any) -> str:

@@ -11,28 +11,21 @@ import numpy as np
 from pydantic import Field
 
 from homeward.angles import wrap
-from homeward.drives.drive import Drive, Finite, HomeBearing, NonNegative, Strict
+from homeward.drives.drive import Drive, HomeBearing
 from homeward.errors import InputError
 from homeward.simulation.scenario import Interval
-from homeward.studies.single_run import RunSettings, opened
+from homeward.studies.single_run import DriveChoice, RunSettings, opened
 from homeward.studies.study.trial import Trial
 
 
-class Recording(Strict):
-    """A recorded drive with truth; what is drawn is drawn anew in each run, by its seed."""
+class Recording(DriveChoice):
+    """A recorded drive with truth; what is drawn is drawn anew in each run, by its seed.
 
-    drive: str
-    """As `homeward run` takes it; a path may be beside the study's file."""
+    Its path may be beside the study's file.
+    """
+
     label: str | None = None
     """Its name in figures; None: the drive's."""
-    robot: int | None = None
-    """For an MRCLAM folder: which robot."""
-    home: tuple[Finite, Finite, Finite] | None = None
-    """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
-    home_noise_deg: NonNegative = 0.0
-    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
-    topics: str | None = None
-    """For a log: a YAML file that says which topics hold what."""
     falsified: Annotated[int, Field(ge=0)] = 0
     """Home bearings that are made wrong, as if so many landmarks had been moved since."""
     fault: Interval = (0.2, 0.6)
