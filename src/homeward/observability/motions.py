@@ -51,11 +51,11 @@ def make_scene(
     if motion == "towards":
         ahead = compose(START, Pose(2.0 + SPEED * DURATION, 0.0, 0.0))
         marks[0] = ahead.x, ahead.y
-    # The turn rate changes, lest its scale and its bias look the same.
-    turning = np.linspace(0.15, 0.45, STEPS) if motion in ("arc", "circle", "spot") else 0.0
     twists = np.zeros((STEPS, 2))
     twists[:, 0] = 0.0 if motion in ("spot", "still") else SPEED
-    twists[:, 1] = turning
+    if motion in ("arc", "circle", "spot"):
+        # The turn rate changes, lest its scale and its bias look the same.
+        twists[:, 1] = np.linspace(0.15, 0.45, STEPS)
     intervals = np.full(STEPS, DURATION / STEPS)
     home = between(START, Pose(0.0, 0.0, 0.0))
     seen = between(START, Pose(marks[:, 0], marks[:, 1], 0.0))

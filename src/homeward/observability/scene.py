@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
@@ -20,13 +20,7 @@ from homeward.model import INPUTS, POLAR, discretise, unicycle_rates
 from homeward.observability.ranks import Rank, rank
 
 Calibration = Literal["speed-scale", "turn-scale", "turn-bias", "lag", "camera-yaw"]
-CALIBRATIONS: tuple[Calibration, ...] = (
-    "speed-scale",
-    "turn-scale",
-    "turn-bias",
-    "lag",
-    "camera-yaw",
-)
+CALIBRATIONS: tuple[Calibration, ...] = get_args(Calibration)
 """Constants that may be unknown: factors of speed and turn rate [1], bias of the turn rate [rad/s],
 how late bearings are stamped [s], how far the camera is turned on the robot [rad]."""
 UNITS = ("", "", "rad/s", "s", "rad")
@@ -88,9 +82,9 @@ class Scene:
         """Return everything that is measured [rad, and m of distances] for given unknowns."""
         return self._measure(unknowns)[0]
 
-    def jacobian(self, unknowns: np.ndarray | None = None) -> np.ndarray:
-        """Return the derivatives of `outputs`, shape (rows, 3 + 2 q + c)."""
-        return self._measure(self.truth if unknowns is None else unknowns)[1]
+    def jacobian(self) -> np.ndarray:
+        """Return the derivatives of `outputs` at the truth, shape (rows, 3 + 2 q + c)."""
+        return self._measure(self.truth)[1]
 
     def rank(self) -> Rank:
         """Return what can be told; its null space is in the units of the unknowns."""

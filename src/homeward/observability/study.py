@@ -134,6 +134,5 @@ def model_scene(model: ModelRank) -> Scene:
 
 def _title(q: int, motion: Motion, unknown: tuple[Calibration, ...]) -> str:
     text = f"{q} landmark{'' if q == 1 else 's'}, {MOTIONS[motion]}"
-    return text + (
-        f"; unknown: {', '.join(n.replace('-', ' ') for n in unknown)}" if unknown else ""
-    )
+    told = ", ".join(name.replace("-", " ") for name in unknown)
+    return f"{text}; unknown: {told}" if told else text

@@ -76,7 +76,7 @@ def _follow(scene: Scene, direction: np.ndarray) -> list[np.ndarray]:
     """Return members one after the other from the truth, the truth itself left out."""
     worth, size = scene.worth, scene.rank().null.shape[1]
     now, members = scene.truth, []
-    tangents = _split(scene.jacobian(now) * worth, size)[1]
+    tangents = _split(scene.jacobian() * worth, size)[1]
     for _ in range(MEMBERS):
         direction = tangents.T @ (tangents @ direction)
         reach = float(np.abs(direction).max())
