@@ -17,6 +17,11 @@ Outputs = Mapping[str, np.ndarray]
 """Of an update, (q,) each: innovation [rad], innovation_variance [rad^2], accepted (0 or 1)."""
 
 
+def nothing_said(q: int) -> dict[str, np.ndarray]:
+    """Return the `Outputs` of an update that compared no landmark."""
+    return {name: np.zeros(q) for name in ("innovation", "innovation_variance", "accepted")}
+
+
 class Known(NamedTuple):
     """What a belief says of the landmarks; all have shape (q,)."""
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.filters.carrier import LOST_SIGMA, Known, Outputs
+from homeward.filters.carrier import LOST_SIGMA, Known, Outputs, nothing_said
 from homeward.filters.settings import Engine
 from homeward.frames import Pose
 from homeward.model import INPUTS, discretise, home_anchored_bearing, unicycle_rates
@@ -163,9 +163,7 @@ class InvariantFilter:
         self, belief: CartesianBelief, seen: Mapping[int, float], sigmas: Mapping[int, float]
     ) -> tuple[CartesianBelief, Outputs]:
         """Return the belief after one stamp, and what the step said of each landmark."""
-        out = {
-            k: np.zeros(self.stored.size) for k in ("innovation", "innovation_variance", "accepted")
-        }
+        out = nothing_said(self.stored.size)
         if len(seen) < max(self.minimum_visible, 1):
             return belief, out
         rows = np.array(list(seen))

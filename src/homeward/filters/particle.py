@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist, advance
-from homeward.filters.carrier import LOST_SIGMA, Known, Outputs
+from homeward.filters.carrier import LOST_SIGMA, Known, Outputs, nothing_said
 from homeward.filters.invariant import SensorNoise
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, Pose, from_polar
@@ -114,9 +114,8 @@ class ParticleFilter:
         if interval <= 0.0:
             return belief
         density = self.noise.input_density if twist else np.full(2, LOST_SIGMA**2)
-        v, omega = np.array(twist or (0.0, 0.0))[:, None] + np.sqrt(density / interval)[
-            :, None
-        ] * self._normal(belief.draws, 2)
+        noise = np.sqrt(density / interval)[:, None] * self._normal(belief.draws, 2)
+        v, omega = np.array(twist or (0.0, 0.0))[:, None] + noise
         pose = np.stack(advance(Pose(*belief.pose), Twist(v, omega), interval))
         return replace(belief, pose=pose, draws=belief.draws + 1)
 
@@ -124,8 +123,7 @@ class ParticleFilter:
         self, belief: Particles, seen: Mapping[int, float], sigmas: Mapping[int, float]
     ) -> tuple[Particles, Outputs]:
         """Return the belief after one stamp, and what all particles together say of it."""
-        q = self.stored.size
-        out = {k: np.zeros(q) for k in ("innovation", "innovation_variance", "accepted")}
+        out = nothing_said(self.stored.size)
         if len(seen) < max(self.minimum_visible, 1):
             return belief, out
         rows = np.array(list(seen))

@@ -13,6 +13,7 @@ from homeward.angles import wrap
 from homeward.engine.estimators.runner import FilterRunner, Numbers, Tuning
 from homeward.filters.carrier import Known, Outputs
 from homeward.filters.settings import Engine
+from homeward.filters.steps import UPDATE_OUTPUTS
 from homeward.frames import Pose
 from homeward.model import POLAR
 
@@ -109,9 +110,7 @@ class AdaptiveRunner:
         numbers, found = self._runner.update(belief.numbers, seen, sigmas)
         if self._next > LAST_S:
             return Adapted(numbers, None, belief.age), found
-        out = {
-            name: found[name].copy() for name in ("innovation", "innovation_variance", "accepted")
-        }
+        out = {name: found[name].copy() for name in UPDATE_OUTPUTS}
         past = Past(belief.past, 0.0, None, dict(seen), dict(sigmas))
         if belief.age >= self._next:
             numbers = self._identify(list(_in_order(past)))

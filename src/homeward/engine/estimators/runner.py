@@ -80,7 +80,7 @@ def in_steps(interval: float) -> list[float]:
 
 
 class FilterRunner:
-    """Carries beliefs in the paper's state (`homeward.filters.carrier`), and keeps them finite.
+    """A `homeward.filters.carrier.Carrier` of beliefs in the paper's state, kept finite.
 
     So many `steps` are coming, as far as that is known.
     """
@@ -118,17 +118,7 @@ class FilterRunner:
     def predict(
         self, belief: Numbers, interval: float, twist: tuple[float, float] | None
     ) -> Numbers:
-        """Return the belief `interval` [s] later.
-
-        Parameters
-        ----------
-        belief : Numbers
-            Not changed.
-        interval : float
-            [s]; nothing happens unless it is positive.
-        twist : (float, float) or None
-            v [m/s] and omega [rad/s]; None without odometry: it stands, with large noise.
-        """
+        """Return the belief `interval` [s] later; the same unless that is positive."""
         for step in in_steps(interval):
             self._set_step(step, twist)
             self._predict.given[: self._size] = belief.memory
@@ -173,17 +163,7 @@ class FilterRunner:
     def update(
         self, belief: Numbers, seen: Mapping[int, float], sigmas: Mapping[int, float]
     ) -> tuple[Numbers, Mapping[str, np.ndarray]]:
-        """Return the belief after the sightings of one stamp, and what the step said of them.
-
-        Parameters
-        ----------
-        belief : Numbers
-            Not changed.
-        seen : mapping of landmark index to bearing
-            From the robot's heading [rad].
-        sigmas : mapping of landmark index to standard deviation
-            Of those that have one of their own [rad].
-        """
+        """Return the belief after the sightings of one stamp, and what the step said of them."""
         given = self._update.inputs
         self._update.given[: self._size] = belief.memory
         given["mask"][:] = given["bearings"][:] = 0.0

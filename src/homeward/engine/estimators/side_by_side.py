@@ -42,15 +42,12 @@ KEPT = (*BELIEF, *UPDATE_OUTPUTS)
 
 def batch_kind(estimator: object) -> ExtendedKalmanFilter | None:
     """Return what kind of filter an estimator is; None where it does not run side by side."""
-    return _runner(estimator).kind if _runs_side_by_side(estimator) else None
+    if type(estimator) is not OnlineFilter or type(estimator.carrier) is not FilterRunner:
+        return None
+    return estimator.carrier.kind
 
 
-def _runs_side_by_side(estimator: object) -> bool:
-    return type(estimator) is OnlineFilter and type(estimator.carrier) is FilterRunner
-
-
-def _runner(estimator: object) -> FilterRunner:
-    assert isinstance(estimator, OnlineFilter)
+def _runner(estimator: OnlineFilter) -> FilterRunner:
     assert isinstance(estimator.carrier, FilterRunner)
     return estimator.carrier
 
@@ -222,10 +219,8 @@ def _rows(
             return None
         last = np.array([len(way) for way in ways])
         here = np.arange(len(ahead))
-        state[ahead], covariance[ahead] = (
-            found["state"][here, last],
-            found["covariance"][here, last],
-        )
+        state[ahead] = found["state"][here, last]
+        covariance[ahead] = found["covariance"][here, last]
     sound = np.isfinite(kept["state"]).all() and np.isfinite(state).all()
     return (state, covariance) if sound else None
 
