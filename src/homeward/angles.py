@@ -38,7 +38,7 @@ def wrap(angle: Any) -> Any:
     angle : float, ndarray or casadi.SX
         Angle [rad].
     """
-    if type(angle) is float and math.isfinite(angle):  # the same, much quicker
+    if isinstance(angle, float) and math.isfinite(angle):  # the same, much quicker
         return angle - TWO_PI * math.ceil((angle - math.pi) / TWO_PI)
     return angle - TWO_PI * apply("ceil", (angle - math.pi) / TWO_PI)
 

@@ -6,14 +6,13 @@ import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
-from typing import Any
 
 import scipy.linalg  # noqa: F401 (so that its BLAS is there, beside NumPy's, when they are listed)
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import LibController, ThreadpoolController
 
 _LOCK = Lock()
-_HELD: list[Any] = []
-"""The limits of before, once for each block that is not left yet."""
+_HELD: list[dict[LibController, int]] = []
+"""The limits of before where there were more, once for each block that is not left yet."""
 
 
 @contextmanager
@@ -24,17 +23,26 @@ def one_thread() -> Iterator[None]:
     process's: where threads are in such blocks at once, the last one out restores them.
     """
     with _LOCK:
-        _HELD.append(_HELD[0] if _HELD else _libraries().limit(limits=1))
+        _HELD.append(_HELD[0] if _HELD else _hold())
     try:
         yield
     finally:
         with _LOCK:
             before = _HELD.pop()
             if not _HELD:
-                before.restore_original_limits()
+                for blas, threads in before.items():
+                    blas.set_num_threads(threads)
+
+
+def _hold() -> dict[LibController, int]:
+    """Hold those to one thread that use more; return how many they used."""
+    before = {blas: threads for blas in _libraries() if (threads := blas.num_threads or 1) > 1}
+    for blas in before:
+        blas.set_num_threads(1)
+    return before
 
 
 @functools.cache
-def _libraries() -> ThreadpoolController:
+def _libraries() -> list[LibController]:
     """Return the BLAS of NumPy and of SciPy; to look for them takes milliseconds."""
-    return ThreadpoolController().select(user_api="blas")
+    return list(ThreadpoolController().select(user_api="blas").lib_controllers)

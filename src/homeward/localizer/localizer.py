@@ -168,7 +168,7 @@ class Localizer:
         if (twist := self._twists.before(t)) is not None:
             self._sign_check.bearings(t, usable, self._twists.heading(t), twist.v)
         innovations = self._process_due()
-        return dataclasses.replace(self._estimate(t, innovations), t=said)
+        return self._estimate(t, innovations, said)
 
     @guarded
     def estimate(self, t: float) -> Estimate:
@@ -177,7 +177,7 @@ class Localizer:
             return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
         at = self._clock.peek(t)
         now = max(at, self._t) if math.isfinite(at) else self._t
-        return dataclasses.replace(self._estimate(now, ()), t=t)
+        return self._estimate(now, (), t)
 
     @guarded
     @one_thread()
@@ -342,8 +342,10 @@ class Localizer:
             self._chart.begin(t)
         self._t = max(self._t, t)
 
-    def _estimate(self, t: float, innovations: tuple[Innovation, ...]) -> Estimate:
-        """Return the estimate at `t` [s]."""
+    def _estimate(self, t: float, innovations: tuple[Innovation, ...], said: float) -> Estimate:
+        """Return the estimate at `t` [s], which the drive's own clock `said` otherwise."""
         if self.signs_reversed:
-            return Estimate(t, Status.MAPPING, Reason.SIGNS_REVERSED.words, None, None, innovations)
-        return self.chart.estimate(t, innovations, self._reorder.complaint())
+            why = Reason.SIGNS_REVERSED.words
+            return Estimate(said, Status.MAPPING, why, None, None, innovations)
+        found = self.chart.estimate(t, innovations, self._reorder.complaint())
+        return found if t == said else dataclasses.replace(found, t=said)

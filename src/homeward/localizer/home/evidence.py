@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from homeward.angles import TWO_PI, wrap
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, REST, Linear
 from homeward.localizer.home.outliers import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.whitening import Whitened
+
+labels_of, share_of = lru_cache(log_labels), lru_cache(moved_share)
+"""Of numbers that come again and again; their special functions take long."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,11 @@ class Evidence:
     @property
     def others_share(self) -> np.ndarray:
         """(q,): how probable each is to be wrong by how many of the others are."""
-        members, rest = self.of_set.members, self.of_set.rest
-        own = np.zeros(members.size + rest.size)
-        own[members] = 1.0
-        right, wrong = members.size - own, rest.size - (1.0 - own)
-        return moved_share(right, wrong, self.linear.problem.moved_prior)
+        right, wrong = self.of_set.members.size, self.of_set.rest.size
+        prior = self.linear.problem.moved_prior
+        of_set = share_of(right - 1, wrong, prior) if right else 0.0
+        of_rest = share_of(right, wrong - 1, prior) if wrong else 0.0
+        return self._all(np.full(right, of_set), np.full(wrong, of_rest))
 
     @property
     def log_evidence(self) -> float:
@@ -68,7 +71,7 @@ class Evidence:
             square += float(offset @ problem.before @ offset)
         log_density = -0.5 * (square + of_set.log_volume + n * math.log(TWO_PI))
         log_home = 0.5 * (3.0 * math.log(TWO_PI) - self.log_determinant)
-        labels = float(log_labels(n, wrong, problem.moved_prior))
+        labels = float(labels_of(n, wrong, problem.moved_prior))
         outliers = float(log_outlier(*self._outliers).sum()) if wrong else 0.0
         return log_density + log_home + labels + outliers
 

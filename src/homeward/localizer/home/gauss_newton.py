@@ -69,7 +69,9 @@ def solved(
     if of_set is None:
         return None
     information = problem.before + of_set.products[HOME, HOME]
-    slope = of_set.products[HOME, RESIDUAL] + problem.before @ problem.off_prior(linear.at)
+    slope = of_set.products[HOME, RESIDUAL]
+    if problem.prior is not None:
+        slope = slope + problem.before @ problem.off_prior(linear.at)
     _, step, failed = dposv(information, slope)
     if failed or not math.isfinite(step @ step):
         return None

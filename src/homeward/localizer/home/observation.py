@@ -82,7 +82,7 @@ class HomeObservation:
             shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
         return HomeProblem(
             mean=state.mean[columns],
-            covariance=state.covariance[columns[:, None], columns],
+            covariance=state.covariance.take(columns, axis=0).take(columns, axis=1),
             bearings=bearings,
             sigmas=sigmas,
             mount=self.mount + shift,

@@ -57,11 +57,11 @@ class Whitened:
 def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:
     """Whiten a set of inliers (q,), bool; None when its covariance is not positive definite."""
     members, rest, across, asked = _places(inliers.tobytes())
-    rows = linear.columns[members]
-    root, failed = dpotrf(rows[:, across].T, lower=1, clean=0, overwrite_a=1)
+    rows = linear.columns.take(members, axis=0)
+    root, failed = dpotrf(rows.take(across, axis=1).T, lower=1, clean=0, overwrite_a=1)
     if failed:
         return None
-    columns = rows[:, asked]
+    columns = rows.take(asked, axis=1)
     if members.size:
         columns = dtrtrs(root, columns, lower=1)[0]
     return Whitened(members, rest, root, columns, columns.T @ columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri
@@ -40,7 +41,7 @@ class Gated:
     denies_motion: bool
     """Whether those that fit deny the motion since the newest keyframe."""
 
-    @property
+    @cached_property
     def fits(self) -> dict[str, bool]:
         """Whether the bearing of each mapped landmark fits."""
         return {i.landmark: i.accepted for i in self.innovations}
@@ -70,12 +71,12 @@ def gate_bearings(
     sigmas : ndarray, shape (m,)
         Standard deviations of the innovations [rad].
     """
-    shift = motion.covariance[0, 0] + motion.covariance[1, 1]
-    drift = motion.covariance[2, 2] + shift * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
+    (along, _, _), (_, across, _), (_, _, turn) = motion.covariance.tolist()
+    drift = turn + (along + across) * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
     variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
     widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
-    if accepted.sum() >= POSE:
+    if np.count_nonzero(accepted) >= POSE:
         among = prediction.only(accepted)
         by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
@@ -139,9 +140,9 @@ def consistent_subset(
     variances = innovation_covariance.reshape(-1)[:: m + 1]
     variances += FINEST**2 + ROUNDING * variances.max(initial=0.0)
     _data_snooping(kept, residual, innovation_covariance, gate)
-    if kept.sum() >= MAJORITY * m:
+    if np.count_nonzero(kept) >= MAJORITY * m:
         return kept
-    enough = likely.sum() >= max(POSE, 0.5 * m)
+    enough = np.count_nonzero(likely) >= max(POSE, 0.5 * m)
     return likely if enough else np.ones(m, bool)
 
 
@@ -153,7 +154,7 @@ def _data_snooping(
         information = positive_inverse(innovation_covariance)
     except np.linalg.LinAlgError:  # nothing can be told
         return
-    while kept.sum() >= POSE:
+    while np.count_nonzero(kept) >= POSE:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
         worst = int(squares.argmax())
         if not squares[worst] > gate**2:

@@ -76,7 +76,7 @@ class Landmark:
         if not self.sightings:
             self.lines = (direction, 0.0, 0.0)
         first, low, high = self.lines
-        off = wrap(direction - first)
+        off = math.remainder(direction - first, math.tau)
         self.lines = (first, min(low, off), max(high, off))
         self.sightings += 1
 
@@ -141,13 +141,14 @@ class Landmarks:
 
     def keep(self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray) -> None:
         """Take sightings of `t` [s], rows of the table, along directions [rad]."""
+        newest = self.smoother.newest
         for name, row, line in zip(names, rows, directions.tolist(), strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
                 self._candidates.setdefault(name, Candidate(t)).rows.append(row)
             else:
                 landmark.seen_along(line)
-                landmark.last = self.smoother.newest
+                landmark.last = newest
                 if not landmark.refused:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])

@@ -169,7 +169,7 @@ class Map:
         """
         since = Motion.identity() if new_keyframe else motion
         rows, eye, by_head = self._rows(frame, since)
-        known = rows[:, LANDMARK] >= 0
+        (known,) = (rows[:, LANDMARK] >= 0).nonzero()
         bearings, sigmas = frame.bearings[known], frame.sigmas[known]
         index = self.smoother.index(rows[known, LANDMARK])
         seen = self.state.predict_bearings(bearings, sigmas, (eye, by_head), index)
@@ -177,7 +177,7 @@ class Map:
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
         )
-        names = [n for n, k in zip(frame.names, known.tolist(), strict=True) if k]
+        names = [frame.names[i] for i in known.tolist()]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
@@ -281,9 +281,9 @@ class Map:
         """Put what was not rejected of a frame into the window; return which (m,), bool."""
         t, names, stands = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
+        rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
         for i, name in enumerate(names):
             taken = self._taken[name] = self._taken.get(name, 0) + 1
-            rows[i, GAP] = t - self._last_seen.get(name, -math.inf)
             if taken > MOST_PER_KEYFRAME:
                 stands += 1
                 continue
@@ -294,7 +294,7 @@ class Map:
             else:
                 kept[i] = True
         self._counts.reject(Rejection.STANDING, stands)
-        self._counts.used += int(kept.sum())
+        self._counts.used += int(np.count_nonzero(kept))
         if stands == len(names):
             self.smoother.frames.drop_newest()
         mine = rows[kept]

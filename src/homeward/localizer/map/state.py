@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+import statistics
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,19 +34,21 @@ class Prediction:
 
     def only(self, keep: np.ndarray) -> Prediction:
         """Return some of them, marked in `keep`, shape (m,), bool."""
-        if keep.all():
+        (kept,) = keep.nonzero()
+        if kept.size == keep.size:
             return self
         return Prediction(
-            self.residual[keep],
-            self.jacobian[keep],
-            self.correlated[keep],
-            self.innovation_covariance[np.ix_(keep, keep)],
+            self.residual[kept],
+            self.jacobian[kept],
+            self.correlated[kept],
+            self.innovation_covariance.take(kept, axis=0).take(kept, axis=1),
         )
 
     def widened(self, variances: np.ndarray) -> Prediction:
         """Return it with so much more variance in each bearing, shape (m,) [rad^2]."""
-        covariance = self.innovation_covariance + np.diag(variances)
-        return replace(self, innovation_covariance=covariance)
+        covariance = self.innovation_covariance.copy()
+        covariance.flat[:: len(covariance) + 1] += variances
+        return Prediction(self.residual, self.jacobian, self.correlated, covariance)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Marginal:
         """(n, 2), of the landmarks in the odometry frame [m]."""
         return self.mean[HEAD:].reshape(-1, 2)
 
-    @property
+    @cached_property
     def distances(self) -> np.ndarray:
         """(n,), of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
@@ -80,7 +83,7 @@ class Marginal:
     @cached_property
     def scale(self) -> float:
         """Median distance of the landmarks [m]: what is small is small against it; or infinite."""
-        return float(np.median(self.distances)) if self.distances.size else math.inf
+        return float(statistics.median(self.distances.tolist() or [math.inf]))
 
     @property
     def reach(self) -> np.ndarray:
@@ -127,9 +130,11 @@ class Marginal:
         residual, jacobian = bearing_residuals(bearings, *cameras, self.positions[index])
         head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
         p = self.covariance
-        correlated = head @ p[:HEAD] + gx * p[at] + gy * p[at + 1]
-        innovation_covariance = correlated[:, :HEAD] @ head.T + correlated[:, at] * gx.T
-        innovation_covariance += correlated[:, at + 1] * gy.T
+        by_x, by_y = p.take(at, axis=0), p.take(at + 1, axis=0)
+        correlated = head @ p[:HEAD] + gx * by_x + gy * by_y
+        innovation_covariance = correlated[:, :HEAD] @ head.T
+        innovation_covariance += correlated.take(at, axis=1) * gx.T
+        innovation_covariance += correlated.take(at + 1, axis=1) * gy.T
         innovation_covariance.flat[:: len(bearings) + 1] += sigmas**2
         return Prediction(residual, jacobian, correlated, innovation_covariance)
 
