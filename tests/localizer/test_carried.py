@@ -11,7 +11,7 @@ from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Innovation, Status
 from homeward.frames import Pose
 from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
-from homeward.localizer.recovery.scene_change import SceneChangeDetector
+from homeward.localizer.recovery.detectors import SceneChangeDetector
 from homeward.localizer.smoothing import smooth
 
 

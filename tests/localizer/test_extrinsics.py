@@ -66,7 +66,7 @@ def test_a_camera_at_the_centre_is_left_there(seed):
 def test_what_was_told_is_not_doubted():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0, "yaw": 0.3})
     rig.drive(60)
-    assert np.abs(rig.localizer.chart.map.calibration[MOUNT]).max() < 0.02
+    assert np.abs(rig.localizer.chart.map.state.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
     wrong = Extrinsics(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
     assert not wrong.denies(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))

@@ -86,7 +86,7 @@ class Chart:
         """Follow the odometry after a twist of `t` [s] has come."""
         self.odometry.rewind(t)
         if t - self.odometry.done > ADVANCE_S:
-            self.odometry.run_ahead(t, self.map.calibration)
+            self.odometry.run_ahead(t, self.map.state.calibration)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
         """Take all sightings of one stamp; return their innovations.
@@ -102,7 +102,7 @@ class Chart:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
-        motion = self.odometry.advance(seen.t, self.map.calibration)  # 2 preintegration
+        motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
         reset = health is Health.NO_MAP
@@ -154,9 +154,10 @@ class Chart:
         if self.monitor.is_lost:
             words = complaint or self.monitor.reason.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        motion, moved = self.odometry.motion(t, self.map.calibration), None
+        state, moved = self.map.state, None
+        motion = self.odometry.motion(t, state.calibration)
         if motion is not Motion.identity():
-            calibration = self.map.state.covariance[3:HEAD, 3:HEAD]
+            calibration = state.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             moved = motion.delta, drift
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
@@ -169,7 +170,7 @@ class Chart:
         hypotheses = self.home.hypotheses if judge else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
-        observed, calibration = self.home.observation, self.map.calibration
+        observed, calibration = self.home.observation, self.map.state.calibration
         return LandmarkReport(
             observed.given_noise(self.noise),
             observed.yaw(calibration, self.extrinsics.denied),
@@ -256,7 +257,7 @@ class Chart:
         search = self.monitor.search
         way = search.motion_since(motion)
         search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
-        found = search.find(self.map.landmarks, self.map.calibration)
+        found = search.find(self.map.landmarks, self.map.state.calibration)
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))

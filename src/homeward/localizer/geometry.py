@@ -54,8 +54,7 @@ def rotation(heading: float | np.ndarray) -> np.ndarray:
 def lever(shift: np.ndarray) -> np.ndarray:
     """Return the derivative of ``compose(a, b)`` by a, (..., 3, 3).
 
-    Its `shift` (..., 2 or 3) is how far the result lies from a, in the frame of both [m]. By b it
-    is ``rotation(a.heading)``.
+    Its `shift` (..., 2 or 3) is how far the result lies from a, in the frame of both [m].
     """
     matrix = np.zeros((*np.shape(shift)[:-1], 3, 3))
     matrix[..., 0, 0] = matrix[..., 1, 1] = matrix[..., 2, 2] = 1.0
@@ -74,6 +73,12 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     result[..., 0] = a[..., 0] + c * x - s * y
     result[..., 1] = a[..., 1] + s * x + c * y
     return result
+
+
+def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return ``compose(a, b)`` and its derivatives by a and by b, (..., 3, 3) each."""
+    there = compose(a, b)
+    return there, lever(there - a), rotation(a[..., 2])
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

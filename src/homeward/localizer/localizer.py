@@ -116,7 +116,7 @@ class Localizer:
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         noisy += noise.lasting.words(noise.sigma) + self.chart.process_noise.words
-        extrinsics, calibration = self.chart.extrinsics, self.chart.map.calibration
+        extrinsics, calibration = self.chart.extrinsics, self.chart.map.state.calibration
         survey = self.chart.map.registration.survey
         scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes
         return (*scale, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
@@ -193,7 +193,7 @@ class Localizer:
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-        return self.chart.extrinsics.found(self.chart.map.calibration)
+        return self.chart.extrinsics.found(self.chart.map.state.calibration)
 
     @property
     def chart(self) -> Chart:

@@ -202,7 +202,7 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
     moves = (odometry.v != 0) | (odometry.omega != 0)
     speed, turning = np.abs(odometry.v[moves]).mean(), np.abs(odometry.omega[moves]).mean()
     along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]
-    calibration = chart.map.calibration
+    calibration = chart.map.state.calibration
     variances = chart.map.state.calibration_variances
     off = np.sqrt(calibration**2 + variances)
     noise = Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading))

@@ -10,8 +10,12 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.map.gating import Gated, denies_motion, gate_bearings
-from homeward.localizer.map.inflation import inflate_by_odometry
+from homeward.localizer.map.gating import (
+    Gated,
+    denies_motion,
+    gate_bearings,
+    inflate_by_odometry,
+)
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.sightings import (
     GAP,
@@ -108,11 +112,6 @@ class Map:
         return self.smoother.state
 
     @property
-    def calibration(self) -> np.ndarray:
-        """(8,), of odometry and camera, as believed now."""
-        return self.smoother.calibration
-
-    @property
     def scale_variance(self) -> float:
         """Of the map's scale, by slips that nothing shows [1]."""
         uncounted = self._process_noise.uncounted
@@ -120,7 +119,7 @@ class Map:
 
     def camera(self, motion: Motion) -> Motion:
         """Return where the camera is after the robot's motion."""
-        return motion.compose(camera_on_robot(self._mount, self.calibration))
+        return motion.compose(camera_on_robot(self._mount, self.state.calibration))
 
     def as_home_saw(self, names: list[str]) -> np.ndarray:
         """Return the indices in the state of landmarks where home saw them, for all one knows."""
@@ -265,10 +264,10 @@ class Map:
         self, frame: WeighedFrame, motion: Motion
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a frame after a motion since the newest keyframe as rows, and its camera."""
-        smoother, camera = self.smoother, self.camera(motion)
-        rows = sighting_rows(smoother.newest, smoother.frames.next, frame)
+        frames, newest, camera = self.smoother.frames, self.smoother.newest, self.camera(motion)
+        rows = sighting_rows(newest, frames.next, frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        smoother.frames.add(smoother.newest, camera)
+        frames.add(newest, camera)
         return rows, *self.state.after(camera)
 
     def _keep(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import compose, lever, rotation, sight
+from homeward.localizer.geometry import composition, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.motion.preintegration import NC, Motion
@@ -93,11 +93,8 @@ class Frames:
         by_head : ndarray, shape (f, 3, 11)
             By keyframe's pose and calibration.
         """
-        eyes = compose(poses, self.free + self.jacobians @ calibration)
-        by_head = np.empty((len(eyes), 3, 3 + NC))
-        by_head[:, :, :3] = lever(eyes - poses)
-        by_head[:, :, 3:] = rotation(poses[..., 2]) @ self.jacobians
-        return eyes, by_head
+        eyes, by_pose, by_camera = composition(poses, self.free + self.jacobians @ calibration)
+        return eyes, np.concatenate([by_pose, by_camera @ self.jacobians], axis=2)
 
 
 def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray:

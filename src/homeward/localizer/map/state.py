@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import lapack
 
-from homeward.localizer.geometry import compose, lever, rotation
+from homeward.localizer.geometry import composition, rotation
 from homeward.localizer.map.sightings import bearing_residuals
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import CLOSE, GATE
@@ -92,11 +92,9 @@ class Marginal:
 
     def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
-        pose = self.mean[:3]
-        there = compose(pose, motion.free + motion.jacobian @ self.calibration)
-        by_head = np.empty((3, HEAD))
-        by_head[:, :3], by_head[:, 3:] = lever(there - pose), rotation(pose[2]) @ motion.jacobian
-        return there, by_head
+        moved = motion.free + motion.jacobian @ self.calibration
+        there, by_pose, by_motion = composition(self.mean[:3], moved)
+        return there, np.concatenate([by_pose, by_motion @ motion.jacobian], axis=1)
 
     def propagate(self, motion: Motion) -> Marginal:
         """Propagate: move the newest pose on by a motion."""

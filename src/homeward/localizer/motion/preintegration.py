@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.localizer.geometry import between, compose, lever, rotation
+from homeward.localizer.geometry import between, composition
 
 OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
 CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
@@ -66,8 +66,7 @@ class Motion:
         """Return the composition: this motion, then another."""
         if self is Motion.identity() or later is Motion.identity():
             return later if self is Motion.identity() else self
-        delta = compose(self.delta, later.delta)
-        first, second = lever(delta - self.delta), rotation(self.delta[2])
+        delta, first, second = composition(self.delta, later.delta)
         return Motion(
             delta,
             first @ self.covariance @ first.T + second @ later.covariance @ second.T,

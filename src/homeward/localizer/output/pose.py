@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.localizer.geometry import compose, lever, rotation
+from homeward.localizer.geometry import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME
@@ -45,9 +45,7 @@ class PoseEstimate:
         drift : ndarray, shape (3, 3)
             Covariance of the motion in that frame.
         """
-        before = np.array(self.pose)
-        after, turn = compose(before, delta), rotation(before[2])
-        by_pose = lever(after - before)
+        after, by_pose, turn = composition(np.array(self.pose), delta)
         covariance = by_pose @ self.covariance @ by_pose.T + turn @ drift @ turn.T
         return PoseEstimate.of(after, covariance)
 

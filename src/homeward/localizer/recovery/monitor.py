@@ -15,10 +15,10 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.detectors import (
     KidnapDetector,
+    SceneChangeDetector,
     SlipDetector,
     odometry_lost,
 )
-from homeward.localizer.recovery.scene_change import SceneChangeDetector
 from homeward.localizer.recovery.search import Search
 from homeward.localizer.tunables import LINEAR, LOST, MAJORITY, RECENT
 from homeward.reasons import Reason
@@ -103,9 +103,9 @@ class Monitor:
         innovations, motion = gated.innovations, gated.motion
         if self._kidnap.was_kidnapped(innovations):
             return Health.KIDNAPPED
-        place = compose(known.state.mean[:3], motion.delta)
-        positions = known.state.positions
-        if self._scene.has_changed(gated.frame.names, innovations, place, positions):
+        state = known.state
+        place = compose(state.mean[:3], motion.delta)
+        if self._scene.has_changed(gated.frame.names, innovations, place, state.positions):
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 
