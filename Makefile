@@ -36,16 +36,26 @@ test-ros: install
 	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 0 -rs -s tests/ros
 
 # For machines without a compiler, in out/wheel: with the C of vision and of rendered rooms compiled
-# (pure where this one has none, either).
+# (pure where this one has none, either). TARGET=aarch64: for Raspberry Pis and Jetsons, by Zig's.
+ZIG = $$($(BIN)/python -c 'import ziglang; print(ziglang.__path__[0])')/zig
 wheel: install
+	$(if $(TARGET),$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[compiler]')
 	rm -rf out/wheel
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
+	$(if $(TARGET),CC="'$(ZIG)' cc -target $(TARGET)-linux-gnu.2.17") $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
 	if ls out/wheel/built/*-any.whl 2>/dev/null; then cp out/wheel/built/*.whl out/wheel; \
 		else PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair -w out/wheel out/wheel/built/*.whl; fi
+	$(if $(TARGET),ls out/wheel/*$(TARGET).whl)
 
-# In an environment of its own, with an empty PATH.
-test-wheel: wheel
-	HOMEWARD_WHEEL=out/wheel $(BIN)/python -m pytest -n 0 -rs -s tests/test_wheel.py
+# In an environment of its own, with an empty PATH. TARGET=aarch64: on an emulated one, with Debian's
+# Python for it; qemu-user and mmdebstrap of Debian.
+test-wheel: wheel $(TARGET:%=out/python-%)
+	HOMEWARD_WHEEL=out/wheel $(if $(TARGET),HOMEWARD_PYTHON="$(EMULATED)") $(BIN)/python -m pytest -n 0 -rs -s tests/test_wheel.py
+
+THERE = '$(CURDIR)/out/python-$(TARGET)'
+EMULATED = $$(command -v qemu-$(TARGET)) -L $(THERE) $(THERE)/usr/bin/python3
+out/python-aarch64:
+	mmdebstrap --quiet --variant=extract --architectures=arm64 --include=python3-minimal,libpython3-stdlib,libstdc++6 bookworm $@ \
+		|| { rm -rf $@; exit 1; }
 
 lint: install
 	$(BIN)/ruff check .

@@ -1,10 +1,12 @@
 """Builds a wheel: with the C of homeward's packages compiled, where there is a compiler.
 
 Without one, or with HOMEWARD_PURE set, the wheel is pure: what needs the C compiles it when first
-asked for, or goes by NumPy. An editable install is always so.
+asked for, or goes by NumPy. An editable install is always so. A CC that compiles for another
+machine makes that one's wheel.
 """
 
 import os
+import platform
 import sys
 import sysconfig
 import tempfile
@@ -35,13 +37,15 @@ class Prebuilt(BuildHookInterface):
             for package in PROGRAMS:
                 native = f"homeward/{package}/native"
                 library = Path(self._workshop.name, f"{len(compiled)}.so")
-                prebuild(source / native, library)
+                machine = prebuild(source / native, library)
                 compiled[str(library)] = f"{native}/{PREBUILT}"
         except NativeError as error:
             self.app.display_warning(f"a pure wheel: {error}")
             return
-        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-        build_data |= {"pure_python": False, "tag": f"py3-none-{platform}"}
+        own = machine == platform.machine()
+        told = sysconfig.get_platform() if own else f"linux_{machine}"
+        told = told.replace("-", "_").replace(".", "_")
+        build_data |= {"pure_python": False, "tag": f"py3-none-{told}"}
         build_data["force_include"] |= compiled
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -1,13 +1,16 @@
 """The wheel where there is no compiler: the core alone, then with the C that came with it.
 
-`make test-wheel` builds it and sets HOMEWARD_WHEEL.
+`make test-wheel` builds it and sets HOMEWARD_WHEEL; for another machine, also HOMEWARD_PYTHON, the
+command that runs its Python.
 """
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -74,44 +77,64 @@ def wheel():
     return file
 
 
+class Environment(NamedTuple):
+    """A Python, the folder of all its packages, and what pip must know of it."""
+
+    python: list[str]
+    packages: Path
+    kind: list[str]
+
+    def install(self, what):
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        pip += [*self.kind, "-c", "constraints.txt", "--upgrade", "--target", str(self.packages)]
+        done = subprocess.run([*pip, what], cwd=ROOT, capture_output=True)
+        if done.returncode:
+            pytest.skip(f"cannot be installed here: {done.stderr.decode().splitlines()[-1]}")
+
+    def call(self, code, *words, cwd):
+        """Run code that may start no program, and would find none."""
+        env = {"PATH": "", "PYTHONPATH": str(self.packages)}
+        return called(self.python, STARTS_NOTHING + code, *words, cwd=cwd, **env)
+
+
 @pytest.fixture(scope="module")
 def core(wheel, tmp_path_factory):
     """An environment with the wheel's core alone."""
     place = tmp_path_factory.mktemp("environment")
-    subprocess.run([sys.executable, "-m", "venv", str(place)], check=True)
-    install(place / "bin" / "python", str(wheel))
-    return place / "bin" / "python"
+    if "HOMEWARD_PYTHON" in os.environ:
+        python, machine = shlex.split(os.environ["HOMEWARD_PYTHON"]), wheel.stem.rpartition("_")[2]
+        asked = [*python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+        version = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
+        kind = ["--only-binary=:all:", "--python-version", version]
+        kind += [f"--platform=manylinux_2_{minor}_{machine}" for minor in range(17, 37)]
+    else:
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place)], check=True)
+        python, kind = [str(place / "bin" / "python")], []
+    made = Environment(python, place / "packages", kind)
+    made.install(str(wheel))
+    return made
 
 
-def install(python, what):
-    command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    done = subprocess.run([*command, "-c", "constraints.txt", what], cwd=ROOT, capture_output=True)
-    if done.returncode:
-        pytest.skip(f"cannot be installed here: {done.stderr.decode().splitlines()[-1]}")
-
-
-def called(python, code, *words, cwd, path=""):
-    """Run Python where, by default, nothing can be found that could be started."""
-    bare = {"PATH": path, "HOME": str(cwd), "OPENBLAS_NUM_THREADS": "1"}
-    command = [str(python), "-c", code, *words]
+def called(python, code, *words, cwd, **env):
+    """Run code in a Python and a folder."""
+    bare = {"HOME": str(cwd), "OPENBLAS_NUM_THREADS": "1"} | env
+    command = [*python, "-c", code, *words]
     done = subprocess.run(command, cwd=cwd, env=bare, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_the_core_is_small_and_runs_a_drive(core, tmp_path):
-    assert called(core, STARTS_NOTHING + ONLINE, cwd=tmp_path).strip() == "mapping"
-    told = json.loads(called(core, STARTS_NOTHING + RUN, cwd=tmp_path))
+    assert core.call(ONLINE, cwd=tmp_path).strip() == "mapping"
+    told = json.loads(core.call(RUN, cwd=tmp_path))
     assert told["report"] is None
     assert told["metrics"]["position_rmse_m"] < 0.1
     assert (tmp_path / "out" / "sample" / "estimate.csv").exists()
     sizes = {}
-    for file in core.parent.parent.glob("lib/python*/site-packages/*/**/*"):
+    for file in core.packages.glob("*/**/*"):
         if file.is_file():
-            package = file.relative_to(core.parent.parent).parts[3].partition(".")[0]
+            package = file.relative_to(core.packages).parts[0].partition(".")[0]
             sizes[package] = sizes.get(package, 0.0) + file.stat().st_size / 1e6
-    for brought in ("pip", "setuptools", "pkg_resources"):  # by the environment itself
-        sizes.pop(brought, None)
     told = ", ".join(f"{n} {s:.1f}" for n, s in sorted(sizes.items(), key=lambda e: -e[1])[:9])
     print(f"\nthe core takes {sum(sizes.values()):.0f} MB: {told}, ...")
     assert sum(sizes.values()) < LARGEST_MB
@@ -120,10 +143,11 @@ def test_the_core_is_small_and_runs_a_drive(core, tmp_path):
 def test_what_came_compiled_answers_as_what_is_compiled_here(wheel, core, tmp_path):
     if wheel.name.endswith("-any.whl"):
         pytest.skip("no C compiler: the wheel is pure")
-    install(core, f"{wheel}[vision]")
-    called(core, STARTS_NOTHING + LOOK, "wheel.npz", cwd=tmp_path)
+    core.install(f"{wheel}[vision]")
+    core.call(LOOK, "wheel.npz", cwd=tmp_path)
     assert not (tmp_path / ".cache").exists()  # nothing was compiled
-    called(sys.executable, "import sys" + LOOK, "here.npz", cwd=tmp_path, path=os.environ["PATH"])
+    here = [sys.executable], "import sys" + LOOK, "here.npz"
+    called(*here, cwd=tmp_path, PATH=os.environ["PATH"])
     came, made = np.load(tmp_path / "wheel.npz"), np.load(tmp_path / "here.npz")
     assert all(str(file).endswith("native/prebuilt.so") for file in came["files"])
     assert all(".cache" in str(file) for file in made["files"])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -276,6 +277,32 @@ def test_where_the_system_has_no_compiler_a_package_may_bring_one(cache, tmp_pat
     assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
 
 
+@pytest.fixture
+def zig():
+    """Zig's compiler, as the extra `compiler` brings it."""
+    if (package := find_spec("ziglang")) is None:
+        pytest.skip("no ziglang: pip install the extra compiler")
+    return Path(package.origin).with_name("zig")
+
+
+@pytest.mark.slow
+def test_zigs_compiler_needs_nothing_of_the_system(zig, cache, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert find_compiler().command == (str(zig), "cc")
+    assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
+
+
+@pytest.mark.slow
+def test_a_wheel_may_be_of_another_machine(zig, cache, tmp_path, monkeypatch):
+    other = "aarch64" if platform.machine() == "x86_64" else "x86_64"
+    (tmp_path / "nothing.c").touch()
+    monkeypatch.setenv("CC", f"{zig} cc -target {other}-linux-gnu.2.17")
+    assert library.prebuild(tmp_path, tmp_path / "made.so") == other
+    with pytest.raises(NativeError):  # nothing that is to run here
+        answer(toy())
+
+
 def test_without_a_compiler_the_interpreter_runs_and_says_so(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
@@ -354,14 +381,13 @@ def test_what_a_wheel_brought_is_taken_unless_it_is_damaged(damaged, cache, tmp_
     native = tmp_path / package / "native"
     native.mkdir(parents=True)
     (native.parent / "__init__.py").touch()
-    (native / "first.h").write_text("int homeward_lanes(void) { return 1; }\n")
+    (native / "first.h").write_text("#define TIMES 2\n")
     (native / "twice.c").write_text(
-        "#ifndef EACH_PROCESSOR\n#define EACH_PROCESSOR\n#endif\n"
         "EACH_PROCESSOR int twice(long n, double *x) {\n"
-        "  for (long i = 0; i < n; i++) x[i] *= 2;\n  return 0;\n}\n"
+        "  for (long i = 0; i < n; i++) x[i] *= TIMES;\n  return 0;\n}\n"
     )
     brought = native / library.PREBUILT
-    library.prebuild(native, brought)
+    assert library.prebuild(native, brought) == platform.machine()
     if damaged:
         brought.write_bytes(b"\x7fELF, and no more")
     monkeypatch.syspath_prepend(tmp_path)

@@ -28,6 +28,8 @@ FLAGS = (
     *("-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
 )
 """No -ffast-math: NaN and infinity mean something here."""
+PORTABLE_FLAGS = (*FLAGS, "-DFOR_ALL_PROCESSORS")
+"""For all processors of a kind, as a wheel serves them; see program.h."""
 
 
 class NativeError(HomewardError):
@@ -114,18 +116,6 @@ def flags() -> tuple[str, ...]:
     """Return the compiler's flags for this machine's own processor."""
     arm = platform.machine().lower() in ("aarch64", "arm64")
     return (*FLAGS, "-mcpu=native" if arm else "-march=native")
-
-
-def portable_flags() -> tuple[str, ...]:
-    """Return the flags for all processors of this kind.
-
-    Functions that are marked EACH_PROCESSOR come out once for each level of x86-64, and the loader
-    takes the one of the processor that it finds.
-    """
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return FLAGS
-    levels = ",".join(f'"{level}"' for level in ("arch=x86-64-v4", "arch=x86-64-v3", "default"))
-    return (*FLAGS, f"-DEACH_PROCESSOR=__attribute__((target_clones({levels}),flatten))")
 
 
 @lru_cache(maxsize=1)

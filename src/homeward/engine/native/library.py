@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import platform
 import shutil
 import subprocess
 import sys
@@ -12,12 +13,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from homeward.engine.native.cache import Cache, default_folder, key_of
-from homeward.engine.native.compiler import Compiler, NativeError, find_compiler, portable_flags
+from homeward.engine.native.compiler import PORTABLE_FLAGS, Compiler, NativeError, find_compiler
 
 PROOF_S = 60.0
 """A fresh library must load and answer in a process of its own within this time [s]."""
 PREBUILT = "prebuilt.so"
 """What a wheel brings beside the sources of a program."""
+ELF_MACHINES = {62: "x86_64", 183: "aarch64"}
+"""What the header of a Linux library calls the machines that wheels are built for."""
 _PROOF = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
 
 
@@ -49,13 +52,20 @@ def is_kept(source: str) -> bool:
 
 
 def source_in(folder: Path) -> str:
-    """Return the C of a folder as one text: headers, then programs, by their names."""
-    files = [*sorted(folder.glob("*.h")), *sorted(folder.glob("*.c"))]
+    """Return the C of a folder as one text: program.h, its headers, its programs, by name."""
+    common = Path(__file__).with_name("program.h")
+    files = [common, *sorted(folder.glob("*.h")), *sorted(folder.glob("*.c"))]
     return "\n".join(file.read_text(encoding="utf-8") for file in files)
 
 
-def prebuild(folder: Path, library: Path) -> None:
-    """Compile the C of a folder for all processors of this kind, as a wheel brings it.
+def prebuild(folder: Path, library: Path) -> str:
+    """Compile the C of a folder for all processors of a kind, as a wheel brings it.
+
+    Returns
+    -------
+    machine : str
+        Which kind that is: another than this machine's where the compiler is for another, and
+        then nothing has shown that the library can be loaded.
 
     Raises
     ------
@@ -63,8 +73,12 @@ def prebuild(folder: Path, library: Path) -> None:
         When there is no compiler, or it fails.
     """
     with tempfile.TemporaryDirectory() as workshop:
-        made = _compiled(source_in(folder), find_compiler(), Path(workshop), portable_flags())
+        source, compiler = source_in(folder), find_compiler()
+        made = _unproved(source, compiler, Path(workshop), PORTABLE_FLAGS)
+        if (machine := _machine(made)) == platform.machine():
+            _prove(made, compiler)
         shutil.copyfile(made, library)
+    return machine
 
 
 def prebuilt(folder: Path) -> Library | None:
@@ -114,13 +128,30 @@ def _unkept(source: str, compiler: Compiler, problem: str) -> Library:
         raise NativeError(f"no folder to compile in: {error.strerror}") from None
 
 
-def _compiled(
+def _compiled(source: str, compiler: Compiler, workshop: Path) -> Path:
+    library = _unproved(source, compiler, workshop)
+    _prove(library, compiler)
+    return library
+
+
+def _unproved(
     source: str, compiler: Compiler, workshop: Path, flags: tuple[str, ...] | None = None
 ) -> Path:
-    """Compile, and prove in another process that the result can be loaded at all."""
     text, library = workshop / "program.c", workshop / "program.so"
     text.write_text(source, encoding="utf-8")
     compiler.compile(text, library, flags)
+    return library
+
+
+def _machine(library: Path) -> str:
+    """Return for which kind of machine a library is; this one's if its header does not tell."""
+    header = library.read_bytes()[:20]
+    told = int.from_bytes(header[18:], "little") if header.startswith(b"\x7fELF") else 0
+    return ELF_MACHINES.get(told, platform.machine())
+
+
+def _prove(library: Path, compiler: Compiler) -> None:
+    """Prove in another process that a library can be loaded at all."""
     try:
         proof = subprocess.run(
             [sys.executable, "-I", "-S", "-c", _PROOF, str(library)],
@@ -132,7 +163,6 @@ def _compiled(
         raise NativeError(f"what {compiler.command[0]} made cannot be loaded") from None
     if proof.returncode != 0 or not proof.stdout.strip().isdigit():
         raise NativeError(f"what {compiler.command[0]} made cannot be loaded")
-    return library
 
 
 def _opened(file: Path, notes: tuple[str, ...]) -> Library:

@@ -6,14 +6,6 @@
 #include <stdint.h>
 #include <string.h>
 
-/* What comes before a function that wheels hold once for each kind of processor. */
-#ifndef EACH_PROCESSOR
-#define EACH_PROCESSOR
-#endif
-
-/* Runs side by side: one. It is what a library is asked to prove that it can be loaded. */
-int homeward_lanes(void) { return 1; }
-
 static double clipped(double value, double least, double most) {
   return value > least ? (value < most ? value : most) : least; /* NaN: the least */
 }

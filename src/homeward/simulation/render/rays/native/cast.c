@@ -2,16 +2,8 @@
 
 #include <stdint.h>
 
-/* What comes before a function that wheels hold once for each kind of processor. */
-#ifndef EACH_PROCESSOR
-#define EACH_PROCESSOR
-#endif
-
 #define TILES 6  /* limits of a rectangle: shift, least and greatest tile coordinates */
 #define WINDOW 5 /* rectangle, rows from and to, columns from and to */
-
-/* Runs side by side: one. It is what a library is asked to prove that it can be loaded. */
-int homeward_lanes(void) { return 1; }
 
 /* Keep of one row's hits (n) on a rectangle those that are nearer than what was met before.
  * Not inlined: compilers then still know that rows do not overlap, and take several rays at once. */
