@@ -36,7 +36,7 @@ class Rejection(_Words):
     LATE_BEARINGS = "bearings came late"
     LATE_PICTURE = "home's picture came late"
     NO_ODOMETRY = "no odometry yet"
-    VAGUE_ODOMETRY = "odometry since the keyframe is too uncertain"
+    VAGUE_ODOMETRY = "seen between keyframes, where the way is too uncertain to learn from it"
     NO_HOME_BEARING = "landmark has no home bearing"
     TOO_FEW = "too few landmarks in sight"
     STANDING = "the robot stands and saw this before"
