@@ -3,7 +3,7 @@
 from functools import partial
 
 from homeward.control import Twist
-from homeward.live.messages import Departure, StoreRoute
+from homeward.live.messages import Departure, Event, StoreRoute
 from homeward.live.player import Player
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
@@ -69,3 +69,16 @@ class Rig:
 
 def driving(rig):
     return rig.state == "driving" and rig.commands[-1][1].v > 0.1
+
+
+def texts(rig):
+    return [said.text for said in rig.answers if isinstance(said, Event)]
+
+
+def asked(rig, *messages):
+    """What is said to messages, in words."""
+    before = len(texts(rig))
+    for message in messages:
+        rig.session.receive(message, rig.robot.t)
+    rig.step()
+    return "; ".join(texts(rig)[before:])

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from live_rig import Rig, driving
+from live_rig import Rig, asked, driving, texts
 from typer.testing import CliRunner
 
 from homeward import make_estimator, open_drive, run
@@ -17,7 +17,6 @@ from homeward.estimator import Status
 from homeward.live.messages import (
     Answer,
     BearingsIn,
-    Event,
     GoHome,
     MountIs,
     Reset,
@@ -50,19 +49,6 @@ def hall(tmp_path_factory):
 def place(hall, tmp_path):
     """A copy of it."""
     return shutil.copytree(hall, tmp_path / "hall")
-
-
-def texts(rig):
-    return [said.text for said in rig.answers if isinstance(said, Event)]
-
-
-def asked(rig, *messages):
-    """What is said to messages, in words."""
-    before = len(texts(rig))
-    for message in messages:
-        rig.session.receive(message, rig.robot.t)
-    rig.step()
-    return "; ".join(texts(rig)[before:])
 
 
 def localised(rig):

@@ -9,7 +9,7 @@ import threading
 
 import numpy as np
 import pytest
-from live_rig import Rig
+from live_rig import Rig, asked, texts
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
@@ -18,7 +18,6 @@ from homeward.live.messages import (
     BearingsIn,
     BeginRoute,
     EStop,
-    Event,
     FollowRoute,
     GoHome,
     GoTo,
@@ -79,19 +78,6 @@ def school(tmp_path_factory):
 def later(folder, errand, update=False, **changes):
     """Another session, begun elsewhere."""
     return Rig(0, place=visiting(folder, update), errand=errand, **LATER | changes)
-
-
-def texts(rig):
-    return [said.text for said in rig.answers if isinstance(said, Event)]
-
-
-def asked(rig, *messages):
-    """What is said to messages, in words."""
-    before = len(texts(rig))
-    for message in messages:
-        rig.session.receive(message, rig.robot.t)
-    rig.step()
-    return "; ".join(texts(rig)[before:])
 
 
 def now_says(words):
