@@ -39,7 +39,7 @@ from homeward.studies.paper.tables import (
     order_share,
     printed_order_shares,
 )
-from homeward.studies.paper.world import draw_world
+from homeward.studies.paper.world import draw_world, fault_count
 
 SETTINGS = PaperSettings()
 OFF = PaperSettings(assumed=Assumed(initial_error=(0.05, 0.1, 0.1)))
@@ -50,6 +50,12 @@ OFF = PaperSettings(assumed=Assumed(initial_error=(0.05, 0.1, 0.1)))
 def here(monkeypatch):
     """Compute blocks in this process: workers have tests of their own."""
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+
+
+def test_faults_of_landmarks_that_there_are_not_do_not_count():
+    few = PaperSettings(printed=Printed(landmarks=2), assumed=Assumed(several_faults=(0, 0.2, 0.3)))
+    assert draw_world("3 (several)", few, 0).moved.sum() == 1
+    assert fault_count("3 (several)", few) == 1
 
 
 @pytest.mark.parametrize("case", ["2", "4"])

@@ -255,6 +255,14 @@ def test_a_drive_is_run_with_another_camera_and_back():
     assert again == first["rivals"]["ekf"]["pose"]
 
 
+def test_of_a_drive_too_other_estimators_are_undone():
+    replay = Replay(open_drive("sample"), ("ekf",))
+    replay.do(parse('{"do":"estimators","names":["a-ekf"]}'))
+    assert replay.scene()["estimators"] == ["a-ekf"]
+    replay.do(parse('{"do":"undo"}'))
+    assert replay.scene()["estimators"] == ["ekf"]
+
+
 def test_late_bearings_are_saved_and_run_again_as_the_slider_had_them(tmp_path):
     folder = tmp_path / "sample"
     save_drive(open_drive("sample"), folder)

@@ -119,8 +119,9 @@ class Replay:
             case Estimators():
                 if unknown := set(asked.names) - set(self._known):
                     raise InputError(f"no estimator {min(unknown)} here")
-                self._names = asked.names
-                self._run()
+                names = self._names
+                self._choose(asked.names)
+                self._undo.remember(None, lambda: self._choose(names))
             case Plain(do="undo"):
                 self._undo.back()
             case Plain(do="save"):
@@ -145,6 +146,10 @@ class Replay:
         now, first = self._asked, self._first
         same = (now.x, now.y, now.yaw) == (first.x, first.y, first.yaw)
         return self._log.mount if same else None
+
+    def _choose(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._run()
 
     def _change(self, asked: Adjust) -> None:
         self._asked = asked

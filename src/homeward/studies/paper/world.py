@@ -58,7 +58,7 @@ def fault_count(case: CaseName, settings: PaperSettings) -> int:
     counts: dict[str, int] = {
         "2": assumed.faults,
         "3 (one fault)": int(assumed.single_fault != 0),
-        "3 (several)": sum(fault != 0 for fault in assumed.several_faults),
+        "3 (several)": sum(fault != 0 for fault in assumed.several_faults[:q]),
     }
     return min(counts.get(case, 0), q)
 
