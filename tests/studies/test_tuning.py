@@ -9,7 +9,14 @@ import pytest
 from cli.commands import call, first_seconds
 
 from benchmarks.odometry_noise import drive_of
-from homeward.drives.drive import DriveSettings
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    KnownLandmarks,
+    Odometry,
+    Sightings,
+)
 from homeward.drives.text.settings import parse_settings
 from homeward.errors import HomewardError
 from homeward.studies.tuning import Check, Noise, Tuning, tune
@@ -52,6 +59,28 @@ def test_what_a_drive_was_made_of_is_learnt_and_honest():
 def test_too_short_a_drive_is_refused():
     drive, _ = untold(2.0)
     with pytest.raises(HomewardError, match="are needed"):
+        tune([drive], lambda _: None)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-4])
+def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
+    places = {f"L{k}": (3.0 * np.cos(k), 3.0 * np.sin(k)) for k in range(6)}
+    home = {i: HomeBearing(float(np.arctan2(y, x)), 0.01) for i, (x, y) in places.items()}
+    t = np.arange(0.0, 20.0, 0.05)
+    stamps, chance = np.arange(0.1, 19.9, 0.2), np.random.default_rng(0)
+    seen = [
+        (s, i, b.bearing + 0.01 * chance.normal(), np.nan) for s in stamps for i, b in home.items()
+    ]
+    survey = {i: {"x": x, "y": y} for i, (x, y) in places.items()}
+    drive = Drive(
+        name="still",
+        odometry=Odometry(t, np.zeros(t.size), np.full(t.size, turn)),
+        sightings=Sightings.of_rows(seen),
+        home=home,
+        settings=DriveSettings(),
+        known=KnownLandmarks(frame="home", landmarks=survey),
+    )
+    with pytest.raises(HomewardError, match="moves too little"):
         tune([drive], lambda _: None)
 
 

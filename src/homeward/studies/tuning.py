@@ -199,9 +199,13 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
             f"landmarks; {ENOUGH} are needed to learn from"
         )
     chart, odometry = localizer.chart, drive.odometry
-    moves = (odometry.v != 0) | (odometry.omega != 0)
-    speed, turning = np.abs(odometry.v[moves]).mean(), np.abs(odometry.omega[moves]).mean()
+    moves = max(np.count_nonzero((odometry.v != 0) | (odometry.omega != 0)), 1)
+    speed, turning = np.abs(odometry.v).sum() / moves, np.abs(odometry.omega).sum() / moves
     along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]
+    if min(along, heading) <= 0.0:
+        raise HomewardError(
+            f"{drive.name}: in its first half the robot moves too little for its odometry's noise"
+        )
     calibration = chart.map.state.calibration
     variances = chart.map.state.calibration_variances
     off = np.sqrt(calibration**2 + variances)
