@@ -150,7 +150,7 @@ def outcome(**rmse):
     values = np.array([np.tile(np.array(v, float)[:, None], 3) for v in rmse.values()])
     none = np.zeros(values.shape[:2])
     names = tuple(names[k] for k in rmse)
-    return Outcome(names, values, none, np.zeros_like(values), none, none[0])
+    return Outcome(values, none, np.zeros_like(values), none, names, none[0])
 
 
 def test_orders_are_counted_right():

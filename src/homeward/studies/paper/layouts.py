@@ -141,18 +141,10 @@ class Block(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One case over many layouts; errors are R [m], theta, alpha [rad], infinite if diverged."""
+class Outcome(Errors):
+    """One case over many layouts: what is kept of each filter, (names, layouts, ...)."""
 
     names: tuple[str, ...]
-    rmse: np.ndarray
-    """(names, layouts, 3)"""
-    theta_far: np.ndarray
-    """(names, layouts), RMSE of theta farther than `FAR` from home."""
-    final: np.ndarray
-    """(names, layouts, 3), errors at the end."""
-    final_distance: np.ndarray
-    """(names, layouts), true distance from home at the end [m]."""
     moved: np.ndarray
     """(layouts,), how many landmarks were moved."""
 
