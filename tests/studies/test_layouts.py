@@ -58,10 +58,14 @@ def test_faults_of_landmarks_that_there_are_not_do_not_count():
     assert fault_count("3 (several)", few) == 1
 
 
-@pytest.mark.parametrize("case", ["2", "4"])
-@pytest.mark.parametrize("name", FILTERS)
-def test_many_at_once_are_the_runs_one_by_one(case, name):
-    short = PaperSettings(assumed=Assumed(longest=5, circle_time=5, initial_error=(0.05, 0.1, 0.1)))
+@pytest.mark.parametrize(
+    ("name", "case", "landmarks"),
+    [*((name, case, 7) for name in FILTERS for case in ("2", "4")), ("A-EKF (all)", "4", 1)],
+)
+def test_many_at_once_are_the_runs_one_by_one(name, case, landmarks):
+    times = {"longest": 5, "circle_time": 5, "minimum_visible": min(2, landmarks)}
+    assumed = Assumed(**times, initial_error=(0.05, 0.1, 0.1))
+    short = PaperSettings(assumed=assumed, printed=Printed(landmarks=landmarks))
     worlds = [draw_world(case, short, k) for k in range(3)]
     many = run_many(name, case, worlds, short, engine="interpreter")
     for k, world in enumerate(worlds):

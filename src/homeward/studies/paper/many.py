@@ -17,10 +17,8 @@ from homeward.studies.paper.world import CaseName, World
 
 OF_WORLD = ("pose", "landmarks", "stored", "state")
 """Inputs of the loop that differ from world to world."""
-DRAWN = ("mask", "noise", "disturbance")
-"""Those that differ from sample to sample."""
-
-
+DRAWN = {"mask": "visible", "noise": "noise", "disturbance": "disturbance"}
+"""Those that differ from sample to sample, by what of a world they are."""
 FAR = 0.2
 """Nearer to home than this [m] its direction, theta, says little."""
 
@@ -74,17 +72,18 @@ def run_many(
     worlds = [rolled(world) for world in worlds]
     kind, law, given = given_of(name, case, worlds, settings)
     last = len(worlds[0].visible) - 1
+
+    def over_time(name: str) -> np.ndarray:
+        values = np.array([getattr(world, name)[:last] for world in worlds])
+        return values[..., 0] if values.shape[-1] == 1 else values  # of one landmark, numbers
+
     result = run_homing(
         kind,
         given,
         runs=len(worlds),
         steps=last,
         law=law,
-        series={
-            "mask": np.array([w.visible[:last] for w in worlds]),
-            "noise": np.array([w.noise[:last] for w in worlds]),
-            "disturbance": np.array([w.disturbance[:last] for w in worlds]),
-        },
+        series={key: over_time(name) for key, name in DRAWN.items()},
         history=("error", "pose"),
         engine=engine,
         threads=1,
