@@ -12,7 +12,7 @@ from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.tunables import GATE
 
-LEAST_VARIANCE = 1e-10
+LEAST = 1e-10 * np.eye(3)
 """No motion is known better than this [m^2, rad^2]."""
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
@@ -24,7 +24,7 @@ def step_row(motion: Motion) -> np.ndarray:
     """Return a motion as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.free
-    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST_VARIANCE * np.eye(3)).ravel()
+    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
     return row
 

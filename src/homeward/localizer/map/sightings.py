@@ -41,7 +41,7 @@ class Frames:
 
     def add(self, keyframe: int, camera: Motion) -> None:
         """Add a frame, whose camera is a motion away from its keyframe."""
-        self.keyframes = np.append(self.keyframes, keyframe)
+        self.keyframes = np.concatenate([self.keyframes, [keyframe]])
         self.free = np.concatenate([self.free, camera.free[None]])
         self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
 

@@ -177,7 +177,7 @@ class Smoother:
 
     def index(self, ids: np.ndarray) -> np.ndarray:
         """Return which landmarks of the state have these ids, shape (m,)."""
-        return np.searchsorted(self.ids, ids)
+        return np.asarray(self.ids.searchsorted(ids))
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 11)."""

@@ -30,6 +30,8 @@ CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
 NC = len(CALIBRATION)
 TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
+BY_CAMERA = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+"""(3, 8): derivative of the camera's pose on the robot by the calibration."""
 BEND, BENDS = 0.125, 33
 """The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
 
@@ -84,11 +86,8 @@ class Motion:
 
 def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
     """Return the camera's pose on the robot: as told, `mount` (3,), corrected by a calibration."""
-    camera = [CAMERA_X, CAMERA_Y, CAMERA_YAW]
-    jacobian = np.zeros((3, NC))
-    jacobian[[0, 1, 2], camera] = 1.0
-    delta = mount + calibration[camera]
-    return Motion(delta, np.zeros((3, 3)), jacobian, calibration=calibration)
+    delta = mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+    return Motion(delta, np.zeros((3, 3)), BY_CAMERA, calibration=calibration)
 
 
 class Piece(NamedTuple):
@@ -137,16 +136,17 @@ def integrate(
     by_bend, chords, ends = [0.0] * BENDS, [], []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
         _, _, dt, v, omega, steady = piece
+        way, spin = abs(v) * dt, abs(omega)
         rate = (1.0 + scale) * omega + bias if v or omega else 0.0
-        slips = math.copysign(abs(omega), steady) - steady * straightest if v else 0.0
+        slips = math.copysign(spin, steady) - steady * straightest if v else 0.0
         speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
         chord = speed * dt * (math.sin(half) / half if half else 1.0)
         chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips))
         ends.append((speed, rate))
         x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
-        path, turned = path + abs(v) * dt, turned + 2.0 * abs(half)
-        by_bend[min(int(abs(omega) / max(abs(steady), 1e-6) / BEND), BENDS - 1)] += abs(v) * dt
+        path, turned = path + way, turned + 2.0 * abs(half)
+        by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), BENDS - 1)] += way
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     jacobian[:2, SPEED_SCALE] = delta[:2] / size
@@ -169,9 +169,9 @@ def _add_errors(
     by_scale, by_bias, by_slip = [0.0] * 3, [0.0] * 3, [0.0] * 2
     end_x, end_y, _ = end.tolist()
     for (shift, swing, dt, v, omega, _), x, y, c, s, slips in chords:
-        steady = dt if v or omega else 0.0
+        steady, speed, spin = dt if v or omega else 0.0, abs(v), abs(omega)
         along, across, heading = (
-            steady * (still + by_speed * abs(v) + by_turn * abs(omega))
+            steady * (still + by_speed * speed + by_turn * spin)
             for still, by_speed, by_turn in rates
         )
         along, across, heading = along + shift, across + shift, heading + swing

@@ -166,12 +166,13 @@ class IntegrityMonitor:
     def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
         surveyed = len(best.problem.surveyed)
-        agreeing, checked = int(best.inliers.sum()) + surveyed, int(self._checked.sum()) + surveyed
+        agreeing = int(np.count_nonzero(best.inliers)) + surveyed
+        checked = int(np.count_nonzero(self._checked)) + surveyed
         if agreeing < CHECKED:
             return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
-        stayed = int((best.inliers & self._stayed).sum()) + surveyed
+        stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
         if stayed < POSE:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
