@@ -223,13 +223,13 @@ class Map:
         kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         changed = self.landmarks.reinitialise(refused) or fixed
-        seen = None if changed else self._effective(prediction, rows, kept)
-        changed |= gated.motion.path == 0.0 and bool(kept.any())  # it rests, and looks again
-        if gated.new_keyframe or changed:
-            self._correct(seen)
+        rests = gated.motion.path == 0.0 and bool(kept.any())  # and looks again
+        due = gated.new_keyframe or changed or rests
+        if due:
+            self._correct(None if changed else self._effective(prediction, rows, kept))
         if fixed and not self.landmarks.mapped:
             self.landmarks.expected = {}  # the next look may tell
-        return gated.new_keyframe or changed
+        return due
 
     def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:
         """Let the robot be where a motion leads from the newest keyframe, and saw a frame there.
