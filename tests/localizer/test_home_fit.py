@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
+from homeward.localizer.home.evidence import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.gauss_newton import SETTLED, fit, solved
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
-from homeward.localizer.home.outliers import log_labels, log_odds, log_outlier, moved_share
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.tunables import NOISE_DOUBT
 

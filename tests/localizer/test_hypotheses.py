@@ -14,9 +14,9 @@ from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.estimator import Status
 from homeward.frames import Pose, between
+from homeward.localizer.home.evidence import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds_for
-from homeward.localizer.home.outliers import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (

@@ -14,12 +14,18 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import lever, rotation
-from homeward.localizer.home.evidence import Evidence
-from homeward.localizer.home.linearisation import HOME, POSE, RESIDUAL, Linear, expected
-from homeward.localizer.home.outliers import log_odds, moved_share
+from homeward.localizer.home.evidence import Evidence, log_odds, moved_share
+from homeward.localizer.home.linearisation import (
+    HOME,
+    POSE,
+    RESIDUAL,
+    Linear,
+    Whitened,
+    expected,
+    inverted,
+)
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
-from homeward.localizer.home.whitening import Whitened, inverted
 from homeward.localizer.tunables import PUSHED
 
 BESIDE = 1.0

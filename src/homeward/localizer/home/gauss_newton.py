@@ -8,9 +8,8 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised
+from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised, whitened
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.home.whitening import whitened
 
 STEPS = 6
 """Most homes come to rest after three or four; one that has not by then wanders."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import sight
-from homeward.localizer.home.outliers import moved_share
+from homeward.localizer.home.evidence import moved_share
 from homeward.localizer.tunables import REACH
 
 MOST_TRIPLES = 600

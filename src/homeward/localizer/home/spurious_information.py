@@ -12,9 +12,8 @@ import math
 import numpy as np
 
 from homeward.localizer.geometry import LEAST_SQUARE
-from homeward.localizer.home.linearisation import Linear
+from homeward.localizer.home.linearisation import Linear, inverted
 from homeward.localizer.home.problem import POSE_AND_YAW
-from homeward.localizer.home.whitening import inverted
 from homeward.localizer.tunables import LEAST_SHARE
 
 

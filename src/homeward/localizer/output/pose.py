@@ -12,8 +12,7 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
-from homeward.localizer.home.linearisation import HOME
-from homeward.localizer.home.whitening import inverted
+from homeward.localizer.home.linearisation import HOME, inverted
 from homeward.localizer.tunables import AGREES, PUSHED
 
 CENTRE_STEPS = 20

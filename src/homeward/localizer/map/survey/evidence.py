@@ -110,7 +110,7 @@ def _log_labels(right: np.ndarray, prior: np.ndarray) -> tuple[float, np.ndarray
     """Return the log probability that just these are right, and the log odds of each of them.
 
     As a rule each is wrong with a probability of its own (k,); after an upheaval, or in another
-    place, any share may be, as of home's bearings (`homeward.localizer.home.outliers`).
+    place, any share may be, as of home's bearings (`homeward.localizer.home.evidence`).
     """
     odds = np.log1p(-prior) - np.log(prior)
     rule, number = float(np.where(right, np.log1p(-prior), np.log(prior)).sum()), right.sum()
