@@ -191,10 +191,12 @@ def _scale(off: np.ndarray) -> float:
 
     A wrong id spoils three differences, so the median of all may be one of the wild.
     """
-    rough = QUARTER_TO_SIGMA * np.quantile(off, 0.25)
+    off = np.sort(off)
+    rough = QUARTER_TO_SIGMA * float(np.quantile(off, 0.25))
     for _ in range(2):
-        rough = MAD_TO_SIGMA * np.median(off[off <= GATE * rough])
-    return float(rough)
+        tame = off[: off.searchsorted(GATE * rough, side="right")]
+        rough = MAD_TO_SIGMA * 0.5 * float(tame[(tame.size - 1) // 2] + tame[tame.size // 2])
+    return rough
 
 
 def _second_difference(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median
 
 import numpy as np
 from scipy.special import chdtri
@@ -155,7 +156,7 @@ def inflate_by_odometry(
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * np.median(by_shift) > (LOST * np.median(sigmas)) ** 2:
+    if across * median(by_shift.tolist()) > (LOST * median(sigmas.tolist())) ** 2:
         return None
     shared = (stamp + 1) * known.size * across * by_shift
     return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import statistics
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median
 
 import numpy as np
 from scipy.linalg import lapack
@@ -83,7 +83,7 @@ class Marginal:
     @cached_property
     def scale(self) -> float:
         """Median distance of the landmarks [m]: what is small is small against it; or infinite."""
-        return float(statistics.median(self.distances.tolist() or [math.inf]))
+        return float(median(self.distances.tolist() or [math.inf]))
 
     @property
     def reach(self) -> np.ndarray:
