@@ -11,6 +11,7 @@ from functools import cached_property
 from statistics import median
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.special import chdtri
 
 from homeward.estimator import Innovation
@@ -110,11 +111,8 @@ def denies_motion(prediction: Prediction, motion: Motion, heading: float) -> boo
     if count < POSE:
         return False
     covariance = prediction.innovation_covariance + _from_motion(motion, heading, prediction)
-    try:
-        square = prediction.residual @ np.linalg.solve(covariance, prediction.residual)
-    except np.linalg.LinAlgError:  # nothing can be told
-        return False
-    return bool(square > chdtri(count, FALSE_ALARM))
+    _, weighted, vague = lapack.dposv(covariance, prediction.residual)
+    return not vague and bool(prediction.residual @ weighted > chdtri(count, FALSE_ALARM))
 
 
 def inflate_by_odometry(
