@@ -10,12 +10,15 @@ from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
-from homeward.localizer.map.variance_components import misfit
+from homeward.localizer.map.variance_components import BearingErrors, misfit
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
 
 W = 30
+NONE_SEEN = BearingErrors(
+    np.zeros(0), np.zeros((0, 5 + NC)), np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+)
 SIGMAS = np.array([0.05, 0.02, 0.03])
 
 
@@ -69,7 +72,10 @@ def dense_redundancies(equations, errors):
 @pytest.mark.parametrize("fixes", [0.005, 0.05, 0.5])
 def test_redundancies_are_those_of_the_full_matrices(fixes):
     equations, errors = chain(np.random.default_rng(0), fixes)
-    drawn = [misfit(equations, errors, np.random.default_rng(s)).redundancies for s in range(300)]
+    drawn = [
+        misfit(equations, errors, NONE_SEEN, np.random.default_rng(s)).redundancies
+        for s in range(300)
+    ]
     alike = np.array(drawn)[:, 1]
     spread = np.std(alike, axis=0) / np.sqrt(len(alike))
     assert np.abs(np.mean(alike, axis=0) - dense_redundancies(equations, errors)) == pytest.approx(
@@ -83,9 +89,38 @@ def test_where_poses_are_told_well_the_noise_comes_out_as_it_is(noisier):
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, noisier, noise.scales[0])
-        noise.update(*misfit(equations, errors, rng), W - 1, W - 1)
+        noise.update(*misfit(equations, errors, NONE_SEEN, rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(noisier, rel=0.2)
     assert (np.sqrt(noise.core) > 0.7).all()
+
+
+@pytest.mark.parametrize("better", [0.2, 1.0])
+def test_bearings_that_are_better_than_believed_do_not_make_odometry_seem_so(better):
+    noise, rng = ProcessNoise(OdometryNoise(), OdometryDefaults()), np.random.default_rng(1)
+    pose, by_place = np.repeat(np.arange(W), 9), np.zeros((9 * W, 2))
+    directions = rng.normal(size=(9 * W, 3)) / 0.1  # over the deviation that is believed
+    jacobian = np.concatenate([directions, np.zeros((9 * W, NC)), by_place], axis=1)
+    poses = np.cumsum([[0.1, 0.0, 0.0]] * W, axis=0)
+    for _ in range(60):
+        moved = [0.1, 0.0, 0.0] + SIGMAS * rng.normal(size=(W - 1, 3))
+        rows = np.concatenate(
+            [step_row(Motion(m, np.diag(SIGMAS**2), np.zeros((3, NC)))) for m in moved]
+        )
+        scale_steps(rows, noise.scales[0])
+        off, estimate = better * rng.normal(size=9 * W), poses.copy()
+        for _ in range(3):
+            equations = elimination.NormalEquations.zeros(W, NC + 2)
+            add_odometry(equations, estimate, np.zeros(NC), rows)
+            left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
+            np.add.at(equations.own, pose, directions[:, :, None] * directions[:, None, :])
+            np.add.at(equations.slope, pose, directions * left[:, None])
+            equations.common[:] += 1e6 * np.eye(NC + 2)
+            estimate = estimate + elimination.solve(equations)[0]
+        left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
+        seen = BearingErrors(left, jacobian, pose, np.zeros(9 * W, int), np.ones(9 * W))
+        errors = odometry_errors(estimate, np.zeros(NC), rows)
+        noise.update(*misfit(equations, errors, seen, rng), W - 1, W - 1)
+    assert np.sqrt(noise.scales[1]) == pytest.approx(1.0, rel=0.2)
 
 
 def test_a_few_motions_that_slip_do_not_hide_how_good_the_others_are():
@@ -93,7 +128,7 @@ def test_a_few_motions_that_slip_do_not_hide_how_good_the_others_are():
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, 1.0, noise.scales[0], slips=0.1)
-        noise.update(*misfit(equations, errors, rng), W - 1, W - 1)
+        noise.update(*misfit(equations, errors, NONE_SEEN, rng), W - 1, W - 1)
     most, every = np.sqrt(noise.scales)
     assert most == pytest.approx(1.0, rel=0.25)
     assert (every > 1.5).all()

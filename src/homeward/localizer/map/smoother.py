@@ -34,6 +34,7 @@ from homeward.localizer.map.sightings import (
     FRAME,
     KEYFRAME,
     LANDMARK,
+    OWN,
     SIGMA,
     Frames,
     bearing_residuals,
@@ -43,7 +44,7 @@ from homeward.localizer.map.sightings import (
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
-from homeward.localizer.map.variance_components import Misfit, misfit
+from homeward.localizer.map.variance_components import BearingErrors, Misfit, misfit
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     MOUNT,
@@ -230,7 +231,16 @@ class Smoother:
     def odometry_misfit(self) -> Misfit:
         """Compare what the solution leaves of motions with what it is expected to leave."""
         steps = odometry_errors(self.poses, self.calibration, self._steps)
-        return misfit(self._all(), steps, np.random.default_rng(self.newest))
+        rows = self.sightings
+        residual, jacobian = self._linearised(rows)
+        seen = BearingErrors(
+            residual / rows[:, SIGMA],
+            jacobian / effective_sigmas(rows, self._lasting)[:, None],
+            rows[:, KEYFRAME].astype(int) - self.first,
+            self.index(rows[:, LANDMARK]),
+            (rows[:, OWN] / rows[:, SIGMA]) ** 2,
+        )
+        return misfit(self._all(), steps, seen, np.random.default_rng(self.newest))
 
     def drop_landmark(self, number: int) -> None:
         """Take the landmark of an id out: what is known of the others stays."""

@@ -3,6 +3,11 @@
 What the solved map leaves of a motion is smaller than the motion's error by as much as poses
 followed it: the expected square of it, over the variance that is believed, is not the number of
 motions but their redundancy, a trace, which is estimated with random signs (Hutchinson 1990).
+
+A part of that redundancy stands for errors of bearings, to which poses that believe them give way.
+Where bearings are better than is believed of them (as where nobody tells their noise) that part
+leaves less, and odometry would pass for better than it is. So the variance of bearings is a
+component, too, by which that part is weighed (Helmert 1907).
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from homeward.localizer.inputs.bearing_noise import CLEAR
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
 from homeward.localizer.motion.preintegration import NC
@@ -22,6 +28,47 @@ CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)
 """Quantiles of the squared Mahalanobis error of a motion."""
 PARTS = (slice(0, 2), slice(2, 3))
 """Of a motion: the way along and across, and the turn."""
+
+
+class BearingErrors(NamedTuple):
+    """What a solved map leaves of m bearings."""
+
+    error: np.ndarray
+    """(m,): over the deviation of a single one [1]."""
+    jacobian: np.ndarray
+    """(m, 13): of `bearing_residuals`, over the deviations by which they count beside others."""
+    pose: np.ndarray
+    """(m,), int: from which pose each was made."""
+    landmark: np.ndarray
+    """(m,), int: of which landmark."""
+    own: np.ndarray
+    """(m,): how much of their variance is their own, not that of the way from the keyframe [1]."""
+
+    def by_step(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
+        """Return the change, (m,) [1], by a step of poses (w, 3) and of what they share."""
+        by_pose, by_common, by_place = np.split(self.jacobian, [3, 3 + NC], axis=1)
+        places = shared[NC:].reshape(-1, 2)[self.landmark]
+        turned = (by_pose * poses[self.pose]).sum(axis=1) + (by_place * places).sum(axis=1)
+        return np.asarray(turned + by_common @ shared[:NC])
+
+    def variance(self, e: elimination.NormalEquations, rng: np.random.Generator) -> float:
+        """Return their variance over that which is believed, 1 at most: worse ones are doubted.
+
+        Parameters are those of `misfit`.
+        """
+        clear = self.own >= CLEAR**-2.0
+        if not clear.any():
+            return 1.0
+        signs = rng.choice([-1.0, 1.0], clear.shape) * clear
+        pulled = self.jacobian * signs[:, None]
+        slope, common = np.zeros_like(e.slope), np.zeros_like(e.common_slope)
+        np.add.at(slope, self.pose, pulled[:, :3])
+        common[:NC] = pulled[:, 3 : 3 + NC].sum(axis=0)
+        np.add.at(common[NC:].reshape(-1, 2), self.landmark, pulled[:, 3 + NC :])
+        free = (signs - self.by_step(*_step(e, slope, common)))[clear]
+        redundancy, own = float(signs[clear] @ free), float(free @ free)
+        squares = float(np.minimum(self.error[clear] ** 2, GATE**2).sum())
+        return min(max((squares - (redundancy - own)) / own, 0.0), 1.0)
 
 
 class Misfit(NamedTuple):
@@ -37,7 +84,10 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    equations: elimination.NormalEquations, steps: OdometryErrors, rng: np.random.Generator
+    equations: elimination.NormalEquations,
+    steps: OdometryErrors,
+    seen: BearingErrors,
+    rng: np.random.Generator,
 ) -> Misfit:
     """Compare what is left of motions with what is expected to be left.
 
@@ -47,19 +97,26 @@ def misfit(
         Of w poses and what they share, around the solution.
     steps : OdometryErrors
         The w - 1 motions between them.
+    seen : BearingErrors
+        The bearings.
     rng : numpy.random.Generator
         For the signs.
     """
     covariance = np.linalg.inv(steps.information)
     squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))
-    weight = steps.weight[:, None, None]
+    weight, better = steps.weight[:, None, None], 1.0 - seen.variance(equations, rng)
     for i, part in enumerate(PARTS):
         root = np.linalg.cholesky(np.linalg.inv(covariance[:, part, part]))
         root = root.transpose(0, 2, 1) * np.sqrt(weight)
         left = (root @ steps.error[:, part, None]) ** 2
         by_state = root @ steps.jacobian[:, part]
         signs = rng.choice([-1.0, 1.0], left.shape)
-        free = signs * (signs - _project(equations, by_state, signs))
+        poses, shared = _pulled(equations, by_state, signs)
+        calibration = np.tile(shared[:NC], (len(signs), 1))
+        step = np.concatenate([poses[:-1], poses[1:], calibration], axis=1)
+        free = signs * (signs - by_state @ step[:, :, None])
+        by_bearings = (seen.own * seen.by_step(poses, shared) ** 2).sum() / max(free.sum(), 1e-9)
+        free *= 1.0 - better * min(float(by_bearings), 1.0)
         squares[:, i] = (weight * left).sum(), np.minimum(left / weight, GATE**2).sum()
         redundancies[:, i] = (weight * free).sum(), free.sum()
     redundancies[0] *= _kept(redundancies[1].sum() / steps.error.size)
@@ -73,16 +130,21 @@ def _kept(redundancy: float) -> float:
     return float((weight**2 * left).mean() / (weight.mean() * left.mean()))
 
 
-def _project(
-    equations: elimination.NormalEquations, by_state: np.ndarray, errors: np.ndarray
-) -> np.ndarray:
-    """Return what the state takes up of errors (k, i, 1) of motions, as (k, i, 1)."""
+def _pulled(
+    e: elimination.NormalEquations, by_state: np.ndarray, errors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what poses, and what they share, take up of errors (k, i, 1) of motions."""
     pulled = (by_state.transpose(0, 2, 1) @ errors)[:, :, 0]
-    slope, common = np.zeros_like(equations.slope), np.zeros_like(equations.common_slope)
+    slope, common = np.zeros_like(e.slope), np.zeros_like(e.common_slope)
     slope[:-1] += pulled[:, :3]
     slope[1:] += pulled[:, 3:6]
     common[:NC] = pulled[:, 6:].sum(axis=0)
-    pulling = dataclasses.replace(equations, slope=slope, common_slope=common)
-    poses, shared, _ = elimination.solve(pulling)
-    step = np.concatenate([poses[:-1], poses[1:], np.tile(shared[:NC], (len(errors), 1))], axis=1)
-    return np.asarray(by_state @ step[:, :, None])
+    return _step(e, slope, common)
+
+
+def _step(
+    e: elimination.NormalEquations, slope: np.ndarray, common: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the step of poses, and of what they share, by other gradients."""
+    poses, shared, _ = elimination.solve(dataclasses.replace(e, slope=slope, common_slope=common))
+    return poses, shared
