@@ -9,6 +9,7 @@ from benchmarks.odometry_noise import drive_of, row
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.localizer.map import elimination
+from homeward.localizer.map.elimination import eliminate
 from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
 from homeward.localizer.map.variance_components import BearingErrors, misfit
 from homeward.localizer.motion.preintegration import NC, Motion
@@ -73,7 +74,7 @@ def dense_redundancies(equations, errors):
 def test_redundancies_are_those_of_the_full_matrices(fixes):
     equations, errors = chain(np.random.default_rng(0), fixes)
     drawn = [
-        misfit(equations, errors, NONE_SEEN, np.random.default_rng(s)).redundancies
+        misfit(eliminate(equations), errors, NONE_SEEN, np.random.default_rng(s)).redundancies
         for s in range(300)
     ]
     alike = np.array(drawn)[:, 1]
@@ -89,7 +90,7 @@ def test_where_poses_are_told_well_the_noise_comes_out_as_it_is(noisier):
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, noisier, noise.scales[0])
-        noise.update(*misfit(equations, errors, NONE_SEEN, rng), W - 1, W - 1)
+        noise.update(*misfit(eliminate(equations), errors, NONE_SEEN, rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(noisier, rel=0.2)
     assert (np.sqrt(noise.core) > 0.7).all()
 
@@ -119,7 +120,7 @@ def test_bearings_that_are_better_than_believed_do_not_make_odometry_seem_so(bet
         left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
         seen = BearingErrors(left, jacobian, pose, np.zeros(9 * W, int), np.ones(9 * W))
         errors = odometry_errors(estimate, np.zeros(NC), rows)
-        noise.update(*misfit(equations, errors, seen, rng), W - 1, W - 1)
+        noise.update(*misfit(eliminate(equations), errors, seen, rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(1.0, rel=0.2)
 
 
@@ -128,7 +129,7 @@ def test_a_few_motions_that_slip_do_not_hide_how_good_the_others_are():
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, 1.0, noise.scales[0], slips=0.1)
-        noise.update(*misfit(equations, errors, NONE_SEEN, rng), W - 1, W - 1)
+        noise.update(*misfit(eliminate(equations), errors, NONE_SEEN, rng), W - 1, W - 1)
     most, every = np.sqrt(noise.scales)
     assert most == pytest.approx(1.0, rel=0.25)
     assert (every > 1.5).all()

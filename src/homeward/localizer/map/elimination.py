@@ -60,6 +60,28 @@ class Elimination:
     gradient: np.ndarray
     """(3 + a,): downhill."""
 
+    def no_gradient(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return zeros of the shapes of a gradient, (w, 3) and (a,)."""
+        return np.zeros((len(self.couplings) // 3 + 1, 3)), np.zeros(len(self.information) - 3)
+
+    def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the steps of poses (w, 3), and of what they share (a,), by another gradient.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When what is left is singular.
+        """
+        older, couplings = slope[:-1].ravel(), self.couplings[:, :-1]
+        if older.size:
+            older = lapack.dtbtrs(self.factor, older, uplo="L")[0]
+        gradient = np.concatenate([slope[-1], common_slope]) - couplings.T @ older
+        _, tail, failed = lapack.dposv(self.information, gradient)
+        if failed:
+            raise np.linalg.LinAlgError("not positive definite")
+        poses = _substitute(self, older - couplings @ tail)
+        return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:]
+
 
 def eliminate(e: NormalEquations) -> Elimination:
     """Eliminate all poses but the newest.

@@ -240,7 +240,8 @@ class Smoother:
             self.index(rows[:, LANDMARK]),
             (rows[:, OWN] / rows[:, SIGMA]) ** 2,
         )
-        return misfit(self._all(), steps, seen, np.random.default_rng(self.newest))
+        left = elimination.eliminate(self._all())
+        return misfit(left, steps, seen, np.random.default_rng(self.newest))
 
     def drop_landmark(self, number: int) -> None:
         """Take the landmark of an id out: what is known of the others stays."""

@@ -12,14 +12,13 @@ component, too, by which that part is weighed (Helmert 1907).
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
 from homeward.localizer.inputs.bearing_noise import CLEAR
-from homeward.localizer.map import elimination
+from homeward.localizer.map.elimination import Elimination
 from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
 from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import GATE
@@ -51,7 +50,7 @@ class BearingErrors(NamedTuple):
         turned = (by_pose * poses[self.pose]).sum(axis=1) + (by_place * places).sum(axis=1)
         return np.asarray(turned + by_common @ shared[:NC])
 
-    def variance(self, e: elimination.NormalEquations, rng: np.random.Generator) -> float:
+    def variance(self, left: Elimination, rng: np.random.Generator) -> float:
         """Return their variance over that which is believed, 1 at most: worse ones are doubted.
 
         Parameters are those of `misfit`.
@@ -61,11 +60,11 @@ class BearingErrors(NamedTuple):
             return 1.0
         signs = rng.choice([-1.0, 1.0], clear.shape) * clear
         pulled = self.jacobian * signs[:, None]
-        slope, common = np.zeros_like(e.slope), np.zeros_like(e.common_slope)
+        slope, common = left.no_gradient()
         np.add.at(slope, self.pose, pulled[:, :3])
         common[:NC] = pulled[:, 3 : 3 + NC].sum(axis=0)
         np.add.at(common[NC:].reshape(-1, 2), self.landmark, pulled[:, 3 + NC :])
-        free = (signs - self.by_step(*_step(e, slope, common)))[clear]
+        free = (signs - self.by_step(*left.step(slope, common)))[clear]
         redundancy, own = float(signs[clear] @ free), float(free @ free)
         squares = float(np.minimum(self.error[clear] ** 2, GATE**2).sum())
         return min(max((squares - (redundancy - own)) / own, 0.0), 1.0)
@@ -84,7 +83,7 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    equations: elimination.NormalEquations,
+    left: Elimination,
     steps: OdometryErrors,
     seen: BearingErrors,
     rng: np.random.Generator,
@@ -93,10 +92,10 @@ def misfit(
 
     Parameters
     ----------
-    equations : NormalEquations
-        Of w poses and what they share, around the solution.
+    left : Elimination
+        Of everything, around the solution.
     steps : OdometryErrors
-        The w - 1 motions between them.
+        The motions between all its poses.
     seen : BearingErrors
         The bearings.
     rng : numpy.random.Generator
@@ -104,20 +103,20 @@ def misfit(
     """
     covariance = np.linalg.inv(steps.information)
     squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))
-    weight, better = steps.weight[:, None, None], 1.0 - seen.variance(equations, rng)
+    weight, better = steps.weight[:, None, None], 1.0 - seen.variance(left, rng)
     for i, part in enumerate(PARTS):
         root = np.linalg.cholesky(np.linalg.inv(covariance[:, part, part]))
         root = root.transpose(0, 2, 1) * np.sqrt(weight)
-        left = (root @ steps.error[:, part, None]) ** 2
+        square = (root @ steps.error[:, part, None]) ** 2
         by_state = root @ steps.jacobian[:, part]
-        signs = rng.choice([-1.0, 1.0], left.shape)
-        poses, shared = _pulled(equations, by_state, signs)
+        signs = rng.choice([-1.0, 1.0], square.shape)
+        poses, shared = _pulled(left, by_state, signs)
         calibration = np.tile(shared[:NC], (len(signs), 1))
         step = np.concatenate([poses[:-1], poses[1:], calibration], axis=1)
         free = signs * (signs - by_state @ step[:, :, None])
         by_bearings = (seen.own * seen.by_step(poses, shared) ** 2).sum() / max(free.sum(), 1e-9)
         free *= 1.0 - better * min(float(by_bearings), 1.0)
-        squares[:, i] = (weight * left).sum(), np.minimum(left / weight, GATE**2).sum()
+        squares[:, i] = (weight * square).sum(), np.minimum(square / weight, GATE**2).sum()
         redundancies[:, i] = (weight * free).sum(), free.sum()
     redundancies[0] *= _kept(redundancies[1].sum() / steps.error.size)
     return Misfit(squares, redundancies)
@@ -131,20 +130,12 @@ def _kept(redundancy: float) -> float:
 
 
 def _pulled(
-    e: elimination.NormalEquations, by_state: np.ndarray, errors: np.ndarray
+    left: Elimination, by_state: np.ndarray, errors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what poses, and what they share, take up of errors (k, i, 1) of motions."""
     pulled = (by_state.transpose(0, 2, 1) @ errors)[:, :, 0]
-    slope, common = np.zeros_like(e.slope), np.zeros_like(e.common_slope)
+    slope, common = left.no_gradient()
     slope[:-1] += pulled[:, :3]
     slope[1:] += pulled[:, 3:6]
     common[:NC] = pulled[:, 6:].sum(axis=0)
-    return _step(e, slope, common)
-
-
-def _step(
-    e: elimination.NormalEquations, slope: np.ndarray, common: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step of poses, and of what they share, by other gradients."""
-    poses, shared, _ = elimination.solve(dataclasses.replace(e, slope=slope, common_slope=common))
-    return poses, shared
+    return left.step(slope, common)
