@@ -44,8 +44,9 @@ class ExtendedKalmanFilter:
     def predict(self, belief: Belief, prediction: Prediction) -> Belief:
         """Carry the belief over one step: P <- G P G' + Gu Q Gu' + diag(state_variance)."""
         step = self.propagate(belief, prediction)
+        # Of a symmetric matrix one triangle is read: half of what compiled code loads.
         covariance = (
-            step.by_state @ belief.covariance @ step.by_state.T
+            step.by_state @ mirror(belief.covariance) @ step.by_state.T
             + step.by_input @ prediction.input_covariance @ step.by_input.T
             + ca.diag(prediction.state_variance)
         )
@@ -58,7 +59,7 @@ class ExtendedKalmanFilter:
         landmark seen for the first time enters with beta = y and the variance of y.
         """
         q = self.model.q
-        state, covariance = belief.state, belief.covariance
+        state, covariance = belief.state, mirror(belief.covariance)
         visible = seen.mask * (ca.sum1(seen.mask) >= seen.minimum_visible)
         entering = visible * (1 - belief.active)
         compared = visible * belief.active

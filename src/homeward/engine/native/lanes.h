@@ -3,6 +3,10 @@
  *
  * sin, cos and log use the kernels of fdlibm, atan2 the rational function of Cephes; each is right
  * to about one unit in the last place. */
+#ifdef SINGLE
+/* Packing straight-line code of doubles into vectors costs gcc more moves than it saves. */
+#pragma GCC optimize("no-tree-slp-vectorize")
+#endif
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>

@@ -54,14 +54,15 @@ static void draw(const Job *job, WU number, int64_t step, V *p) {
 
 /* 1 in the lanes in which the guarded numbers are too large, or none. */
 static V lost(const Job *job, const V *p) {
-  V sum[4] = {v_set(0.0), v_set(0.0), v_set(0.0), v_set(0.0)};
+  V sum[8] = {0}; /* an addition takes four cycles, and two begin in each */
   for (const Kept *k = job->guarded; k < job->guarded + job->n_guarded; k++) {
     int64_t i = 0;
-    for (; i + 4 <= k->size; i += 4)
-      for (int j = 0; j < 4; j++) sum[j] += v_abs(p[k->place + i + j]);
+    for (; i + 8 <= k->size; i += 8)
+      for (int j = 0; j < 8; j++) sum[j] += v_abs(p[k->place + i + j]);
     for (; i < k->size; i++) sum[0] += v_abs(p[k->place + i]);
   }
-  return 1.0 - v_lt((sum[0] + sum[1]) + (sum[2] + sum[3]), v_set(job->largest));
+  for (int j = 1; j < 8; j++) sum[0] += sum[j];
+  return 1.0 - v_lt(sum[0], v_set(job->largest));
 }
 
 static void keep(const Kept *kept, int64_t count, int64_t run, int lane, int64_t row,
