@@ -71,6 +71,8 @@ MARGIN = 1.5
 """A place explains so many lines more than any other: one that is right by chance does not do."""
 RIVAL_SHARE = 0.67
 """Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
+WALKS = 0.01
+"""One landmark in a hundred is on its way while it is looked at, as a rule [1]."""
 AS_WELL = 2.0
 """Where another landmark is off by less than so many times as much, it is that one."""
 

@@ -128,7 +128,19 @@ class HomeFit:
         by_home, by_pose = self.home_frame_jacobians
         covariance = by_home @ self.covariance @ by_home.T
         covariance += by_pose @ self.pose_covariance @ by_pose.T
+        covariance += self._uncounted(by_home)
         return by_pose @ (self.pose - self.home), 0.5 * (covariance + covariance.T)
+
+    def _uncounted(self, by_home: np.ndarray) -> np.ndarray:
+        """Return the covariance (3, 3) from landmarks that may walk, beyond what they count for."""
+        if self.problem.uncounted is None:
+            return np.zeros((3, 3))
+        members = self.of_set.members
+        each = POSE_AND_YAW + 2 * members[:, None] + np.arange(2)
+        by_place = self.linear.by_known[members[:, None], each]
+        variance = np.einsum("ki,kij,kj->k", by_place, self.problem.uncounted[members], by_place)
+        by_bearing = by_home @ self.inverse[0] @ self.of_set.weighted[:, HOME].T
+        return np.asarray(variance * by_bearing @ by_bearing.T)
 
     @cached_property
     def evidence(self) -> Evidence:

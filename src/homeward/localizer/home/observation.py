@@ -70,24 +70,40 @@ class HomeObservation:
         return {n: HomeBearing(*row) for n, *row in zip(names, *columns, strict=True)}
 
     def problem(
-        self, names: list[str], index: np.ndarray, state: Marginal, noise: BearingNoise
+        self,
+        names: list[str],
+        index: np.ndarray,
+        walks: np.ndarray,
+        astray: np.ndarray,
+        state: Marginal,
+        noise: BearingNoise,
     ) -> HomeProblem:
-        """Return what is known of landmarks of home, `index` (q,) of a state of the map."""
+        """Return what is known of landmarks of home, `index` (q,) of a state of the map.
+
+        Each walks with a probability `walks` (q,), and then is off by `astray` (q, 2, 2) [m^2].
+        """
         columns = np.empty(4 + 2 * index.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
         columns[4::2], columns[5::2] = HEAD + 2 * index, HEAD + 1 + 2 * index
         bearings, sigmas = self._columns(names, noise)
+        covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
+        each = np.arange(4, columns.size).reshape(-1, 2)
+        at = each[:, :, None], each[:, None, :]
+        counted = counted_for(covariance[at], walks, astray)
+        uncounted = covariance[at] + walks[:, None, None] * astray - counted
+        covariance[at] = counted
         shift = np.zeros(3)
         if self._same_camera:
             shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
         return HomeProblem(
             mean=state.mean[columns],
-            covariance=state.covariance.take(columns, axis=0).take(columns, axis=1),
+            covariance=covariance,
             bearings=bearings,
             sigmas=sigmas,
             mount=self.mount + shift,
             same_camera=self._same_camera,
             moved_prior=self._settings.moved_prior,
+            uncounted=uncounted,
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )
@@ -105,3 +121,19 @@ class HomeObservation:
         if self._same_camera:  # as doubtful as its other bearings, but no worse than they are
             sigmas = np.maximum(sigmas, np.minimum(noise.scale * sigmas, noise.typical))
         return self._bearings, sigmas
+
+
+def counted_for(stands: np.ndarray, walks: np.ndarray, astray: np.ndarray) -> np.ndarray:
+    """Return the covariances by which places count that may be wrong, shape (q, 2, 2).
+
+    Their information is that of either case, by how probable it is.
+
+    Parameters
+    ----------
+    stands : ndarray, shape (q, 2, 2)
+        Covariances of the places, if all stand.
+    walks, astray : ndarray, shape (q,), (q, 2, 2)
+        How probable each is to walk, and how much less certain it is then.
+    """
+    either = stands + (1.0 - walks)[:, None, None] * astray
+    return np.asarray((stands + astray) @ np.linalg.solve(either, stands))

@@ -50,6 +50,9 @@ class HomeProblem:
     noise_scale: float = 1.0
     """So many times noisier than they were said to be home's bearings are supposed to be [1]."""
 
+    uncounted: np.ndarray | None = None
+    """(q, 2, 2): variance of landmarks' places beyond what they count for, since they may walk."""
+
     surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): surveyed landmarks that fix home without its bearings [m]; see `at_origin`."""
 

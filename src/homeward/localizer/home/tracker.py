@@ -86,9 +86,8 @@ class HomeTracker:
         It is in the odometry frame; where the map has a survey in home's frame, in that.
         """
         state = known.registration.from_home(state)
-        problem = self.observation.problem(
-            self.names, known.as_home_saw(self.names), state, self._noise
-        )
+        places = known.as_home_saw(self.names)
+        problem = self.observation.problem(self.names, *places, state, self._noise)
         if not known.registration.knows_home:
             return problem
         return problem.at_origin(known.registration.stayed(state))

@@ -58,6 +58,10 @@ class Landmark:
     """... and from which it was last seen where it stands."""
     refused: int = 0
     """By how many more sightings of late did not fit than, counted twice, did."""
+    walks: float = 0.0
+    """How probable it is to walk about ..."""
+    astray: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    """... and then the second moment of how far it is off its place [m^2]."""
     lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Direction of the first sight line [rad], and how far others lie to either side of it."""
 

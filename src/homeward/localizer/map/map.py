@@ -29,6 +29,7 @@ from homeward.localizer.map.smoother import ALIKE, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.map.walking import judge_walking
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
@@ -121,10 +122,20 @@ class Map:
         """Return where the camera is after the robot's motion."""
         return motion.compose(camera_on_robot(self._mount, self.state.calibration))
 
-    def as_home_saw(self, names: list[str]) -> np.ndarray:
-        """Return the indices in the state of landmarks where home saw them, for all one knows."""
+    def as_home_saw(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where landmarks stand where home saw them, for all one knows.
+
+        Returns
+        -------
+        index : ndarray, shape (q,), int
+            In the state.
+        walks, astray : ndarray, shape (q,), (q, 2, 2)
+            How probable they are to walk, and how far they are off then: second moments [m^2].
+        """
         known = self.landmarks
-        return known.index(known.former.get(n) or known.mapped[n] for n in names)
+        there = [known.former.get(n) or known.mapped[n] for n in names]
+        astray = np.array([m.astray for m in there]).reshape(-1, 2, 2)
+        return known.index(there), np.array([m.walks for m in there]), astray
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -353,6 +364,8 @@ class Map:
             smoother.scale_noise(wider)
             self.landmarks.scale_noise(wider)
         self._learn_process_noise()
+        known = self.landmarks
+        judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
         sound, now = smoother.settled and noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas

@@ -14,11 +14,11 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.motion.preintegration import NC, Motion
 
-KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP = range(7)
-COLUMNS = 7
+KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME = range(8)
+COLUMNS = 8
 """Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
 bearing [rad], its standard deviation [rad] with and without what the way from the keyframe adds,
-and the time since the last sighting of the landmark [s] (infinite: it is the first)."""
+the time since the last sighting of the landmark [s] (infinite: it is the first), and when [s]."""
 
 
 class Frames:
@@ -114,7 +114,7 @@ def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray
     rows = np.empty((len(frame.names), COLUMNS))
     rows[:, KEYFRAME], rows[:, FRAME], rows[:, LANDMARK] = keyframe, number, -1
     rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
-    rows[:, GAP] = np.inf
+    rows[:, GAP], rows[:, TIME] = np.inf, frame.t
     return rows
 
 

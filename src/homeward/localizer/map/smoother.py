@@ -318,6 +318,14 @@ class Smoother:
         seen = sight(self.cameras(rows)[0], self.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
+    def sight_lines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what `walks` asks for of each sighting: residual, derivative, effective deviation.
+
+        Of shapes (m,) [rad], (m, 2) by the landmark's place [rad/m], and (m,) [rad].
+        """
+        residual, jacobian = self._linearised(self.sightings)
+        return residual, jacobian[:, 3 + NC :], effective_sigmas(self.sightings, self._lasting)
+
     def _linearised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of rows of the table, and their Jacobians."""
         positions = self.positions[self.index(rows[:, LANDMARK])]
