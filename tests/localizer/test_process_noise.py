@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from benchmarks.odometry_noise import drive_of, row
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.drive import OdometryNoise, Sensor
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import elimination
 from homeward.localizer.map.elimination import eliminate
 from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
@@ -15,6 +18,8 @@ from homeward.localizer.map.variance_components import BearingErrors, misfit
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
+from homeward.scoring import errors
+from homeward.track import run
 
 W = 30
 NONE_SEEN = BearingErrors(
@@ -194,3 +199,38 @@ def test_nothing_told_costs_little(size, times):
     assert rmse < 1.8 * at_best
     assert nees < 5.0
     assert pose > 95.0
+
+
+def test_what_is_usual_of_odometry_counts_until_it_is_learnt():
+    noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
+    at_first = noise.rates
+    assert (noise.expect(1.0) == 1.0).all()
+    assert noise.expect(0.1) == pytest.approx(np.array([[0.1, 1.0]] * 2))
+    assert noise.rates[:2] == pytest.approx(0.1 * at_first[:2])
+    assert np.array_equal(noise.rates[2], at_first[2])
+    assert noise.words == ()
+    for _ in range(40):
+        noise.update(np.full((2, 2), 100.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
+    assert noise.scales == pytest.approx(1.0, rel=0.02)
+    told = ProcessNoise(OdometryNoise(speed_sigma=0.01), OdometryDefaults())
+    assert (told.expect(0.1) == 1.0).all()
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_table_top_is_a_small_room(seed):
+    def rmse(size):
+        drive = drive_of(1.0, 0.3, seed)[1].drive
+        way, truth = drive.odometry, drive.truth
+        until = way.t[0] + 90.0
+        drive = dataclasses.replace(
+            drive,
+            odometry=dataclasses.replace(way, v=size * way.v).rows(way.t < until),
+            sightings=drive.sightings.rows(drive.sightings.t < until),
+            truth=dataclasses.replace(truth, x=size * truth.x, y=size * truth.y),
+        )
+        e = errors(
+            run(drive, Localizer(drive.home, sensor=Sensor(bearing_sigma=0.01))), drive.truth
+        )
+        return float(np.sqrt(np.average(e.position**2, weights=e.weight))) / size
+
+    assert rmse(0.1) < 1.25 * rmse(1.0)

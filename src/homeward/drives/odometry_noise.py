@@ -11,7 +11,8 @@ class OdometryDefaults(Strict):
     """Errors of an odometry of which nothing is known: a wheeled robot's, uncalibrated."""
 
     distance: Positive = 0.05
-    """Diffusion along the path, and sideways to a third of it [m per root of a metre]."""
+    """Diffusion along the path, and sideways to a third of it, in a room [m per root of a metre];
+    times the root of k among landmarks at k times the distance, if nearer."""
     turn_by_turning: Positive = 0.05
     """Diffusion of the heading by turning [rad per root of a radian]."""
     turn_by_driving: Positive = 0.03

@@ -114,5 +114,7 @@ LATELY_S = 60.0
 NOISE_PRIOR = 2.0
 """What is believed of odometry's noise at first counts as so many motions: it is little more than a
 guess at the order of magnitude [1]."""
+USUAL_DISTANCE_M = 3.5
+"""... for a robot among landmarks so far away, or farther: in a room [m]."""
 NOISE_MEMORY = 200.0
 """So many keyframes count for it, two minutes of driving: floors differ [1]."""

@@ -35,7 +35,7 @@ from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, STANDS, TINY
+from homeward.localizer.tunables import DRIFT, STANDS, TINY, USUAL_DISTANCE_M
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -88,6 +88,7 @@ class Map:
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
+        self._slip_sigma = self.smoother.slip_sigma
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         self.registration = Registration(Survey(known, settings), self.landmarks)
         self.begun = t
@@ -346,6 +347,8 @@ class Map:
     def _solve(self) -> None:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
         smoother, noise = self.smoother, self._noise
+        if self.landmarks.mapped:
+            self._fit_robot_to_scene()
         smoother.solve()
         if smoother.settled:
             self.registration.judge()
@@ -370,6 +373,16 @@ class Map:
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas
             self._solve()
+
+    def _fit_robot_to_scene(self) -> None:
+        """Expect of odometry what is usual of a robot that is no larger than its scene.
+
+        One k times as large that drives k times as far errs and slips k times as far, and so has k
+        times the variance per metre. In a hall it may be as small as in a room.
+        """
+        share = min(1.0, self.state.scale / USUAL_DISTANCE_M)
+        self.smoother.scale_odometry(self._process_noise.expect(share))
+        self.smoother.slip_sigma = share * self._slip_sigma
 
     def _learn_process_noise(self) -> None:
         """Learn the noise of odometry from what the solution leaves of motions."""

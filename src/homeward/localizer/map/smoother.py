@@ -59,6 +59,8 @@ STEPS = 5
 """Gauss-Newton steps at most."""
 ALIKE = np.ones(2)
 """Variances of most motions over those of all where no tail is known of, of shift and turn [1]."""
+SURE = 1e-6
+"""Nothing of the odometry's calibration is known better than this."""
 NO_GAIN = 1e-4
 """So far below zero a slip in bends is as good as none [m]."""
 SETTLED = 2e-2
@@ -117,6 +119,8 @@ class Smoother:
         """Whether the last `solve` came to rest."""
         self.mount_sigmas = mount_sigmas
         """What is believed beforehand may change; so it is never marginalised ..."""
+        self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), SURE)
+        """... neither of the mount nor of the slip in bends [m] ..."""
         self.known = SurveyFactors.none()
         """... and neither is what is known of landmarks."""
         self._older = np.zeros((0, 3))
@@ -126,7 +130,8 @@ class Smoother:
         self._next_id = 0
         self._closed: list[Closed] | None = None
         self._drift, self._lasting = drift, lasting
-        of_odometry = 1.0 / np.maximum(odometry_sigmas, 1e-6) ** 2
+        of_odometry = 1.0 / np.maximum(odometry_sigmas, SURE) ** 2
+        of_odometry[TURN_SLIP] = 0.0
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._first_information = np.diag(information)
         self._prior = Prior(self._first_information)
@@ -143,6 +148,7 @@ class Smoother:
         unused = np.ones(len(OF_ODOMETRY))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._lasting, 0.0)
         closed = self._closed or []
+        whole.slip_sigma = self.slip_sigma
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
@@ -377,7 +383,8 @@ class Smoother:
     def _measured(self) -> elimination.NormalEquations:
         """Return everything but what is known of landmarks."""
         equations = self._normal_equations(len(self.poses), self.sightings)
-        at, information = np.arange(NC)[MOUNT], self.mount_sigmas**-2.0
+        at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
+        information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information
         equations.common_slope[at] -= information * self.calibration[at]
         if self._gains:

@@ -13,7 +13,12 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import EXCESSIVE, HEAVY_TAIL, NOISE_MEMORY, NOISE_PRIOR
+from homeward.localizer.tunables import (
+    EXCESSIVE,
+    HEAVY_TAIL,
+    NOISE_MEMORY,
+    NOISE_PRIOR,
+)
 
 NOTABLE = 2.0
 """Deviations that differ by so many times are told to the user [1]."""
@@ -37,6 +42,8 @@ class ProcessNoise:
         """Variances of shift and turn over what was believed at first, of most motions (first row)
         and of all: wheels that slip now and then have a heavy tail [1]."""
         self._squares, self._redundancies = np.zeros((2, 2)), np.zeros((2, 2))
+        self._expected = np.ones(2)
+        """What they are thought to be before motions were looked at: by what is usual of wheels."""
 
     @property
     def rates(self) -> np.ndarray:
@@ -57,13 +64,14 @@ class ProcessNoise:
         may be as bad as the gate bears with.
         """
         squares, redundancy = self._squares[1, 0], self._redundancies[1, 0]
-        of_all = (NOISE_PRIOR * HEAVY_TAIL**2 + squares) / (NOISE_PRIOR + redundancy)
+        before = NOISE_PRIOR * self._expected[0] * HEAVY_TAIL**2
+        of_all = (before + squares) / (NOISE_PRIOR + redundancy)
         return max(0.0, float(of_all - self.scales[0, 0]))
 
     @property
     def words(self) -> tuple[str, ...]:
         """What the user should know of it."""
-        off = np.sqrt(self.scales[1])
+        off = np.sqrt(self.scales[1] / self._expected)
         if (np.abs(np.log(off)) < math.log(NOTABLE)).all():
             return ()
         way, turn = off.tolist()
@@ -94,7 +102,18 @@ class ProcessNoise:
         share, kept = keyframes / motions, np.exp(-keyframes / NOISE_MEMORY)
         self._squares = kept * self._squares + share * squares * self.scales[0]
         self._redundancies = kept * self._redundancies + share * np.maximum(redundancies, 0.0)
-        now = (NOISE_PRIOR + self._squares) / (NOISE_PRIOR + self._redundancies)
+        return self._believe()
+
+    def expect(self, share: float) -> np.ndarray:
+        """Expect so large a share of the usual variance of the way; returns what `update` does."""
+        if self._learns[0]:
+            self._expected[0] = share
+        return self._believe()
+
+    def _believe(self) -> np.ndarray:
+        """Believe what was learnt and, as so many motions, what is usual; return the widening."""
+        known = NOISE_PRIOR + self._redundancies
+        now = (NOISE_PRIOR * self._expected + self._squares) / known
         now[1] = np.maximum(now[0], now[1])
         doubted = (now > EXCESSIVE**2) | (self.scales > 1.0)
         given = np.where(doubted, np.maximum(now, 1.0), 1.0)
