@@ -13,6 +13,7 @@ from homeward.localizer.geometry import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME, inverted
+from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.tunables import AGREES, PUSHED
 
 CENTRE_STEPS = 20
@@ -47,6 +48,10 @@ class PoseEstimate:
         after, by_pose, turn = composition(np.array(self.pose), delta)
         covariance = by_pose @ self.covariance @ by_pose.T + turn @ drift @ turn.T
         return PoseEstimate.of(after, covariance)
+
+    def with_more(self, covariance: np.ndarray) -> PoseEstimate:
+        """Return it with a further covariance (3, 3)."""
+        return PoseEstimate(self.pose, self.covariance + covariance)
 
     def with_mount(self, mount_covariance: np.ndarray) -> PoseEstimate:
         """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
@@ -93,6 +98,8 @@ class OtherHypotheses:
     """Probability of the best one."""
     covariance: np.ndarray
     """(3, 3): what the others have of the covariance, and how far all are apart."""
+    tails: np.ndarray | None = None
+    """(3, 3): what must be added for a Gaussian to have their tails; None: nothing."""
 
     @staticmethod
     def nothing() -> OtherHypotheses:
@@ -113,9 +120,9 @@ def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
     each = weights[:, None, None] * covariances
     middle = centre(off, weights, each.sum(axis=0))
     off -= middle
-    return OtherHypotheses(
-        middle, float(weights[0]), each[1:].sum(axis=0) + (weights * off.T) @ off
-    )
+    others = each[1:].sum(axis=0) + (weights * off.T) @ off
+    tails = missing_tails(off, weights, covariances, each[0] + others)
+    return OtherHypotheses(middle, float(weights[0]), others, tails)
 
 
 def combined_estimate(

@@ -153,10 +153,18 @@ class IntegrityMonitor:
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
-        estimate = self._estimate if moved is None else self._estimate.propagate(*moved)
-        estimate = estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
+        estimate = self._now(self._estimate, moved)
         status, reason = self._status(estimate, self._best, coasting)
+        if self._others.tails is not None:
+            estimate = self._now(self._estimate.with_more(self._others.tails), moved)
         return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
+
+    def _now(
+        self, estimate: PoseEstimate, moved: tuple[np.ndarray, np.ndarray] | None
+    ) -> PoseEstimate:
+        """Return an estimate at the keyframe after a motion since, with what is told of neither."""
+        estimate = estimate if moved is None else estimate.propagate(*moved)
+        return estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
 
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough among its landmarks to judge any of them by it."""
