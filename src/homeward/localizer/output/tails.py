@@ -9,14 +9,12 @@ directions of the parts and along the axes (overbounding, as of DeCleene, 2000, 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from homeward.localizer.tunables import AGREES, FALSE_ALARM
 
-HALVINGS = 14
-"""Of the range in which a quantile is sought: it is found to one in a thousand."""
-FARTHEST = 6.0
-"""Nothing of a Gaussian is farther off [standard deviations]."""
+HALVINGS = 8
+"""Of the bounds between which a quantile is sought: it is found to a two hundredth of a deviation."""
 
 
 def missing_tails(
@@ -62,7 +60,11 @@ def missing_tails(
 
 def _quantile(at: np.ndarray, sigma: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return how far mixtures on lines (u,) reach, but for `FALSE_ALARM`; see `_beyond`."""
-    near, far = np.full(len(at), AGREES), (np.abs(at) + FARTHEST * sigma).max(axis=1)
+    # One part alone reaches so far; and all together no farther than if each had its share of that.
+    alone, share = FALSE_ALARM / weights, 0.5 * FALSE_ALARM / (weights.size * weights)
+    near, far = (
+        (np.abs(at) - sigma * ndtri(np.minimum(p, 1.0))).max(axis=1) for p in (alone, share)
+    )
     for _ in range(HALVINGS):
         middle = 0.5 * (near + far)
         reaches = _beyond(middle, at, sigma, weights) > FALSE_ALARM
@@ -77,5 +79,5 @@ def _beyond(
 
     Their parts are Gaussians of `weights` (k,), `at` and with `sigma`, both (u, k).
     """
-    ahead, behind = (at - limit[:, None]) / sigma, (-at - limit[:, None]) / sigma
-    return np.asarray((ndtr(ahead) + ndtr(behind)) @ weights)
+    both = np.stack([at, -at]) - limit[:, None]
+    return np.asarray(ndtr(both / sigma).sum(axis=0) @ weights)
