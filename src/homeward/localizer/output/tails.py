@@ -14,7 +14,7 @@ from scipy.special import ndtr, ndtri
 from homeward.localizer.tunables import AGREES, FALSE_ALARM
 
 HALVINGS = 8
-"""Of the bounds between which a quantile is sought: it is found to a two hundredth of a deviation."""
+"""Of the bounds between which a quantile is sought: it is found to 0.5 % of a deviation."""
 
 
 def missing_tails(
