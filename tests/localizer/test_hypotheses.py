@@ -16,7 +16,7 @@ from homeward.estimator import Status
 from homeward.frames import Pose, between
 from homeward.localizer.home.evidence import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.gauss_newton import fit
-from homeward.localizer.home.hypotheses import Hypotheses, search, seeds_for
+from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_for
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
@@ -184,6 +184,15 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
         off[2] = wrap(off[2])
         beyond += off @ np.linalg.solve(answer.covariance, off) > 16.0
     assert beyond <= 0.075 * runs
+
+
+def test_where_most_landmarks_moved_home_can_be_looked_for_from_more_places():
+    known = problem(dict(enumerate((0.3, -0.2, 0.5, -0.6, 0.15))))[1]
+    few, many = seeds(known), seeds(known, 32)
+    sets = [inliers.tobytes() for _, inliers, scale in many if scale == 1.0]
+    assert len(few) < len(many)
+    assert len(sets) == len(set(sets)) > 8
+    assert [(s, i.tobytes()) for _, i, s in few[:8]] == [(s, i.tobytes()) for _, i, s in many[:8]]
 
 
 def on_a_circle(seed):

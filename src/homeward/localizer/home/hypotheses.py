@@ -195,8 +195,11 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
     return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
 
 
-def seeds(problem: HomeProblem) -> list[Seed]:
-    """Return seeds of the local search, the sets of one noise all different."""
+def seeds(problem: HomeProblem, most: int = MOST_SEEDS) -> list[Seed]:
+    """Return seeds of the local search, the sets of one noise all different.
+
+    So many are `most`; of bearings that are noisier than they were said to be, `MOST_SEEDS`.
+    """
     found: list[Seed] = []
     q = problem.bearings.size
     cameras = np.zeros((0, 3))
@@ -206,12 +209,13 @@ def seeds(problem: HomeProblem) -> list[Seed]:
         if problem.prior is not None:
             found.append((problem.prior, np.ones(q, bool), scale))
         if len(cameras):
-            found.extend(_best_of_triples(cameras, problem.with_noise(scale)))
+            noisy = problem.with_noise(scale)
+            found.extend(_best_of_triples(cameras, noisy, most if scale == 1.0 else MOST_SEEDS))
     return found
 
 
-def _best_of_triples(cameras: np.ndarray, problem: HomeProblem) -> list[Seed]:
-    """Return the best of home's cameras (k, 3) made of triples, with the set each makes right."""
+def _best_of_triples(cameras: np.ndarray, problem: HomeProblem, most: int) -> list[Seed]:
+    """Return the best `most` of home's cameras (k, 3) of triples, with the set each makes right."""
     points = problem.landmarks
     each = POSE_AND_YAW + np.arange(2 * len(points)).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
@@ -219,10 +223,10 @@ def _best_of_triples(cameras: np.ndarray, problem: HomeProblem) -> list[Seed]:
         cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
     )
     first: dict[bytes, int] = {}
-    best = np.argsort(-scores)[: 6 * MOST_SEEDS]
+    best = np.argsort(-scores)[: 6 * most]
     for i in best[np.count_nonzero(inliers[best], axis=1) >= POSE].tolist():
         first.setdefault(inliers[i].tobytes(), i)
-    chosen = list(first.values())[:MOST_SEEDS]
+    chosen = list(first.values())[:most]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
     return [(h, i, problem.noise_scale) for h, i in zip(homes, inliers[chosen], strict=True)]
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.home.hypotheses import (
+    MOST_SEEDS,
     PROBABLE,
     Hypotheses,
     Seed,
@@ -26,11 +27,14 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import AGREES
 
 SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
 """... which waits so many for one at which the window is not solved."""
+MOST_IN_DOUBT = 4 * MOST_SEEDS
+"""Seeds where home may be elsewhere: one a keyframe, this takes as long as a search is old."""
 
 
 class HomeTracker:
@@ -60,7 +64,7 @@ class HomeTracker:
         """Where home may be; None where it is not found."""
         self.names: list[str] = []
         """Of the q landmarks among which it is looked for."""
-        self._noise, self._surveyed = noise, False
+        self._noise, self._surveyed, self._sure = noise, False, settings.sure
         self._seeds: deque[Seed] = deque()
         self._searched = 0
         """Keyframe at which other places for home were last looked for."""
@@ -79,6 +83,8 @@ class HomeTracker:
             also = seeds_for(now, before, self.names) if now is not None else []
             self.hypotheses = search(problem, also)
             self._seeds.clear()
+            if self.hypotheses is not None and self._most(self.hypotheses) > MOST_SEEDS:
+                self._seeds.extend(seeds(problem, MOST_IN_DOUBT)[MOST_SEEDS:])
 
     def problem(self, known: Map, state: Marginal) -> HomeProblem:
         """Return what is known of home's landmarks by a state of the map.
@@ -123,6 +129,11 @@ class HomeTracker:
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
 
+    def _most(self, now: Hypotheses) -> int:
+        """Return from how many seeds to look for home: more, where it is in doubt."""
+        doubted = now.rivals(AGREES) > 1.0 - self._sure
+        return MOST_IN_DOUBT if doubted else MOST_SEEDS
+
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
         """Look now and then where else home might be, one place after the other."""
         since = known.smoother.newest - self._searched
@@ -130,6 +141,6 @@ class HomeTracker:
         if self._seeds and since >= wait:
             return try_seed(problem, now, self._seeds.popleft())
         if not self._seeds and since >= SEARCH_EVERY + wait:
-            self._seeds.extend(seeds(problem))
+            self._seeds.extend(seeds(problem, self._most(now)))
             self._searched = known.smoother.newest
         return now
