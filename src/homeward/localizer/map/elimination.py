@@ -67,12 +67,14 @@ class Elimination:
     def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps of poses (w, 3), and of what they share (a,), by another gradient.
 
+        Or by c of them at once: then of shapes (w, 3, c) and (a, c).
+
         Raises
         ------
         numpy.linalg.LinAlgError
             When what is left is singular.
         """
-        older, couplings = slope[:-1].ravel(), self.couplings[:, :-1]
+        older, couplings = slope[:-1].reshape(-1, *slope.shape[2:]), self.couplings[:, :-1]
         if older.size:
             older = lapack.dtbtrs(self.factor, older, uplo="L")[0]
         gradient = np.concatenate([slope[-1], common_slope]) - couplings.T @ older
@@ -80,7 +82,7 @@ class Elimination:
         if failed:
             raise np.linalg.LinAlgError("not positive definite")
         poses = _substitute(self, older - couplings @ tail)
-        return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:]
+        return np.concatenate([poses, tail[:3]]).reshape(slope.shape), tail[3:]
 
 
 def eliminate(e: NormalEquations) -> Elimination:

@@ -102,21 +102,31 @@ def add_odometry(
     e.common_slope[:NC] += slopes[:, 6:].sum(axis=0)
 
 
-def add_sightings(
-    e: NormalEquations,
+class WeighedSightings(NamedTuple):
+    """Sightings, linearised, over the deviations by which they count."""
+
+    residual: np.ndarray
+    """(m,): measured minus expected bearing [1]."""
+    jacobian: np.ndarray
+    """(m, 13): of the expected one, by keyframe's pose, calibration and landmark."""
+    pose: np.ndarray
+    """(m,), int: from which pose each was made, and ..."""
+    landmark: np.ndarray
+    """(m,), int: ... of which landmark."""
+
+
+def weigh_sightings(
     residual: np.ndarray,
     jacobian: np.ndarray,
     sigma: np.ndarray,
     effective: np.ndarray,
     pose: np.ndarray,
     landmark: np.ndarray,
-) -> None:
-    """Add sightings, those with large residuals at less weight.
+) -> WeighedSightings:
+    """Weigh sightings, those with large residuals less.
 
     Parameters
     ----------
-    e : NormalEquations
-        Of w poses, and the calibration and n landmarks that they share.
     residual, jacobian : ndarray, shape (m,), (m, 13)
         Of `bearing_residuals`.
     sigma, effective : ndarray, shape (m,)
@@ -124,22 +134,27 @@ def add_sightings(
     pose, landmark : ndarray, shape (m,), int
         From which pose each was made, and of which landmark.
     """
-    if not residual.size:
-        return
-    w, n = len(e.own), (len(e.common) - NC) // 2
     scale = 1.0 / (effective * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
-    columns = np.concatenate([jacobian, residual[:, None]], axis=1)
-    columns *= scale[:, None]
+    return WeighedSightings(scale * residual, scale[:, None] * jacobian, pose, landmark)
+
+
+def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
+    """Add sightings to the equations of w poses, and the calibration and n landmarks they share."""
+    if not seen.residual.size:
+        return
+    pose, landmark = seen.pose, seen.landmark
+    w, n = len(e.own), (len(e.common) - NC) // 2
+    columns = np.concatenate([seen.jacobian, seen.residual[:, None]], axis=1)
     head, by_landmark = columns[:, : 3 + NC], columns[:, 3 + NC : 5 + NC]
 
-    of_pose = _sum_by(pose, columns[:, :3], np.delete(columns, [3 + NC, 4 + NC], axis=1), w)
+    of_pose = sum_by(pose, columns[:, :3], np.delete(columns, [3 + NC, 4 + NC], axis=1), w)
     e.own[:] += of_pose[:, :, :3]
     e.shared[:, :, :NC] += of_pose[:, :, 3:-1]
     e.slope[:] += of_pose[:, :, -1]
     e.common[:NC, :NC] += head[:, 3:].T @ head[:, 3:]
     e.common_slope[:NC] += head[:, 3:].T @ columns[:, -1]
 
-    of_landmark = _sum_by(landmark, by_landmark, columns[:, 3:], n)
+    of_landmark = sum_by(landmark, by_landmark, columns[:, 3:], n)
     cross = of_landmark[:, :, :NC].reshape(2 * n, NC)
     e.common[NC:, :NC] += cross
     e.common[:NC, NC:] += cross.T
@@ -148,12 +163,15 @@ def add_sightings(
     landmarks[at, :, at] += of_landmark[:, :, NC:-1]
     e.common_slope[NC:] += of_landmark[:, :, -1].ravel()
 
-    both = _sum_by(pose * n + landmark, columns[:, :3], by_landmark, w * n)
+    both = sum_by(pose * n + landmark, columns[:, :3], by_landmark, w * n)
     e.shared[:, :, NC:] += both.reshape(w, n, 3, 2).transpose(0, 2, 1, 3).reshape(w, 3, 2 * n)
 
 
-def _sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
-    """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j)."""
+def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
+    """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j).
+
+    Each row is of the group (m,) whose number is given.
+    """
     m, blocks = len(group), left[:, :, None] * right[:, None, :]
     of_group = csc_array((np.ones(m), group, np.arange(m + 1)), shape=(groups, m))
     return np.asarray((of_group @ blocks.reshape(m, -1)).reshape(groups, *blocks.shape[1:]))

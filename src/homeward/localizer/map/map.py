@@ -22,7 +22,6 @@ from homeward.localizer.map.sightings import (
     LANDMARK,
     OWN,
     SIGMA,
-    effective_sigmas,
     sighting_rows,
 )
 from homeward.localizer.map.smoother import ALIKE, Smoother
@@ -35,7 +34,7 @@ from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, STANDS, TINY, USUAL_DISTANCE_M
+from homeward.localizer.tunables import DRIFT, FALSE_ALARM, STANDS, TINY, USUAL_DISTANCE_M
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -188,6 +187,7 @@ class Map:
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
         )
+        accepted &= self.smoother.stands[index] > FALSE_ALARM  # who walks fits nowhere for long
         names = [frame.names[i] for i in known.tolist()]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
@@ -318,7 +318,7 @@ class Map:
         """Return what was kept of a prediction, with the deviations by which it counts."""
         mapped = rows[:, LANDMARK] >= 0
         rows = rows[mapped & kept]
-        more = effective_sigmas(rows, self._noise.lasting) ** 2 - rows[:, SIGMA] ** 2
+        more = self.smoother.effective_sigmas(rows) ** 2 - rows[:, SIGMA] ** 2
         return seen.only(kept[mapped]).widened(more)
 
     def _correct(self, seen: Prediction | None) -> None:
@@ -368,7 +368,8 @@ class Map:
             self.landmarks.scale_noise(wider)
         self._learn_process_noise()
         known = self.landmarks
-        judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
+        if smoother.settled:
+            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
         sound, now = smoother.settled and noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas

@@ -21,11 +21,13 @@ from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.map import elimination
 from homeward.localizer.map.factors import (
     STEP,
+    WeighedSightings,
     add_odometry,
     add_sightings,
     odometry_errors,
     scale_steps,
     step_row,
+    weigh_sightings,
 )
 from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.sightings import (
@@ -108,6 +110,8 @@ class Smoother:
         """Times of the open keyframes [s]."""
         self.ids = np.zeros(0, int)
         """(n,): of the landmarks in the state, ascending; none is given twice."""
+        self.stands = np.zeros(0)
+        """(n,): probability of each to stand, by which what is seen of it counts [1]."""
         self.sightings = np.zeros((0, COLUMNS))
         """Those of landmarks in the state from open keyframes."""
         self.frames = Frames()
@@ -157,6 +161,7 @@ class Smoother:
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
         whole.ids, whole.state, whole.known = self.ids, self.state, self.known
+        whole.stands = self.stands
         information = np.eye(self.state.mean.size) * (FAR * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
@@ -215,6 +220,7 @@ class Smoother:
         self._prior.add_landmark(position, unknown)
         self.state = self.state.with_landmark(position, unknown)
         self.ids = np.append(self.ids, self._next_id)
+        self.stands = np.append(self.stands, 1.0)
         self._next_id += 1
         return self._next_id - 1
 
@@ -241,7 +247,7 @@ class Smoother:
         residual, jacobian = self._linearised(rows)
         seen = BearingErrors(
             residual / rows[:, SIGMA],
-            jacobian / effective_sigmas(rows, self._lasting)[:, None],
+            jacobian / self.effective_sigmas(rows)[:, None],
             rows[:, KEYFRAME].astype(int) - self.first,
             self.index(rows[:, LANDMARK]),
             (rows[:, OWN] / rows[:, SIGMA]) ** 2,
@@ -254,13 +260,13 @@ class Smoother:
         index = int(self.index(np.array(number)))
         self._prior.drop_landmark(index, self._head_and_map())
         self.state = self.state.without_landmark(index)
-        self.ids = np.delete(self.ids, index)
+        self.ids, self.stands = np.delete(self.ids, index), np.delete(self.stands, index)
         self.known = self.known.among(self.ids)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
     def predict(self, rows: np.ndarray) -> Prediction:
         """Predict sightings from the newest keyframe, rows of the table."""
-        seen = rows[:, BEARING], effective_sigmas(rows, self._lasting)
+        seen = rows[:, BEARING], self.effective_sigmas(rows)
         return self.state.predict_bearings(*seen, self.cameras(rows), self.index(rows[:, LANDMARK]))
 
     def solve(self) -> None:
@@ -324,18 +330,26 @@ class Smoother:
         seen = sight(self.cameras(rows)[0], self.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
-    def sight_lines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what `walks` asks for of each sighting: residual, derivative, effective deviation.
+    def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
+        """Return the deviations by which rows count (m,), less of what may walk [rad]."""
+        stands = self.stands[self.index(rows[:, LANDMARK])]
+        return np.asarray(effective_sigmas(rows, self._lasting) / np.sqrt(stands))
 
-        Of shapes (m,) [rad], (m, 2) by the landmark's place [rad/m], and (m,) [rad].
-        """
-        residual, jacobian = self._linearised(self.sightings)
-        return residual, jacobian[:, 3 + NC :], effective_sigmas(self.sightings, self._lasting)
+    def linearised(self) -> tuple[elimination.NormalEquations, WeighedSightings]:
+        """Return all that is known, and what is seen of it, around what is believed now."""
+        return self._all(), self._weighed(self.sightings)
 
     def _linearised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of rows of the table, and their Jacobians."""
         positions = self.positions[self.index(rows[:, LANDMARK])]
         return bearing_residuals(rows[:, BEARING], *self.cameras(rows), positions)
+
+    def _weighed(self, rows: np.ndarray) -> WeighedSightings:
+        """Return rows of the table, linearised and weighed."""
+        pose = rows[:, KEYFRAME].astype(int) - self.first
+        numbers = pose, self.index(rows[:, LANDMARK])
+        sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
+        return weigh_sightings(*self._linearised(rows), *sigmas, *numbers)
 
     def _head_and_map(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks in one vector."""
@@ -363,10 +377,7 @@ class Smoother:
         equations = elimination.NormalEquations.zeros(w, NC + self.positions.size)
         self._prior.add_to(equations, self._head_and_map())
         add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
-        pose = rows[:, KEYFRAME].astype(int) - self.first
-        numbers = pose, self.index(rows[:, LANDMARK])
-        sigmas = rows[:, SIGMA], effective_sigmas(rows, self._lasting)
-        add_sightings(equations, *self._linearised(rows), *sigmas, *numbers)
+        add_sightings(equations, self._weighed(rows))
         return equations
 
     def _all(self) -> elimination.NormalEquations:

@@ -16,15 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.localizer.map.elimination import NormalEquations, eliminate
+from homeward.localizer.map.factors import WeighedSightings, sum_by
 from homeward.localizer.map.landmarks import Landmark
-from homeward.localizer.map.sightings import LANDMARK, SIGMA, TIME
+from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.tunables import GATE, UPHEAVAL, WALKS
+from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKS
 
 SHARES = (np.arange(20) + 0.5) / 20
 """Shares of walking landmarks over which is integrated."""
-LEAST_SHARE = 1e-9
-"""So much of what is known of a place is known across, too: where it is seen along one line [1]."""
 
 
 class Walks(NamedTuple):
@@ -37,7 +38,7 @@ class Walks(NamedTuple):
 
 
 def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
-    """Judge which landmarks may walk, after a solution, and by how much they are off then.
+    """Judge which landmarks may walk, after a solution; what is seen of these counts for less.
 
     A walk is thought to be about as fast as the robot's own. Where sightings of a landmark are
     closed already, it is what it was found to be before; where it was surveyed, it stands.
@@ -48,6 +49,11 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
         The map.
     landmarks : sequence of Landmark
         Of the map.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the normal equations are singular.
     """
     open_since, surveyed = smoother.first, set(smoother.known.ids.tolist())
     judged = [m for m in landmarks if m.first >= open_since and m.number not in surveyed]
@@ -55,59 +61,81 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     if not judged or not took > 0.0:
         return
     path = float(np.hypot(*np.diff(smoother.poses[:, :2], axis=0).T).sum())
-    rows, (residual, by_place, sigma) = smoother.sightings, smoother.sight_lines()
-    of, n = smoother.index(rows[:, LANDMARK]), len(smoother.ids)
-    begun = np.full(n, np.inf)
-    np.minimum.at(begun, of, rows[:, TIME])
-    sigma *= np.maximum(np.abs(residual) / (GATE * rows[:, SIGMA]), 1.0)
-    lines = residual / sigma, by_place / sigma[:, None], rows[:, TIME] - begun[of]
-    found = walks(*lines, of, n, path / took / math.sqrt(2.0))
     at = smoother.index(np.array([m.number for m in judged]))
+    smoother.stands[at] = 1.0  # while they are judged
+    begun = np.full(len(smoother.ids), np.inf)
+    everything, seen = smoother.linearised()
+    t = smoother.sightings[:, TIME]
+    np.minimum.at(begun, seen.landmark, t)
+    found = walks(everything, seen, t - begun[seen.landmark], path / took / math.sqrt(2.0))
     probabilities = walking_probabilities(found.log_factor[at])
     for landmark, p, moment in zip(judged, probabilities.tolist(), found.moment[at], strict=True):
         landmark.walks, landmark.astray = p, moment
+    smoother.stands[at] = np.maximum(1.0 - probabilities, FALSE_ALARM)
 
 
 def walks(
-    residual: np.ndarray,
-    by_place: np.ndarray,
-    since: np.ndarray,
-    of: np.ndarray,
-    n: int,
-    speed: float,
+    everything: NormalEquations, seen: WeighedSightings, since: np.ndarray, speed: float
 ) -> Walks:
-    """Weigh a constant velocity of each of n landmarks against none, by all its sight lines.
+    """Weigh a constant velocity of each of n landmarks, all others standing, against none.
+
+    Poses, calibration and all landmarks are unknown beside it, in both cases: a Bayes factor of
+    linear models. Were they taken for known, their errors would pass for walks.
 
     Parameters
     ----------
-    residual, by_place : ndarray, shape (m,), (m, 2)
-        Measured minus expected bearing, and the derivative of the latter by the landmark's place,
-        both over the bearing's standard deviation [1], [1/m].
+    everything : NormalEquations
+        All that is known of them, if all stand, around the solution.
+    seen : WeighedSightings
+        The sightings among it.
     since : ndarray, shape (m,)
-        How long after the landmark's first sighting [s].
-    of : ndarray, shape (m,), int
-        Of which landmark.
-    n : int
-        How many there are.
+        How long after the landmark's first sighting each was made [s].
     speed : float
         Standard deviation of each component of a walk's velocity [m/s].
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the normal equations are singular.
     """
-    columns = np.column_stack([by_place, speed * since[:, None] * by_place, residual])
-    products = np.zeros((n, 5, 5))
-    np.add.at(products, of, columns[:, :, None] * columns[:, None, :])
-    place = products[:, :2, :2].copy()
-    whole = place[:, 0, 0] + place[:, 1, 1]
-    place += np.where(whole > 0.0, LEAST_SHARE * whole, 1.0)[:, None, None] * np.eye(2)
-    lever = np.linalg.solve(place, products[:, :2, 2:])  # of the place, by velocity and residual
-    left = products[:, 2:, 2:] - products[:, 2:, :2] @ lever
-    information, slope = left[:, :2, :2] + np.eye(2), left[:, :2, 2]
+    n = (len(everything.common) - NC) // 2
+    by_velocity = speed * since[:, None] * seen.jacobian[:, 3 + NC :]
+    columns = np.concatenate([by_velocity, seen.residual[:, None]], axis=1)
+    own = sum_by(seen.landmark, by_velocity, columns, n)
+    coupled = _couplings(seen, by_velocity, len(everything.own), n)
+    pulled, settled = _taken_up(everything, coupled)
+    each, by_landmark = np.arange(n), coupled.reshape(-1, n, 2)
+    information = np.eye(2) + own[:, :, :2]
+    information -= np.einsum("iku,ikv->kuv", by_landmark, pulled.reshape(-1, n, 2))
+    slope = own[:, :, 2] - np.einsum("iku,i->ku", by_landmark, settled)
     covariance = np.linalg.inv(information)
     velocity = (covariance @ slope[:, :, None])[:, :, 0]
     gain = (slope * velocity).sum(axis=1)
     log_factor = 0.5 * (gain - np.linalg.slogdet(information)[1])
     moment = covariance + velocity[:, :, None] * velocity[:, None, :]
-    by_velocity = lever[:, :, :2]
-    return Walks(log_factor, by_velocity @ moment @ by_velocity.transpose(0, 2, 1))
+    lever = pulled[-2 * n :].reshape(n, 2, n, 2)[each, :, each]
+    return Walks(log_factor, lever @ moment @ lever.transpose(0, 2, 1))
+
+
+def _couplings(seen: WeighedSightings, by_velocity: np.ndarray, w: int, n: int) -> np.ndarray:
+    """Return the Hessian of w poses, calibration and n places with velocities, (3 w + a, 2 n)."""
+    by_pose, by_common = seen.jacobian[:, :3], seen.jacobian[:, 3:]
+    poses = sum_by(seen.pose * n + seen.landmark, by_pose, by_velocity, w * n)
+    own = sum_by(seen.landmark, by_common, by_velocity, n)
+    calibration = own[:, :NC].transpose(1, 0, 2).reshape(NC, 2 * n)
+    places = np.zeros((n, 2, n, 2))
+    places[np.arange(n), :, np.arange(n)] = own[:, NC:]
+    poses = poses.reshape(w, n, 3, 2).transpose(0, 2, 1, 3).reshape(3 * w, 2 * n)
+    return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * n)])
+
+
+def _taken_up(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how poses and what they share give way: to velocities (3 w + a, 2 n), as they are."""
+    left, poses = eliminate(everything), 3 * len(everything.own)
+    by_velocity = left.step(coupled[:poses].reshape(-1, 3, coupled.shape[1]), coupled[poses:])
+    settled = left.step(everything.slope, everything.common_slope)
+    pulled = np.concatenate([by_velocity[0].reshape(poses, -1), by_velocity[1]])
+    return pulled, np.concatenate([settled[0].ravel(), settled[1]])
 
 
 def walking_probabilities(log_factor: np.ndarray) -> np.ndarray:

@@ -53,14 +53,12 @@ class LandmarkReport:
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
-        moved_at = self.known.moved_at.get(name, math.nan)
+        mapped, moved_at = self.known.mapped.get(name), self.known.moved_at.get(name, math.nan)
         unjudged = 1.0 if math.isfinite(moved_at) else math.nan
-        probability = unjudged if judged is None else judged
-        probability = max(
-            (p for p in (probability, surveyed) if math.isfinite(p)), default=math.nan
-        )
+        walks = math.nan if judged is None or mapped is None else mapped.walks
+        known = (unjudged if judged is None else judged), surveyed, walks
+        probability = max((p for p in known if math.isfinite(p)), default=math.nan)
         x, y, deviation = place
-        mapped = self.known.mapped.get(name)
         return LandmarkEstimate(
             landmark=name,
             x=x,
