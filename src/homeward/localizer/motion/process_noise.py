@@ -13,12 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import (
-    EXCESSIVE,
-    HEAVY_TAIL,
-    NOISE_MEMORY,
-    NOISE_PRIOR,
-)
+from homeward.localizer.tunables import EXCESSIVE, HEAVY_TAIL, NOISE_MEMORY, NOISE_PRIOR
 
 NOTABLE = 2.0
 """Deviations that differ by so many times are told to the user [1]."""
