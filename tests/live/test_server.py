@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -250,18 +252,49 @@ def test_a_session_over_stdin_answers_every_line_and_ends_with_it(tmp_path):
     assert LiveSettings().queue == 200  # less than what came: stdin waits for the estimator
 
 
-def test_who_closes_the_pipe_ends_the_session_without_a_word():
-    command = [sys.executable, "-m", "homeward", "live"]
+LOOK = '{"type":"bearings","t":%d,"bearings":{}}\n'
+
+
+@contextlib.contextmanager
+def live_on_pipes():
+    """The process of a session that answers."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as live:
-        look = '{"type":"bearings","t":%d,"bearings":{}}\n'
-        live.stdin.write(look % 0)
+    with subprocess.Popen([sys.executable, "-m", "homeward", "live"], text=True, **pipes) as live:
+        live.stdin.write(LOOK % 0)
         live.stdin.flush()
         assert json.loads(live.stdout.readline())["type"] == "estimate"
+        yield live
+
+
+def test_who_closes_the_pipe_ends_the_session_without_a_word():
+    with live_on_pipes() as live:
         live.stdout.close()
         with contextlib.suppress(BrokenPipeError):
             for t in range(1, 100):
-                live.stdin.write(look % t)
+                live.stdin.write(LOOK % t)
                 live.stdin.flush()
         assert live.wait(60.0) == 0
         assert live.stderr.read() == ""
+
+
+@pytest.mark.parametrize("how", ["closed", "SIGINT", "SIGTERM"])
+def test_a_session_that_waits_for_a_line_ends_without_a_word(how):
+    with live_on_pipes() as live:
+        live.stdout.close() if how == "closed" else live.send_signal(signal.Signals[how])
+        assert live.wait(60.0) == 0  # and stdin is open, and quiet
+        assert live.stderr.read() == ""
+
+
+def test_stdin_may_end_after_the_session(monkeypatch):
+    before, (reading, writing) = set(threading.enumerate()), os.pipe()
+
+    async def whole():
+        async with serving(stdio=True):
+            pass
+
+    with open(reading) as stdin, open(writing, "wb") as writer:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        asyncio.run(whole())
+        (waiting,) = set(threading.enumerate()) - before
+        writer.close()
+        waiting.join()  # an error in it would be a warning of pytest's

@@ -247,16 +247,21 @@ class Server:
             self._take_line(line, me)
             taken.release()
 
-        while line := sys.stdin.buffer.readline(LONGEST_LINE + 1):
-            while self.session.waiting > self.session.settings.queue // 2:
-                time.sleep(0.001)
-            if line.strip():
-                with contextlib.suppress(RuntimeError):  # it ended meanwhile
+        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
+        # this thread holds the lock, as it does while it waits for a line.
+        with (
+            contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
+            open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
+        ):
+            while line := stdin.readline(LONGEST_LINE + 1):
+                while self.session.waiting > self.session.settings.queue // 2:
+                    time.sleep(0.001)
+                if line.strip():
                     loop.call_soon_threadsafe(take, line)
-                taken.acquire()
-        while self.session.waiting:
-            time.sleep(0.001)
-        self._end()
+                    taken.acquire()
+            while self.session.waiting:
+                time.sleep(0.001)
+            self._end()
 
     @contextlib.asynccontextmanager
     async def _tcp(self, place: Address) -> AsyncIterator[int]:
