@@ -40,6 +40,8 @@ def wrap(angle: Any) -> Any:
     """
     if isinstance(angle, float) and math.isfinite(angle):  # the same, much quicker
         return angle - TWO_PI * math.ceil((angle - math.pi) / TWO_PI)
+    if isinstance(angle, np.ndarray):
+        return angle - TWO_PI * np.ceil((angle - math.pi) / TWO_PI)
     return angle - TWO_PI * apply("ceil", (angle - math.pi) / TWO_PI)
 
 

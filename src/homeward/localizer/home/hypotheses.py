@@ -20,7 +20,11 @@ from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
-from homeward.localizer.home.resection import mixture_scores, poses_from_triples
+from homeward.localizer.home.resection import (
+    innovations_from,
+    mixture_scores,
+    poses_from_triples,
+)
 from homeward.localizer.tunables import NEGLIGIBLE, NOISIER, POSE
 
 Seed = tuple[np.ndarray, np.ndarray, float]
@@ -163,6 +167,8 @@ def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypoth
     found = {f.key: f for f in (*hypotheses.unconverged, *hypotheses.fits)}
     known, (home, inliers, scale) = set(found), seed
     _local_search(problem.with_noise(scale), home, inliers, found)
+    if known.issuperset(found):
+        return hypotheses
     weighed = _weigh(found)
     if known.issuperset(f.key for f in weighed.fits):
         return hypotheses
@@ -201,27 +207,29 @@ def seeds(problem: HomeProblem, most: int = MOST_SEEDS) -> list[Seed]:
     So many are `most`; of bearings that are noisier than they were said to be, `MOST_SEEDS`.
     """
     found: list[Seed] = []
-    q = problem.bearings.size
-    cameras = np.zeros((0, 3))
-    if q >= POSE:
-        cameras = poses_from_triples(problem.landmarks, problem.bearings)
+    q, points = problem.bearings.size, problem.landmarks
+    cameras = poses_from_triples(points, problem.bearings) if q >= POSE else np.zeros((0, 3))
+    each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
+    marginals = problem.covariance[each[:, :, None], each[:, None]]
+    innovations = innovations_from(cameras, points, marginals, problem.bearings)
     for scale in (1.0, *NOISIER):
         if problem.prior is not None:
             found.append((problem.prior, np.ones(q, bool), scale))
         if len(cameras):
             noisy = problem.with_noise(scale)
-            found.extend(_best_of_triples(cameras, noisy, most if scale == 1.0 else MOST_SEEDS))
+            seen = most if scale == 1.0 else MOST_SEEDS
+            found.extend(_best_of_triples(cameras, innovations, noisy, seen))
     return found
 
 
-def _best_of_triples(cameras: np.ndarray, problem: HomeProblem, most: int) -> list[Seed]:
+def _best_of_triples(
+    cameras: np.ndarray,
+    innovations: tuple[np.ndarray, np.ndarray],
+    problem: HomeProblem,
+    most: int,
+) -> list[Seed]:
     """Return the best `most` of home's cameras (k, 3) of triples, with the set each makes right."""
-    points = problem.landmarks
-    each = POSE_AND_YAW + np.arange(2 * len(points)).reshape(-1, 2)
-    marginals = problem.covariance[each[:, :, None], each[:, None]]
-    scores, inliers = mixture_scores(
-        cameras, points, marginals, problem.bearings, problem.sigmas, problem.moved_prior
-    )
+    scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
     for i in best[np.count_nonzero(inliers[best], axis=1) >= POSE].tolist():

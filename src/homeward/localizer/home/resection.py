@@ -59,15 +59,10 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
     return np.asarray(eyes[np.isfinite(eyes).all(axis=1) & near])
 
 
-def mixture_scores(
-    poses: np.ndarray,
-    points: np.ndarray,
-    covariances: np.ndarray,
-    bearings: np.ndarray,
-    sigmas: np.ndarray,
-    moved_prior: float,
+def innovations_from(
+    poses: np.ndarray, points: np.ndarray, covariances: np.ndarray, bearings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the log likelihood of each pose, and which bearings are more likely right under it.
+    """Return how far bearings are off what each pose predicts, and its variance by the map.
 
     Parameters
     ----------
@@ -77,8 +72,31 @@ def mixture_scores(
         Landmarks [m].
     covariances : ndarray, shape (q, 2, 2)
         Of the landmarks [m^2].
-    bearings, sigmas : ndarray, shape (q,)
-        And their standard deviations [rad].
+    bearings : ndarray, shape (q,)
+        [rad]
+
+    Returns
+    -------
+    off, variance : ndarray, shape (k, q)
+        [rad], [rad^2]
+    """
+    bearing, by_place, _ = sight(poses[:, None], points)
+    gx, gy = by_place[..., 0], by_place[..., 1]
+    (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
+    return wrap(bearings - bearing), gx * (xx * gx + 2.0 * xy * gy) + yy * gy * gy
+
+
+def mixture_scores(
+    off: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, moved_prior: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the log likelihood of each pose, and which bearings are more likely right under it.
+
+    Parameters
+    ----------
+    off, variance : ndarray, shape (k, q)
+        Of `innovations_from`.
+    sigmas : ndarray, shape (q,)
+        Standard deviations of the bearings [rad].
     moved_prior : float
         Probability that a bearing is wrong, of a landmark of which nothing is known.
 
@@ -87,17 +105,14 @@ def mixture_scores(
     scores : ndarray, shape (k,)
     inliers : ndarray, shape (k, q), bool
     """
-    bearing, by_place, _ = sight(poses[:, None], points)
-    gx, gy = by_place[..., 0], by_place[..., 1]
-    (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
-    variance = gx * (xx * gx + 2.0 * xy * gy) + yy * gy * gy + sigmas**2
-    exponent = -0.5 * wrap(bearings - bearing) ** 2 / variance
+    variance, q = variance + sigmas**2, sigmas.size
+    exponent = -0.5 * off**2 / variance
     # Where it underflows, the exponential takes many times longer.
     inlier = np.exp(np.maximum(exponent, -700.0)) / np.sqrt(variance)
     inlier *= math.sqrt(TWO_PI)  # against the uniform density
     right = (1.0 - moved_prior) * inlier > moved_prior
-    count = np.count_nonzero(right, axis=1)[:, None]
-    share = moved_share(count, len(points) - count, moved_prior)
+    number = np.arange(q + 1)
+    share = moved_share(number, q - number, moved_prior)[np.count_nonzero(right, axis=1), None]
     return np.log((1.0 - share) * inlier + share).sum(axis=1), right
 
 

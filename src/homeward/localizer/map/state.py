@@ -93,8 +93,10 @@ class Marginal:
     def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
         moved = motion.free + motion.jacobian @ self.calibration
-        there, by_pose, by_motion = composition(self.mean[:3], moved)
-        return there, np.concatenate([by_pose, by_motion @ motion.jacobian], axis=1)
+        by_head = np.empty((3, HEAD))
+        there, by_head[:, :3], by_motion = composition(self.mean[:3], moved)
+        np.matmul(by_motion, motion.jacobian, out=by_head[:, 3:])
+        return there, by_head
 
     def propagate(self, motion: Motion) -> Marginal:
         """Propagate: move the newest pose on by a motion."""

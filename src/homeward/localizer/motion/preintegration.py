@@ -166,27 +166,26 @@ def _add_errors(
     turn in it swings all that comes after its middle up to the motion's `end`.
     """
     xx = xy = xt = yy = yt = tt = 0.0
-    by_scale, by_bias, by_slip = [0.0] * 3, [0.0] * 3, [0.0] * 2
+    scale_x = scale_y = scale_t = bias_x = bias_y = bias_t = slip_x = slip_y = 0.0
     end_x, end_y, _ = end.tolist()
+    (a, a_speed, a_turn), (b, b_speed, b_turn), (h, h_speed, h_turn) = rates
     for (shift, swing, dt, v, omega, _), x, y, c, s, slips in chords:
         steady, speed, spin = dt if v or omega else 0.0, abs(v), abs(omega)
-        along, across, heading = (
-            steady * (still + by_speed * speed + by_turn * spin)
-            for still, by_speed, by_turn in rates
-        )
-        along, across, heading = along + shift, across + shift, heading + swing
+        along = steady * (a + a_speed * speed + a_turn * spin) + shift
+        across = steady * (b + b_speed * speed + b_turn * spin) + shift
+        heading = steady * (h + h_speed * speed + h_turn * spin) + swing
         dx, dy = y - end_y, end_x - x
         xx += dx * dx * heading + c * c * along + s * s * across
         xy += dx * dy * heading + c * s * (along - across)
         yy += dy * dy * heading + s * s * along + c * c * across
         xt, yt, tt = xt + dx * heading, yt + dy * heading, tt + heading
-        for i, by_turn in enumerate((dx, dy, 1.0)):
-            by_scale[i] += by_turn * omega * dt
-            by_bias[i] += by_turn * steady
-        by_slip[0] -= c * slips * dt
-        by_slip[1] -= s * slips * dt
-    jacobian[:, TURN_SCALE], jacobian[:, TURN_BIAS] = by_scale, by_bias
-    jacobian[:2, TURN_SLIP] = by_slip
+        scale_x, bias_x = scale_x + dx * omega * dt, bias_x + dx * steady
+        scale_y, bias_y = scale_y + dy * omega * dt, bias_y + dy * steady
+        scale_t, bias_t = scale_t + omega * dt, bias_t + steady
+        slip_x, slip_y = slip_x - c * slips * dt, slip_y - s * slips * dt
+    jacobian[:, TURN_SCALE] = scale_x, scale_y, scale_t
+    jacobian[:, TURN_BIAS] = bias_x, bias_y, bias_t
+    jacobian[:2, TURN_SLIP] = slip_x, slip_y
     return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 

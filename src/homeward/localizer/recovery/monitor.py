@@ -111,7 +111,7 @@ class Monitor:
 
     def at_fault(self, refused: list[str]) -> list[str]:
         """Return which of these landmarks are not where the map says, the robot being there."""
-        return refused if self._kidnap.others_fit(refused) else []
+        return refused if refused and self._kidnap.others_fit(refused) else []
 
     def begin_search(self, t: float, why: Health) -> None:
         """Let the robot be lost from `t` [s] on, or be looked for anew if it is lost already."""
