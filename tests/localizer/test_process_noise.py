@@ -50,7 +50,7 @@ def chain(rng, fixes, noisier=1.0, believed=(1.0, 1.0), slips=0.0):
         equations.own[:] += np.eye(3) / fixes**2
         equations.slope[:] += (seen - estimate) / fixes**2
         equations.common[:] += 1e6 * np.eye(NC)
-        step, _, _ = elimination.solve(equations)
+        step, _, _ = eliminate(equations).solve()
         estimate = estimate + step
     return equations, odometry_errors(estimate, np.zeros(NC), rows)
 
@@ -121,7 +121,7 @@ def test_bearings_that_are_better_than_believed_do_not_make_odometry_seem_so(bet
             np.add.at(equations.own, pose, directions[:, :, None] * directions[:, None, :])
             np.add.at(equations.slope, pose, directions * left[:, None])
             equations.common[:] += 1e6 * np.eye(NC + 2)
-            estimate = estimate + elimination.solve(equations)[0]
+            estimate = estimate + eliminate(equations).solve()[0]
         left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
         seen = BearingErrors(left, jacobian, pose, np.zeros(9 * W, int), np.ones(9 * W))
         errors = odometry_errors(estimate, np.zeros(NC), rows)

@@ -8,7 +8,7 @@ from rig import Rig, eight, ring
 
 from homeward.angles import wrap
 from homeward.localizer.home.observation import counted_for
-from homeward.localizer.map.elimination import NormalEquations, solve
+from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings
 from homeward.localizer.map.walking import walking_probabilities, walks
 from homeward.localizer.motion.preintegration import NC
@@ -47,7 +47,7 @@ def judged(velocity, turns, pose_sigma=1e-6):
     d, at = PLACE + t[:, None] * velocity - eyes, PLACE.copy()
     for _ in range(50):
         e, seen = linearised(np.arctan2(d[:, 1], d[:, 0]), eyes, at, pose_sigma)
-        at += 0.5 * solve(e)[1][NC:]
+        at += 0.5 * eliminate(e).solve()[1][NC:]
     return walks(e, seen, t, SPEED), at
 
 

@@ -32,7 +32,7 @@ from homeward.localizer.tunables import AGREES
 SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
 SEARCH_PATIENCE = 10
-"""... which waits so many for one at which the window is not solved."""
+"""... which waits so many for one without other long work."""
 MOST_IN_DOUBT = 4 * MOST_SEEDS
 """Seeds where home may be elsewhere: one a keyframe, this takes as long as a search is old."""
 
@@ -124,7 +124,7 @@ class HomeTracker:
         now = (update if known.solved else propagate)(problem, before)
         if now is None:
             return None
-        if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
+        if known.solved and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
             # The best set's home went astray: there may be a way back to it, or a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
@@ -137,7 +137,7 @@ class HomeTracker:
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
         """Look now and then where else home might be, one place after the other."""
         since = known.smoother.newest - self._searched
-        wait = SEARCH_PATIENCE if known.solved else 0
+        wait = SEARCH_PATIENCE if known.busy else 0
         if self._seeds and since >= wait:
             return try_seed(problem, now, self._seeds.popleft())
         if not self._seeds and since >= SEARCH_EVERY + wait:

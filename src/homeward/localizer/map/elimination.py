@@ -2,7 +2,8 @@
 
 The Hessian is block tridiagonal in the poses and dense in the shared unknowns. All poses but the
 newest are eliminated at once by a banded Cholesky factor, which leaves what is known of the newest
-pose and the shared unknowns; the others follow by substitution.
+pose and the shared unknowns; the others follow by substitution, or it is kept in their place, as
+the prior.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
+
+from homeward.localizer.map.state import HEAD
 
 BAND = 6
 """Diagonals of the lower half of the chain of poses: a block of three and the next one."""
@@ -63,6 +66,28 @@ class Elimination:
     def no_gradient(self) -> tuple[np.ndarray, np.ndarray]:
         """Return zeros of the shapes of a gradient, (w, 3) and (a,)."""
         return np.zeros((len(self.couplings) // 3 + 1, 3)), np.zeros(len(self.information) - 3)
+
+    def solve(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Solve the normal equations.
+
+        Returns
+        -------
+        poses : ndarray, shape (w, 3)
+            Step of the poses.
+        common : ndarray, shape (a,)
+            Step of the shared unknowns.
+        covariance : ndarray, shape (3 + a, 3 + a)
+            Of the newest pose and the shared unknowns.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When they are singular.
+        """
+        covariance = positive_inverse(self.information)
+        tail = covariance @ self.gradient
+        poses = _substitute(self, self.couplings[:, -1] - self.couplings[:, :-1] @ tail)
+        return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
 
     def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps of poses (w, 3), and of what they share (a,), by another gradient.
@@ -122,30 +147,6 @@ def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
     return band.reshape(BAND, -1)
 
 
-def solve(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solve the normal equations.
-
-    Returns
-    -------
-    poses : ndarray, shape (w, 3)
-        Step of the poses.
-    common : ndarray, shape (a,)
-        Step of the shared unknowns.
-    covariance : ndarray, shape (3 + a, 3 + a)
-        Of the newest pose and the shared unknowns.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When they are singular.
-    """
-    left = eliminate(e)
-    covariance = positive_inverse(left.information)
-    tail = covariance @ left.gradient
-    poses = _substitute(left, left.couplings[:, -1] - left.couplings[:, :-1] @ tail)
-    return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
-
-
 def _substitute(left: Elimination, whitened: np.ndarray) -> np.ndarray:
     """Return what the eliminated poses are by what is left after the factor is taken out."""
     if not whitened.size:
@@ -202,3 +203,70 @@ def positive_inverse(matrix: np.ndarray) -> np.ndarray:
     if failed:
         raise np.linalg.LinAlgError("not positive definite")
     return np.asarray(0.5 * (inverse + inverse.T))
+
+
+class Prior:
+    """What eliminated keyframes say of oldest pose, calibration and map.
+
+    A Gaussian in information form, linear around a point.
+
+    Parameters
+    ----------
+    information : ndarray, shape (11 + 2 n, 11 + 2 n)
+        On oldest pose, calibration and landmarks, around zero.
+    """
+
+    def __init__(self, information: np.ndarray) -> None:
+        self._information = information
+        self._gradient = np.zeros(len(information))
+        self._at = np.zeros(len(information))
+
+    def add_to(self, e: NormalEquations, now: np.ndarray) -> None:
+        """Add it to the normal equations around `now`, shape (11 + 2 n,)."""
+        information = self._information
+        downhill = self._gradient - information @ (now - self._at)
+        e.own[0] += information[:3, :3]
+        e.shared[0] += information[:3, 3:]
+        e.common[:] += information[3:, 3:]
+        e.slope[0] += downhill[:3]
+        e.common_slope[:] += downhill[3:]
+
+    def add_landmark(self, position: np.ndarray, sigma: float) -> None:
+        """Add a landmark of which nothing is known but that it is around (2,) within `sigma`."""
+        size = len(self._gradient)
+        grown = np.zeros((size + 2, size + 2))
+        grown[:size, :size] = self._information
+        grown[size, size] = grown[size + 1, size + 1] = sigma**-2.0
+        self._information = grown
+        self._gradient = np.append(self._gradient, [0.0, 0.0])
+        self._at = np.append(self._at, position)
+
+    def drop_landmark(self, index: int, now: np.ndarray) -> None:
+        """Marginalise a landmark, linearised at `now`, shape (11 + 2 n,)."""
+        out = HEAD + 2 * index + np.arange(2)
+        keep = np.delete(np.arange(now.size), out)
+        information = self._information
+        gain = np.linalg.solve(information[np.ix_(out, out)], information[np.ix_(out, keep)]).T
+        gradient = self._gradient - information @ (now - self._at)
+        self._information = information[np.ix_(keep, keep)] - gain @ information[np.ix_(out, keep)]
+        self._gradient = gradient[keep] - gain @ gradient[out]
+        self._at = now[keep]
+
+    def replace(self, left: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
+        """Take what is left of keyframes that were eliminated, linearised at `at`.
+
+        The calibration drifts by variances (8,) meanwhile: the old one is marginalised, the new one
+        takes its place.
+        """
+        c = slice(3, HEAD)
+        inverse = np.diag(1.0 / (drift + 1e-16))
+        information, gradient = left.information, left.gradient
+        gain = np.linalg.inv(information[c, c] + inverse)
+        by_new = information[:, c] @ gain
+        new = information - by_new @ information[c, :]
+        new_gradient = gradient - by_new @ gradient[c]
+        cross = by_new @ inverse
+        new[:, c], new[c, :] = cross, cross.T
+        new[c, c] = inverse - inverse @ gain @ inverse
+        new_gradient[c] = inverse @ gain @ gradient[c]
+        self._information, self._gradient, self._at = 0.5 * (new + new.T), new_gradient, at

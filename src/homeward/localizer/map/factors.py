@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from homeward.localizer.geometry import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
+from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.tunables import GATE
 
@@ -88,18 +88,19 @@ def add_odometry(
     if len(poses) < 2:
         return
     error, jacobian, information, weight = odometry_errors(poses, calibration, steps)
-    weighted = jacobian.transpose(0, 2, 1) @ (weight[:, None, None] * information)
-    blocks = weighted @ jacobian
-    slopes = (weighted @ error[:, :, None])[:, :, 0]
+    both = np.concatenate([jacobian, error[:, :, None]], axis=2)
+    weighted = weight[:, None, None] * information @ both
+    blocks = jacobian[:, :, :6].transpose(0, 2, 1) @ weighted
     e.own[:-1] += blocks[:, :3, :3]
-    e.own[1:] += blocks[:, 3:6, 3:6]
+    e.own[1:] += blocks[:, 3:, 3:6]
     e.next[:] += blocks[:, :3, 3:6]
-    e.shared[:-1, :, :NC] += blocks[:, :3, 6:]
-    e.shared[1:, :, :NC] += blocks[:, 3:6, 6:]
-    e.common[:NC, :NC] += blocks[:, 6:, 6:].sum(axis=0)
-    e.slope[:-1] += slopes[:, :3]
-    e.slope[1:] += slopes[:, 3:6]
-    e.common_slope[:NC] += slopes[:, 6:].sum(axis=0)
+    e.shared[:-1, :, :NC] += blocks[:, :3, 6:-1]
+    e.shared[1:, :, :NC] += blocks[:, 3:, 6:-1]
+    e.slope[:-1] += blocks[:, :3, -1]
+    e.slope[1:] += blocks[:, 3:, -1]
+    common = jacobian[:, :, 6:].reshape(-1, NC).T @ weighted[:, :, 6:].reshape(-1, NC + 1)
+    e.common[:NC, :NC] += common[:, :-1]
+    e.common_slope[:NC] += common[:, -1]
 
 
 class WeighedSightings(NamedTuple):
@@ -142,36 +143,50 @@ def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
     """Add sightings to the equations of w poses, and the calibration and n landmarks they share."""
     if not seen.residual.size:
         return
-    pose, landmark = seen.pose, seen.landmark
-    w, n = len(e.own), (len(e.common) - NC) // 2
-    columns = np.concatenate([seen.jacobian, seen.residual[:, None]], axis=1)
-    head, by_landmark = columns[:, : 3 + NC], columns[:, 3 + NC : 5 + NC]
+    jacobian, w, n = seen.jacobian, len(e.own), (len(e.common) - NC) // 2
+    columns = np.concatenate([jacobian[:, :HEAD], seen.residual[:, None], jacobian[:, HEAD:]], 1)
+    by_pose, by_common, by_landmark = columns[:, :3], columns[:, 3:HEAD], columns[:, HEAD + 1 :]
 
-    of_pose = sum_by(pose, columns[:, :3], np.delete(columns, [3 + NC, 4 + NC], axis=1), w)
+    of_pose = sum_by(seen.pose, by_pose, columns[:, : HEAD + 1], w)
     e.own[:] += of_pose[:, :, :3]
     e.shared[:, :, :NC] += of_pose[:, :, 3:-1]
     e.slope[:] += of_pose[:, :, -1]
-    e.common[:NC, :NC] += head[:, 3:].T @ head[:, 3:]
-    e.common_slope[:NC] += head[:, 3:].T @ columns[:, -1]
+    e.common[:NC, :NC] += by_common.T @ by_common
+    e.common_slope[:NC] += by_common.T @ columns[:, HEAD]
 
-    of_landmark = sum_by(landmark, by_landmark, columns[:, 3:], n)
+    of_landmark = sum_by(seen.landmark, by_landmark, columns[:, 3:], n)
     cross = of_landmark[:, :, :NC].reshape(2 * n, NC)
     e.common[NC:, :NC] += cross
     e.common[:NC, NC:] += cross.T
     at = np.arange(n)
     landmarks = e.common[NC:, NC:].reshape(n, 2, n, 2)
-    landmarks[at, :, at] += of_landmark[:, :, NC:-1]
-    e.common_slope[NC:] += of_landmark[:, :, -1].ravel()
+    landmarks[at, :, at] += of_landmark[:, :, NC + 1 :]
+    e.common_slope[NC:] += of_landmark[:, :, NC].ravel()
 
-    both = sum_by(pose * n + landmark, columns[:, :3], by_landmark, w * n)
-    e.shared[:, :, NC:] += both.reshape(w, n, 3, 2).transpose(0, 2, 1, 3).reshape(w, 3, 2 * n)
+    e.shared[:, :, NC:] += sum_by_pair(seen, by_pose, by_landmark, w, n)
 
 
 def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
     """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j).
 
-    Each row is of the group (m,) whose number is given.
+    Each row is of the group (m,) whose number is given. They are put side by side, a line for each
+    group, and multiplied there.
     """
-    m, blocks = len(group), left[:, :, None] * right[:, None, :]
-    of_group = csc_array((np.ones(m), group, np.arange(m + 1)), shape=(groups, m))
-    return np.asarray((of_group @ blocks.reshape(m, -1)).reshape(groups, *blocks.shape[1:]))
+    order, counts = np.argsort(group, kind="stable"), np.bincount(group, minlength=groups)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(group)) - np.repeat(np.cumsum(counts) - counts, counts)
+    a = np.zeros((groups, counts.max(), left.shape[1]))
+    b = np.zeros((groups, counts.max(), right.shape[1]))
+    a[group, place], b[group, place] = left, right
+    return np.asarray(a.transpose(0, 2, 1) @ b)
+
+
+def sum_by_pair(
+    seen: WeighedSightings, left: np.ndarray, right: np.ndarray, w: int, n: int
+) -> np.ndarray:
+    """Return the same of w poses and n landmarks, (w, i, j n): a pair has but a few sightings."""
+    blocks = left[:, :, None] * right[:, None, :]
+    size = blocks[0].size
+    at = size * (seen.pose * n + seen.landmark)[:, None] + np.arange(size)
+    sums = np.bincount(at.ravel(), blocks.ravel(), size * w * n).reshape(w, n, *blocks.shape[1:])
+    return sums.transpose(0, 2, 1, 3).reshape(w, left.shape[1], -1)

@@ -81,8 +81,7 @@ class Map:
         known: KnownLandmarks,
     ) -> None:
         self._settings, self._counts = settings, counts
-        self._noise, self._extrinsics = noise, extrinsics
-        self._process_noise, self._learnt_at = process_noise, 0
+        self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
@@ -94,6 +93,12 @@ class Map:
         self.solved = True
         """Whether the state comes from the whole window, not from a quick correction."""
         self._solved_at, self._solved_positions = 0, self.smoother.positions
+        self.busy = False
+        """Whether the newest look had long work already: a solution, or to learn from one."""
+        self._residuals: np.ndarray | None = None
+        """What the last solution left of bearings, until that is learnt from [rad]."""
+        self._learnt_at = self._odometry_learnt_at = 0
+        """Keyframes at which the noise of bearings, and of odometry, was learnt."""
         self._due = True
         """Whether the whole window is to be solved at this keyframe."""
         self._path = 0.0
@@ -136,6 +141,28 @@ class Map:
         there = [known.former.get(n) or known.mapped[n] for n in names]
         astray = np.array([m.astray for m in there]).reshape(-1, 2, 2)
         return known.index(there), np.array([m.walks for m in there]), astray
+
+    def learn(self) -> None:
+        """Learn from what the last solution left, which took long enough, at the look after it."""
+        self.busy = self._residuals is not None
+        if self._residuals is None:
+            return
+        smoother, newest = self.smoother, self.smoother.newest
+        own, whole, gaps, landmarks = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
+        since, self._learnt_at = newest - self._learnt_at, newest
+        wider = self._noise.update(self._residuals, own, whole, gaps, landmarks, since)
+        self._residuals = None
+        if wider != 1.0:
+            smoother.scale_noise(wider)
+            self.landmarks.scale_noise(wider)
+        since = newest - self._odometry_learnt_at
+        if since >= LEARNS_EVERY and smoother.settled and self.landmarks.mapped:
+            self._odometry_learnt_at = newest
+            left, motions = smoother.odometry_misfit(), len(smoother.stamps) - 1
+            smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
+        if smoother.settled:
+            known = self.landmarks
+            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -276,10 +303,9 @@ class Map:
         self, frame: WeighedFrame, motion: Motion
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a frame after a motion since the newest keyframe as rows, and its camera."""
-        frames, newest, camera = self.smoother.frames, self.smoother.newest, self.camera(motion)
-        rows = sighting_rows(newest, frames.next, frame)
+        newest, camera = self.smoother.newest, self.camera(motion)
+        rows = sighting_rows(newest, self.smoother.frames.add(newest, camera), frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        frames.add(newest, camera)
         return rows, *self.state.after(camera)
 
     def _keep(
@@ -346,7 +372,7 @@ class Map:
 
     def _solve(self) -> None:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
-        smoother, noise = self.smoother, self._noise
+        self.busy, smoother = True, self.smoother
         if self.landmarks.mapped:
             self._fit_robot_to_scene()
         smoother.solve()
@@ -358,19 +384,9 @@ class Map:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
             residuals = smoother.residuals()
-        since = smoother.newest - self._solved_at
-        self.solved = True
+        self.solved, self._residuals = True, residuals
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        own, whole, gaps, landmarks = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
-        wider = noise.update(residuals, own, whole, gaps, landmarks, since)
-        if wider != 1.0:
-            smoother.scale_noise(wider)
-            self.landmarks.scale_noise(wider)
-        self._learn_process_noise()
-        known = self.landmarks
-        if smoother.settled:
-            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
-        sound, now = smoother.settled and noise.settled, self.state
+        sound, now = smoother.settled and self._noise.settled, self.state
         if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
             smoother.mount_sigmas = self._extrinsics.sigmas
             self._solve()
@@ -384,16 +400,6 @@ class Map:
         share = min(1.0, self.state.scale / USUAL_DISTANCE_M)
         self.smoother.scale_odometry(self._process_noise.expect(share))
         self.smoother.slip_sigma = share * self._slip_sigma
-
-    def _learn_process_noise(self) -> None:
-        """Learn the noise of odometry from what the solution leaves of motions."""
-        noise, smoother = self._process_noise, self.smoother
-        motions, since = len(smoother.stamps) - 1, smoother.newest - self._learnt_at
-        if since < LEARNS_EVERY or not (smoother.settled and self.landmarks.mapped):
-            return
-        self._learnt_at = smoother.newest
-        left = smoother.odometry_misfit()
-        smoother.scale_odometry(noise.update(*left, motions, min(since, motions)))
 
     def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

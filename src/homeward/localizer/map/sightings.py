@@ -39,11 +39,13 @@ class Frames:
         """Number of the one that comes next."""
         return self.first + len(self.keyframes)
 
-    def add(self, keyframe: int, camera: Motion) -> None:
-        """Add a frame, whose camera is a motion away from its keyframe."""
+    def add(self, keyframe: int, camera: Motion) -> int:
+        """Add a frame, whose camera is a motion away from its keyframe; return its number."""
+        number = self.next
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
         self.free = np.concatenate([self.free, camera.free[None]])
         self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
+        return number
 
     def drop_newest(self) -> None:
         """Take the newest one out again."""

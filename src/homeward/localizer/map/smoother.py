@@ -18,7 +18,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
 from homeward.localizer.inputs.lasting_errors import LastingErrors
-from homeward.localizer.map import elimination
+from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (
     STEP,
     WeighedSightings,
@@ -29,7 +29,6 @@ from homeward.localizer.map.factors import (
     step_row,
     weigh_sightings,
 )
-from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.sightings import (
     BEARING,
     COLUMNS,
@@ -241,19 +240,20 @@ class Smoother:
         self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
     def odometry_misfit(self) -> Misfit:
-        """Compare what the solution leaves of motions with what it is expected to leave."""
+        """Compare what the last solution left of motions with what it was expected to leave."""
         steps = odometry_errors(self.poses, self.calibration, self._steps)
         rows = self.sightings
-        residual, jacobian = self._linearised(rows)
+        residual, jacobian, pose, landmark = self._linearised(rows)
         seen = BearingErrors(
             residual / rows[:, SIGMA],
             jacobian / self.effective_sigmas(rows)[:, None],
-            rows[:, KEYFRAME].astype(int) - self.first,
-            self.index(rows[:, LANDMARK]),
+            pose,
+            landmark,
             (rows[:, OWN] / rows[:, SIGMA]) ** 2,
         )
-        left = elimination.eliminate(self._all())
-        return misfit(left, steps, seen, np.random.default_rng(self.newest))
+        return misfit(
+            eliminate(self.linearised()[0]), steps, seen, np.random.default_rng(self.newest)
+        )
 
     def drop_landmark(self, number: int) -> None:
         """Take the landmark of an id out: what is known of the others stays."""
@@ -278,7 +278,7 @@ class Smoother:
             When the normal equations are singular.
         """
         for _ in range(STEPS):
-            poses, common, covariance = elimination.solve(self._all())
+            poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
             held, small = self._gains, self._move(poses, common, covariance) < SETTLED
@@ -289,15 +289,15 @@ class Smoother:
 
     def without_known(self, size: float) -> Marginal:
         """Return the state by all but what is known of landmarks, each within `size` [m]."""
-        equations = self._measured()
+        equations = self._measured(self._weighed(self.sightings))
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0
-        poses, common, covariance = elimination.solve(equations)
+        poses, common, covariance = eliminate(equations).solve()
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self) -> list[Marginal]:
         """Return what is known of each open pose, as the state is of the newest, after `solve`."""
-        own, by_common, common = elimination.marginals(self._all())
+        own, by_common, common = marginals(self.linearised()[0])
         found = []
         for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
             cross = -lever @ common
@@ -310,7 +310,7 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        left = elimination.eliminate(self._normal_equations(count + 1, rows))
+        left = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         frames = self.frames.take_before(first)
         if self._closed is not None:
@@ -335,21 +335,30 @@ class Smoother:
         stands = self.stands[self.index(rows[:, LANDMARK])]
         return np.asarray(effective_sigmas(rows, self._lasting) / np.sqrt(stands))
 
-    def linearised(self) -> tuple[elimination.NormalEquations, WeighedSightings]:
+    def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
         """Return all that is known, and what is seen of it, around what is believed now."""
-        return self._all(), self._weighed(self.sightings)
+        seen = self._weighed(self.sightings)
+        equations = self._measured(seen)
+        self.known.add_to(equations, self.positions, self.ids)
+        return equations, seen
 
-    def _linearised(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals of rows of the table, and their Jacobians."""
-        positions = self.positions[self.index(rows[:, LANDMARK])]
-        return bearing_residuals(rows[:, BEARING], *self.cameras(rows), positions)
+    def _linearised(
+        self, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the residuals of rows of the table, (m,), and their Jacobians, (m, 13).
+
+        And from which open pose each was made, and of which landmark of the state, (m,), int.
+        """
+        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
+        seen = bearing_residuals(rows[:, BEARING], *self.cameras(rows), self.positions[landmark])
+        return *seen, pose, landmark
 
     def _weighed(self, rows: np.ndarray) -> WeighedSightings:
         """Return rows of the table, linearised and weighed."""
-        pose = rows[:, KEYFRAME].astype(int) - self.first
-        numbers = pose, self.index(rows[:, LANDMARK])
-        sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
-        return weigh_sightings(*self._linearised(rows), *sigmas, *numbers)
+        residual, jacobian, *numbers = self._linearised(rows)
+        return weigh_sightings(
+            residual, jacobian, rows[:, SIGMA], self.effective_sigmas(rows), *numbers
+        )
 
     def _head_and_map(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks in one vector."""
@@ -368,22 +377,16 @@ class Smoother:
         self.state = Marginal(self.state.mean + scale * step, covariance)
         return float(size)
 
-    def _normal_equations(self, w: int, rows: np.ndarray) -> elimination.NormalEquations:
-        """Return what the oldest w poses and rows from them say, and the prior.
+    def _normal_equations(self, w: int, seen: WeighedSightings) -> NormalEquations:
+        """Return what the oldest w poses and sightings from them say, and the prior.
 
         They are linearised where poses, calibration and landmarks are believed to be. What is
         believed of the camera's mount beforehand is not among it.
         """
-        equations = elimination.NormalEquations.zeros(w, NC + self.positions.size)
+        equations = NormalEquations.zeros(w, NC + self.positions.size)
         self._prior.add_to(equations, self._head_and_map())
         add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
-        add_sightings(equations, self._weighed(rows))
-        return equations
-
-    def _all(self) -> elimination.NormalEquations:
-        """Return everything that is known."""
-        equations = self._measured()
-        self.known.add_to(equations, self.positions, self.ids)
+        add_sightings(equations, seen)
         return equations
 
     @property
@@ -391,9 +394,9 @@ class Smoother:
         """Whether wheels would gain way in bends, which they cannot: rubbing, they lose it."""
         return bool(self.calibration[TURN_SLIP] < 0.0)
 
-    def _measured(self) -> elimination.NormalEquations:
+    def _measured(self, seen: WeighedSightings) -> NormalEquations:
         """Return everything but what is known of landmarks."""
-        equations = self._normal_equations(len(self.poses), self.sightings)
+        equations = self._normal_equations(len(self.poses), seen)
         at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
         information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.localizer.map.elimination import NormalEquations, eliminate
-from homeward.localizer.map.factors import WeighedSightings, sum_by
+from homeward.localizer.map.factors import WeighedSightings, sum_by, sum_by_pair
 from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
@@ -120,12 +120,11 @@ def walks(
 def _couplings(seen: WeighedSightings, by_velocity: np.ndarray, w: int, n: int) -> np.ndarray:
     """Return the Hessian of w poses, calibration and n places with velocities, (3 w + a, 2 n)."""
     by_pose, by_common = seen.jacobian[:, :3], seen.jacobian[:, 3:]
-    poses = sum_by(seen.pose * n + seen.landmark, by_pose, by_velocity, w * n)
+    poses = sum_by_pair(seen, by_pose, by_velocity, w, n).reshape(3 * w, 2 * n)
     own = sum_by(seen.landmark, by_common, by_velocity, n)
     calibration = own[:, :NC].transpose(1, 0, 2).reshape(NC, 2 * n)
     places = np.zeros((n, 2, n, 2))
     places[np.arange(n), :, np.arange(n)] = own[:, NC:]
-    poses = poses.reshape(w, n, 3, 2).transpose(0, 2, 1, 3).reshape(3 * w, 2 * n)
     return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * n)])
 
 

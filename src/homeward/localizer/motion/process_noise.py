@@ -31,7 +31,8 @@ class ProcessNoise:
     """
 
     def __init__(self, given: OdometryNoise, default: OdometryDefaults) -> None:
-        self._at_first = noise_rates(given, default)
+        self._at_first = self.rates = noise_rates(given, default)
+        """(3, 3), at first and as believed now."""
         self._learns = np.array([given.speed_sigma is None, given.turn_sigma is None])
         self.scales = np.ones((2, 2))
         """Variances of shift and turn over what was believed at first, of most motions (first row)
@@ -39,11 +40,6 @@ class ProcessNoise:
         self._squares, self._redundancies = np.zeros((2, 2)), np.zeros((2, 2))
         self._expected = np.ones(2)
         """What they are thought to be before motions were looked at: by what is usual of wheels."""
-
-    @property
-    def rates(self) -> np.ndarray:
-        """(3, 3), as of `noise_rates`."""
-        return np.asarray(self._at_first * self.scales[1, [0, 0, 1], None])
 
     @property
     def core(self) -> np.ndarray:
@@ -113,4 +109,5 @@ class ProcessNoise:
         doubted = (now > EXCESSIVE**2) | (self.scales > 1.0)
         given = np.where(doubted, np.maximum(now, 1.0), 1.0)
         before, self.scales = self.scales, np.where(self._learns, now, given)
+        self.rates = self._at_first * self.scales[1, [0, 0, 1], None]
         return np.asarray(self.scales / before)
