@@ -14,7 +14,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import elimination
 from homeward.localizer.map.elimination import eliminate
 from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
-from homeward.localizer.map.variance_components import BearingErrors, misfit
+from homeward.localizer.map.learning.variance_components import BearingErrors, misfit
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists

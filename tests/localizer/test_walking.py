@@ -10,7 +10,7 @@ from homeward.angles import wrap
 from homeward.localizer.home.observation import counted_for
 from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings
-from homeward.localizer.map.walking import walking_probabilities, walks
+from homeward.localizer.map.learning.walking import walking_probabilities, walks
 from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import WALKS
 

@@ -17,10 +17,10 @@ from homeward.localizer.map.gating import (
     inflate_by_odometry,
 )
 from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.sightings import (
     GAP,
     LANDMARK,
-    OWN,
     SIGMA,
     sighting_rows,
 )
@@ -28,22 +28,18 @@ from homeward.localizer.map.smoother import ALIKE, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.map.walking import judge_walking
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, FALSE_ALARM, STANDS, TINY, USUAL_DISTANCE_M
+from homeward.localizer.tunables import DRIFT, FALSE_ALARM, STANDS, TINY
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
 """Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
 SOLVED_SHARE = 8
 """Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
-
-LEARNS_EVERY = 10
-"""Keyframes from which the odometry's noise is learnt at once."""
 
 
 class Map:
@@ -81,12 +77,13 @@ class Map:
         known: KnownLandmarks,
     ) -> None:
         self._settings, self._counts = settings, counts
-        self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
+        self._noise, self._process_noise = noise, process_noise
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
-        self._slip_sigma = self.smoother.slip_sigma
+        learnt = noise, process_noise, extrinsics
+        self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         self.registration = Registration(Survey(known, settings), self.landmarks)
         self.begun = t
@@ -95,10 +92,6 @@ class Map:
         self._solved_at, self._solved_positions = 0, self.smoother.positions
         self.busy = False
         """Whether the newest look had long work already: a solution, or to learn from one."""
-        self._residuals: np.ndarray | None = None
-        """What the last solution left of bearings, until that is learnt from [rad]."""
-        self._learnt_at = self._odometry_learnt_at = 0
-        """Keyframes at which the noise of bearings, and of odometry, was learnt."""
         self._due = True
         """Whether the whole window is to be solved at this keyframe."""
         self._path = 0.0
@@ -144,25 +137,7 @@ class Map:
 
     def learn(self) -> None:
         """Learn from what the last solution left, which took long enough, at the look after it."""
-        self.busy = self._residuals is not None
-        if self._residuals is None:
-            return
-        smoother, newest = self.smoother, self.smoother.newest
-        own, whole, gaps, landmarks = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
-        since, self._learnt_at = newest - self._learnt_at, newest
-        wider = self._noise.update(self._residuals, own, whole, gaps, landmarks, since)
-        self._residuals = None
-        if wider != 1.0:
-            smoother.scale_noise(wider)
-            self.landmarks.scale_noise(wider)
-        since = newest - self._odometry_learnt_at
-        if since >= LEARNS_EVERY and smoother.settled and self.landmarks.mapped:
-            self._odometry_learnt_at = newest
-            left, motions = smoother.odometry_misfit(), len(smoother.stamps) - 1
-            smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
-        if smoother.settled:
-            known = self.landmarks
-            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
+        self.busy = self._learner.learn(self.smoother, self.landmarks)
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -374,7 +349,7 @@ class Map:
         """Correct the whole window, take out what does not fit, and close old keyframes."""
         self.busy, smoother = True, self.smoother
         if self.landmarks.mapped:
-            self._fit_robot_to_scene()
+            self._learner.fit_robot_to_scene(smoother)
         smoother.solve()
         if smoother.settled:
             self.registration.judge()
@@ -384,22 +359,13 @@ class Map:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
             residuals = smoother.residuals()
-        self.solved, self._residuals = True, residuals
+        self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        sound, now = smoother.settled and self._noise.settled, self.state
-        if sound and self._extrinsics.denies(now.calibration, now.calibration_variances, now.scale):
-            smoother.mount_sigmas = self._extrinsics.sigmas
+        self._learner.note(residuals)
+        if len(smoother.stamps) < self._settings.window:
+            self._learner.learn(smoother, self.landmarks)
+        if self._learner.denies_mount(smoother):
             self._solve()
-
-    def _fit_robot_to_scene(self) -> None:
-        """Expect of odometry what is usual of a robot that is no larger than its scene.
-
-        One k times as large that drives k times as far errs and slips k times as far, and so has k
-        times the variance per metre. In a hall it may be as small as in a room.
-        """
-        share = min(1.0, self.state.scale / USUAL_DISTANCE_M)
-        self.smoother.scale_odometry(self._process_noise.expect(share))
-        self.smoother.slip_sigma = share * self._slip_sigma
 
     def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

@@ -21,6 +21,7 @@ from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (
     STEP,
+    OdometryErrors,
     WeighedSightings,
     add_odometry,
     add_sightings,
@@ -35,7 +36,6 @@ from homeward.localizer.map.sightings import (
     FRAME,
     KEYFRAME,
     LANDMARK,
-    OWN,
     SIGMA,
     Frames,
     bearing_residuals,
@@ -45,7 +45,6 @@ from homeward.localizer.map.sightings import (
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.map.triangulation import FAR
-from homeward.localizer.map.variance_components import BearingErrors, Misfit, misfit
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     MOUNT,
@@ -239,21 +238,9 @@ class Smoother:
         self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
         self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
-    def odometry_misfit(self) -> Misfit:
-        """Compare what the last solution left of motions with what it was expected to leave."""
-        steps = odometry_errors(self.poses, self.calibration, self._steps)
-        rows = self.sightings
-        residual, jacobian, pose, landmark = self._linearised(rows)
-        seen = BearingErrors(
-            residual / rows[:, SIGMA],
-            jacobian / self.effective_sigmas(rows)[:, None],
-            pose,
-            landmark,
-            (rows[:, OWN] / rows[:, SIGMA]) ** 2,
-        )
-        return misfit(
-            eliminate(self.linearised()[0]), steps, seen, np.random.default_rng(self.newest)
-        )
+    def odometry_errors(self) -> OdometryErrors:
+        """Return what is left of the motions between open keyframes, linearised."""
+        return odometry_errors(self.poses, self.calibration, self._steps)
 
     def drop_landmark(self, number: int) -> None:
         """Take the landmark of an id out: what is known of the others stays."""
@@ -342,23 +329,12 @@ class Smoother:
         self.known.add_to(equations, self.positions, self.ids)
         return equations, seen
 
-    def _linearised(
-        self, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the residuals of rows of the table, (m,), and their Jacobians, (m, 13).
-
-        And from which open pose each was made, and of which landmark of the state, (m,), int.
-        """
-        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        seen = bearing_residuals(rows[:, BEARING], *self.cameras(rows), self.positions[landmark])
-        return *seen, pose, landmark
-
     def _weighed(self, rows: np.ndarray) -> WeighedSightings:
         """Return rows of the table, linearised and weighed."""
-        residual, jacobian, *numbers = self._linearised(rows)
-        return weigh_sightings(
-            residual, jacobian, rows[:, SIGMA], self.effective_sigmas(rows), *numbers
-        )
+        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
+        seen = bearing_residuals(rows[:, BEARING], *self.cameras(rows), self.positions[landmark])
+        sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
+        return weigh_sightings(*seen, *sigmas, pose, landmark)
 
     def _head_and_map(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks in one vector."""
