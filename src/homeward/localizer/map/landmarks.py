@@ -58,10 +58,8 @@ class Landmark:
     """... and from which it was last seen where it stands."""
     refused: int = 0
     """By how many more sightings of late did not fit than, counted twice, did."""
-    walks: float = 0.0
-    """How probable it is to walk about ..."""
     astray: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
-    """... and then the second moment of how far it is off its place [m^2]."""
+    """Second moment of how far it is off its place if it walks about [m^2]."""
     lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Direction of the first sight line [rad], and how far others lie to either side of it."""
 
@@ -132,6 +130,10 @@ class Landmarks:
     def index(self, landmarks: Iterable[Landmark]) -> np.ndarray:
         """Return which landmarks of the state these are, shape (k,)."""
         return self.smoother.index(np.array([m.number for m in landmarks], int))
+
+    def walking(self, landmarks: Iterable[Landmark]) -> np.ndarray:
+        """Return how probable landmarks are to walk about, shape (k,)."""
+        return np.asarray(1.0 - self.smoother.stands[self.index(landmarks)])
 
     def places(self, landmarks: Iterable[Landmark]) -> tuple[np.ndarray, np.ndarray]:
         """Return where landmarks stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""

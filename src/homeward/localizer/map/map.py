@@ -133,7 +133,7 @@ class Map:
         known = self.landmarks
         there = [known.former.get(n) or known.mapped[n] for n in names]
         astray = np.array([m.astray for m in there]).reshape(-1, 2, 2)
-        return known.index(there), np.array([m.walks for m in there]), astray
+        return known.index(there), known.walking(there), astray
 
     def learn(self) -> None:
         """Learn from what the last solution left, which took long enough, at the look after it."""

@@ -55,9 +55,10 @@ class LandmarkReport:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
         mapped, moved_at = self.known.mapped.get(name), self.known.moved_at.get(name, math.nan)
         unjudged = 1.0 if math.isfinite(moved_at) else math.nan
-        walks = math.nan if judged is None or mapped is None else mapped.walks
-        known = (unjudged if judged is None else judged), surveyed, walks
-        probability = max((p for p in known if math.isfinite(p)), default=math.nan)
+        reasons = [unjudged if judged is None else judged, surveyed]
+        if judged is not None and mapped is not None:
+            reasons.extend(self.known.walking([mapped]).tolist())
+        probability = max((p for p in reasons if math.isfinite(p)), default=math.nan)
         x, y, deviation = place
         return LandmarkEstimate(
             landmark=name,

@@ -29,12 +29,43 @@ SHARES = (np.arange(20) + 0.5) / 20
 
 
 class Walks(NamedTuple):
-    """What sight lines say of n landmarks, were they to walk at a constant velocity."""
+    """What sight lines say of velocities of n landmarks, all together, over a walk's usual one."""
 
-    log_factor: np.ndarray
-    """(n,): log evidence against that of standing."""
-    moment: np.ndarray
-    """(n, 2, 2): second moment of how far each was at first from where it seems to stand [m^2]."""
+    information: np.ndarray
+    """(2 n, 2 n): that of who walks a priori is in it."""
+    slope: np.ndarray
+    """(2 n,)"""
+    lever: np.ndarray
+    """(n, 2, 2): by how much each seems to stand elsewhere for its velocity [m]."""
+
+    def given(self, walking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weigh walking against standing of each, it being known which others walk (n,), bool.
+
+        Returns
+        -------
+        log_factor : ndarray, shape (n,)
+            Log evidence of a walk against that of standing.
+        moment : ndarray, shape (n, 2, 2)
+            Second moment of how far each was at first from where it seems to stand [m^2].
+        """
+        known = np.repeat(walking, 2)
+        inverse = np.linalg.inv(self.information[known][:, known])
+        gain = self.information[:, known] @ inverse
+        information = _own(self.information - gain @ self.information[known])
+        slope = (self.slope - gain @ self.slope[known]).reshape(-1, 2, 1)
+        information[walking] = np.linalg.inv(_own(inverse))
+        slope[walking] = information[walking] @ (inverse @ self.slope[known]).reshape(-1, 2, 1)
+        covariance = np.linalg.inv(information)
+        velocity = covariance @ slope
+        moment = covariance + velocity @ velocity.transpose(0, 2, 1)
+        log_factor = 0.5 * ((slope * velocity).sum(axis=(1, 2)) - np.linalg.slogdet(information)[1])
+        return log_factor, self.lever @ moment @ self.lever.transpose(0, 2, 1)
+
+
+def _own(matrix: np.ndarray) -> np.ndarray:
+    """Return the blocks (n, 2, 2) on the diagonal of a matrix (2 n, 2 n)."""
+    each = np.arange(len(matrix) // 2)
+    return matrix.reshape(each.size, 2, each.size, 2)[each, :, each]
 
 
 def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
@@ -67,20 +98,40 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     everything, seen = smoother.linearised()
     t = smoother.sightings[:, TIME]
     np.minimum.at(begun, seen.landmark, t)
-    found = walks(everything, seen, t - begun[seen.landmark], path / took / math.sqrt(2.0))
-    probabilities = walking_probabilities(found.log_factor[at])
-    for landmark, p, moment in zip(judged, probabilities.tolist(), found.moment[at], strict=True):
-        landmark.walks, landmark.astray = p, moment
+    speed = path / took / math.sqrt(2.0)
+    found = walks(everything, seen, speed * (t - begun[seen.landmark]), at)
+    probabilities, moments = judge_together(found)
+    for landmark, moment in zip(judged, moments, strict=True):
+        landmark.astray = moment
     smoother.stands[at] = np.maximum(1.0 - probabilities, FALSE_ALARM)
 
 
-def walks(
-    everything: NormalEquations, seen: WeighedSightings, since: np.ndarray, speed: float
-) -> Walks:
-    """Weigh a constant velocity of each of n landmarks, all others standing, against none.
+def judge_together(found: Walks) -> tuple[np.ndarray, np.ndarray]:
+    """Return how probable each of n landmarks is to walk (n,), and the moments of `Walks.given`.
 
-    Poses, calibration and all landmarks are unknown beside it, in both cases: a Bayes factor of
-    linear models. Were they taken for known, their errors would pass for walks.
+    One that walks pulls the map along, so that those that stand seem to walk until that is known.
+    So each is judged with those others walking that rather do than not: one after the other changes
+    sides, first that of which the contrary is most probable.
+    """
+    walking = np.zeros(len(found.lever), bool)
+    for _ in range(2 * walking.size):
+        log_factor, moments = found.given(walking)
+        probabilities = walking_probabilities(log_factor)
+        contrary = np.where(walking, 1.0 - probabilities, probabilities)
+        worst = int(contrary.argmax())
+        if contrary[worst] <= 0.5:
+            break
+        walking[worst] = not walking[worst]
+    return probabilities, moments
+
+
+def walks(
+    everything: NormalEquations, seen: WeighedSightings, gone: np.ndarray, which: np.ndarray
+) -> Walks:
+    """Weigh constant velocities of some landmarks, all others standing.
+
+    Poses, calibration and all places are unknown beside them. Were they taken for known, their
+    errors would pass for walks.
 
     Parameters
     ----------
@@ -88,48 +139,48 @@ def walks(
         All that is known of them, if all stand, around the solution.
     seen : WeighedSightings
         The sightings among it.
-    since : ndarray, shape (m,)
-        How long after the landmark's first sighting each was made [s].
-    speed : float
-        Standard deviation of each component of a walk's velocity [m/s].
+    gone : ndarray, shape (m,)
+        How far each component of a walk has usually gone since the landmark's first sighting, one
+        standard deviation, when each was made [m].
+    which : ndarray, shape (k,), int
+        Landmarks that may walk.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         When the normal equations are singular.
     """
-    n = (len(everything.common) - NC) // 2
-    by_velocity = speed * since[:, None] * seen.jacobian[:, 3 + NC :]
-    columns = np.concatenate([by_velocity, seen.residual[:, None]], axis=1)
-    own = sum_by(seen.landmark, by_velocity, columns, n)
-    coupled = _couplings(seen, by_velocity, len(everything.own), n)
+    k, n = which.size, (len(everything.common) - NC) // 2
+    number = np.full(n, -1)
+    number[which] = np.arange(k)
+    of = number[seen.landmark]
+    mine = WeighedSightings(*(part[of >= 0] for part in (*seen[:3], of)))
+    by_velocity = gone[of >= 0, None] * mine.jacobian[:, 3 + NC :]
+    columns = np.concatenate([by_velocity, mine.residual[:, None]], axis=1)
+    own = sum_by(mine.landmark, by_velocity, columns, k)
+    coupled = _couplings(mine, by_velocity, len(everything.own), which, n)
     pulled, settled = _taken_up(everything, coupled)
-    each, by_landmark = np.arange(n), coupled.reshape(-1, n, 2)
-    information = np.eye(2) + own[:, :, :2]
-    information -= np.einsum("iku,ikv->kuv", by_landmark, pulled.reshape(-1, n, 2))
-    slope = own[:, :, 2] - np.einsum("iku,i->ku", by_landmark, settled)
-    covariance = np.linalg.inv(information)
-    velocity = (covariance @ slope[:, :, None])[:, :, 0]
-    gain = (slope * velocity).sum(axis=1)
-    log_factor = 0.5 * (gain - np.linalg.slogdet(information)[1])
-    moment = covariance + velocity[:, :, None] * velocity[:, None, :]
-    lever = pulled[-2 * n :].reshape(n, 2, n, 2)[each, :, each]
-    return Walks(log_factor, lever @ moment @ lever.transpose(0, 2, 1))
+    information, each = np.eye(2 * k) - coupled.T @ pulled, np.arange(k)
+    information.reshape(k, 2, k, 2)[each, :, each] += own[:, :, :2]
+    slope = own[:, :, 2].ravel() - coupled.T @ settled
+    return Walks(information, slope, pulled[-2 * n :].reshape(n, 2, k, 2)[which, :, each])
 
 
-def _couplings(seen: WeighedSightings, by_velocity: np.ndarray, w: int, n: int) -> np.ndarray:
-    """Return the Hessian of w poses, calibration and n places with velocities, (3 w + a, 2 n)."""
-    by_pose, by_common = seen.jacobian[:, :3], seen.jacobian[:, 3:]
-    poses = sum_by_pair(seen, by_pose, by_velocity, w, n).reshape(3 * w, 2 * n)
-    own = sum_by(seen.landmark, by_common, by_velocity, n)
-    calibration = own[:, :NC].transpose(1, 0, 2).reshape(NC, 2 * n)
-    places = np.zeros((n, 2, n, 2))
-    places[np.arange(n), :, np.arange(n)] = own[:, NC:]
-    return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * n)])
+def _couplings(
+    mine: WeighedSightings, by_velocity: np.ndarray, w: int, which: np.ndarray, n: int
+) -> np.ndarray:
+    """Return the Hessian of w poses, calibration and n places with k velocities, (3 w + a, 2 k)."""
+    k, by_pose, by_common = which.size, mine.jacobian[:, :3], mine.jacobian[:, 3:]
+    poses = sum_by_pair(mine, by_pose, by_velocity, w, k).reshape(3 * w, 2 * k)
+    own = sum_by(mine.landmark, by_common, by_velocity, k)
+    calibration = own[:, :NC].transpose(1, 0, 2).reshape(NC, 2 * k)
+    places = np.zeros((n, 2, k, 2))
+    places[which, :, np.arange(k)] = own[:, NC:]
+    return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * k)])
 
 
 def _taken_up(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how poses and what they share give way: to velocities (3 w + a, 2 n), as they are."""
+    """Return how poses and what they share give way: to velocities (3 w + a, 2 k), as they are."""
     left, poses = eliminate(everything), 3 * len(everything.own)
     by_velocity = left.step(coupled[:poses].reshape(-1, 3, coupled.shape[1]), coupled[poses:])
     settled = left.step(everything.slope, everything.common_slope)
