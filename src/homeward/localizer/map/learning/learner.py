@@ -72,14 +72,14 @@ class Learner:
         if residuals is None:
             return False
         newest, known = smoother.newest, landmarks
-        if smoother.settled:
-            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
         own, whole, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
         since, self._learnt_at = newest - self._learnt_at, newest
         wider = self._noise.update(residuals, own, whole, gaps, numbers, since)
         if wider != 1.0:
             smoother.scale_noise(wider)
             known.scale_noise(wider)
+        if smoother.settled:
+            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
         since = newest - self._odometry_learnt_at
         if since >= LEARNS_EVERY and smoother.settled and known.mapped:
             self._odometry_learnt_at = newest
