@@ -136,7 +136,10 @@ class Map:
         return known.index(there), known.walking(there), astray
 
     def learn(self) -> None:
-        """Learn from what the last solution left, which took long enough, at the look after it."""
+        """Learn from what the last solution left, unless that was done.
+
+        A solution of the whole window takes long enough: then it is done at the look after it.
+        """
         self.busy = self._learner.learn(self.smoother, self.landmarks)
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
@@ -362,8 +365,8 @@ class Map:
         self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
         self._learner.note(residuals)
-        if len(smoother.stamps) < self._settings.window:
-            self._learner.learn(smoother, self.landmarks)
+        if len(smoother.stamps) < self._settings.window:  # short yet: this takes no time
+            self.learn()
         if self._learner.denies_mount(smoother):
             self._solve()
 
