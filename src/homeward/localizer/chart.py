@@ -101,7 +101,7 @@ class Chart:
         if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        self.map.learn()  # 0 what the last solution tells of noise
+        self._learn()  # 0 what the last solution tells of noise
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
@@ -230,6 +230,13 @@ class Chart:
                 return self._relocalise(seen, motion)
             case _:
                 return self._begin_search(seen, health)
+
+    def _learn(self) -> None:
+        """Learn from the last solution of the map, if anything can be made of that."""
+        try:
+            self.map.learn()
+        except np.linalg.LinAlgError:
+            self._give_up_map()
 
     def _update(self, gated: Gated) -> bool:
         """Update the map by what fits; return whether there is a new solution."""

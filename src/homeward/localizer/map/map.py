@@ -92,6 +92,8 @@ class Map:
         self._solved_at, self._solved_positions = 0, self.smoother.positions
         self.busy = False
         """Whether the newest look had long work already: a solution, or to learn from one."""
+        self._unlearnt = False
+        """Whether there is a solution that was not learnt from."""
         self._due = True
         """Whether the whole window is to be solved at this keyframe."""
         self._path = 0.0
@@ -139,8 +141,16 @@ class Map:
         """Learn from what the last solution left, unless that was done.
 
         A solution of the whole window takes long enough: then it is done at the look after it.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When nothing can be made of the map any more.
         """
-        self.busy = self._learner.learn(self.smoother, self.landmarks)
+        self.busy = self._unlearnt
+        if self._unlearnt:
+            self._unlearnt = False
+            self._learner.learn(self.smoother, self.landmarks)
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -276,6 +286,7 @@ class Map:
     def adopt(self, whole: Smoother) -> None:
         """Take what the whole of a drive says, of the same landmarks."""
         self.smoother = self.landmarks.smoother = whole
+        self._unlearnt = False
 
     def _rows(
         self, frame: WeighedFrame, motion: Motion
@@ -356,15 +367,12 @@ class Map:
         smoother.solve()
         if smoother.settled:
             self.registration.judge()
-        residuals = smoother.residuals()
-        misfits = self.landmarks.drop_misfits(residuals) if smoother.settled else 0
+        misfits = self.landmarks.drop_misfits(smoother.residuals()) if smoother.settled else 0
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-            residuals = smoother.residuals()
-        self.solved = True
+        self.solved = self._unlearnt = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        self._learner.note(residuals)
         if len(smoother.stamps) < self._settings.window:  # short yet: this takes no time
             self.learn()
         if self._learner.denies_mount(smoother):

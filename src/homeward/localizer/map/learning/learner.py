@@ -20,7 +20,7 @@ LEARNS_EVERY = 10
 
 
 class Learner:
-    """Learns from what solutions of a map leave, at the look after each.
+    """Learns from what solutions of a map leave of bearings and motions.
 
     Parameters
     ----------
@@ -43,7 +43,6 @@ class Learner:
     ) -> None:
         self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
         self._slip_sigma = slip_sigma
-        self._residuals: np.ndarray | None = None
         self._learnt_at = self._odometry_learnt_at = 0
 
     def fit_robot_to_scene(self, smoother: Smoother) -> None:
@@ -56,22 +55,15 @@ class Learner:
         smoother.scale_odometry(self._process_noise.expect(share))
         smoother.slip_sigma = share * self._slip_sigma
 
-    def note(self, residuals: np.ndarray) -> None:
-        """Note what a solution leaves of bearings, (m,) [rad], to learn from it later."""
-        self._residuals = residuals
-
-    def learn(self, smoother: Smoother, landmarks: Landmarks) -> bool:
-        """Learn from the solution before this look; return whether there was one.
+    def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
+        """Learn from the last solution.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             When the normal equations are singular.
         """
-        residuals, self._residuals = self._residuals, None
-        if residuals is None:
-            return False
-        newest, known = smoother.newest, landmarks
+        newest, known, residuals = smoother.newest, landmarks, smoother.residuals()
         own, whole, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
         since, self._learnt_at = newest - self._learnt_at, newest
         wider = self._noise.update(residuals, own, whole, gaps, numbers, since)
@@ -85,7 +77,6 @@ class Learner:
             self._odometry_learnt_at = newest
             left, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
-        return True
 
     def denies_mount(self, smoother: Smoother) -> bool:
         """Return whether a solution denies for the first time where the camera is believed to be.
