@@ -18,6 +18,8 @@ FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 
 STEP = 12 + 3 * NC
 """Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
 the inverse of its covariance (3, 3), and its derivative by the calibration (3, 8)."""
+MOST_EMPTY = 8
+"""Sums of groups are padded to their largest, unless that takes so many times the room [1]."""
 
 
 def step_row(motion: Motion) -> np.ndarray:
@@ -170,13 +172,17 @@ def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) 
     """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j).
 
     Each row is of the group (m,) whose number is given. They are put side by side, a line for each
-    group, and multiplied there.
+    group, and multiplied there, unless most of that would stay empty.
     """
-    order, counts = np.argsort(group, kind="stable"), np.bincount(group, minlength=groups)
+    counts = np.bincount(group, minlength=groups)
+    most = int(counts.max(initial=0))
+    if groups * most > MOST_EMPTY * len(group):
+        return _sum_one_by_one(group, left, right, groups)
+    order = np.argsort(group, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(len(group)) - np.repeat(np.cumsum(counts) - counts, counts)
-    a = np.zeros((groups, counts.max(), left.shape[1]))
-    b = np.zeros((groups, counts.max(), right.shape[1]))
+    a = np.zeros((groups, most, left.shape[1]))
+    b = np.zeros((groups, most, right.shape[1]))
     a[group, place], b[group, place] = left, right
     return np.asarray(a.transpose(0, 2, 1) @ b)
 
@@ -185,8 +191,16 @@ def sum_by_pair(
     seen: WeighedSightings, left: np.ndarray, right: np.ndarray, w: int, n: int
 ) -> np.ndarray:
     """Return the same of w poses and n landmarks, (w, i, j n): a pair has but a few sightings."""
+    sums = _sum_one_by_one(seen.pose * n + seen.landmark, left, right, w * n)
+    return sums.reshape(w, n, *sums.shape[1:]).transpose(0, 2, 1, 3).reshape(w, left.shape[1], -1)
+
+
+def _sum_one_by_one(
+    group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int
+) -> np.ndarray:
+    """Return what `sum_by` does, in memory that goes with rows and groups."""
     blocks = left[:, :, None] * right[:, None, :]
-    size = blocks[0].size
-    at = size * (seen.pose * n + seen.landmark)[:, None] + np.arange(size)
-    sums = np.bincount(at.ravel(), blocks.ravel(), size * w * n).reshape(w, n, *blocks.shape[1:])
-    return sums.transpose(0, 2, 1, 3).reshape(w, left.shape[1], -1)
+    size = left.shape[1] * right.shape[1]
+    at = size * group[:, None] + np.arange(size)
+    sums = np.bincount(at.ravel(), blocks.ravel(), size * groups)
+    return np.asarray(sums.reshape(groups, *blocks.shape[1:]))
