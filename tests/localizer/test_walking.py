@@ -11,7 +11,11 @@ from homeward.angles import wrap
 from homeward.localizer.home.observation import counted_for
 from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings
-from homeward.localizer.map.learning.walking import walking_probabilities, walks
+from homeward.localizer.map.learning.walking import (
+    Walks,
+    judge_together,
+    walks,
+)
 from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import WALKS
 
@@ -94,7 +98,6 @@ def test_the_evidence_is_that_of_the_two_models():
 
     standing = np.eye(m) + dense @ dense.T
     velocities = [SPEED * (since * (landmark == k))[:, None] * jacobian[:, -2:] for k in range(n)]
-    lever = np.linalg.inv(np.eye(dense.shape[1]) + dense.T @ dense) @ dense.T
     for others in product([False, True], repeat=n):
         log_factor, moment = found.given(np.array(others))
         for k, velocity in enumerate(velocities):
@@ -106,7 +109,9 @@ def test_the_evidence_is_that_of_the_two_models():
             gain = velocity.T @ np.linalg.inv(walking)
             mean, covariance = gain @ residual, np.eye(2) - gain @ velocity
             at = 3 * w + NC + 2 * k
-            off = lever[at : at + 2] @ velocity
+            free = np.concatenate([dense, *walk], axis=1)
+            lever = np.linalg.solve(np.eye(free.shape[1]) + free.T @ free, free.T @ velocity)
+            off = lever[at : at + 2]
             assert np.allclose(moment[k], off @ (covariance + np.outer(mean, mean)) @ off.T)
 
 
@@ -133,16 +138,58 @@ def test_among_people_who_walk_home_is_found_by_what_stands():
     assert sum(len(rig.moved() - people) for rig, people in drives) <= 0.1 * 4 * 8
 
 
+def apart(*log_factors):
+    """What is said of landmarks of which each has evidence of its own, and nothing couples two."""
+    n, factor = len(log_factors), np.array(log_factors)
+    information = np.where(
+        factor < 0.0, np.exp(-factor), 1.0
+    )  # log factor: (s' J^-1 s - log |J|) / 2
+    slope = np.where(factor > 0.0, np.sqrt(2.0 * np.maximum(factor, 0.0)), 0.0)
+    both = np.column_stack([slope, np.zeros(n)]).ravel()
+    return Walks(np.diag(np.repeat(information, 2)), both, np.zeros((n, 2, 2 * n)))
+
+
 def test_where_many_walk_one_of_whom_nothing_is_known_is_doubted_too():
-    nothing = walking_probabilities(np.zeros(12))
-    stands = walking_probabilities(np.array([-8.0] * 11 + [0.0]))
-    crowd = walking_probabilities(np.array([20.0] * 6 + [-8.0] * 5 + [0.0]))
+    nothing = judge_together(apart(*[0.0] * 12))[0]
+    stands = judge_together(apart(*[-8.0] * 11, 0.0))[0]
+    crowd = judge_together(apart(*[20.0] * 6, *[-8.0] * 5, 0.0))[0]
     assert np.allclose(nothing, nothing[0])
     assert nothing[0] < 0.1
     assert stands[-1] < 2.0 * WALKS
     assert 0.4 < crowd[-1] < 0.7
     assert crowd[:6].min() > 0.999
     assert crowd[6:11].max() < 0.01
+
+
+def test_one_that_is_pulled_along_by_a_walker_stands():
+    """The first walks; the second has no slope of its own, but shares what the first leaves."""
+    coupling = 8.0
+    information = np.kron(np.array([[20.0, coupling], [coupling, 20.0]]), np.eye(2))
+    velocity = np.array([4.0, 0.0, 0.0, 0.0])
+    found = Walks(information, information @ velocity, np.zeros((2, 2, 4)))
+    alone = found.given(np.array([False, False]))[0]
+    assert alone.min() > 10.0  # each for itself seems to walk
+    probabilities = judge_together(found)[0]
+    assert probabilities[0] > 0.999
+    assert probabilities[1] < 0.1
+
+
+def test_any_evidence_comes_to_a_verdict():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        n = int(rng.integers(1, 7))
+        half = rng.normal(size=(2 * n, 2 * n)) * rng.uniform(0.1, 3.0)
+        information = np.eye(2 * n) + half @ half.T
+        found = Walks(information, 10.0 * rng.normal(size=2 * n), np.zeros((n, 2, 2 * n)))
+        probabilities, moments = judge_together(found)
+        assert np.all((probabilities >= 0.0) & (probabilities <= 1.0))
+        assert np.isfinite(moments).all()
+
+
+def test_evidence_that_is_no_number_is_an_error():
+    found = Walks(np.eye(4), np.array([math.nan, 0.0, 0.0, 0.0]), np.zeros((2, 2, 4)))
+    with pytest.raises(np.linalg.LinAlgError):
+        judge_together(found)
 
 
 def test_a_place_that_may_be_wrong_counts_by_the_information_of_either_case():

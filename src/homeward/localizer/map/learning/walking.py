@@ -3,9 +3,9 @@
 People, carts and doors move while they are looked at. One that keeps its way is seen from a robot
 that keeps its own as one that stands elsewhere, and fits; only what bends in its sight lines tells
 the two apart, as the robot turns. How far they do is a matter of information, and is computed: for
-each landmark the evidence of a constant velocity against none, and by how much its place is off if
-it walks. How large a share of all walks nobody knows; it is integrated out, as of those that were
-moved (`homeward.localizer.home.evidence`).
+each landmark the evidence of a constant velocity against none, others walking or not, and by how
+much its place is off if it walks. How large a share of all walks nobody knows; it is integrated
+out, as of those that were moved (`homeward.localizer.home.evidence`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit, logsumexp
 
 from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, sum_by, sum_by_pair
@@ -26,6 +27,8 @@ from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKS
 
 SHARES = (np.arange(20) + 0.5) / 20
 """Shares of walking landmarks over which is integrated."""
+ROUNDING = 1e-6
+"""A set is not more probable for so small a gain of its log posterior."""
 
 
 class Walks(NamedTuple):
@@ -36,7 +39,7 @@ class Walks(NamedTuple):
     slope: np.ndarray
     """(2 n,)"""
     lever: np.ndarray
-    """(n, 2, 2): by how much each seems to stand elsewhere for its velocity [m]."""
+    """(n, 2, 2 n): by how much each seems to stand elsewhere for all velocities [m]."""
 
     def given(self, walking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weigh walking against standing of each, it being known which others walk (n,), bool.
@@ -46,25 +49,33 @@ class Walks(NamedTuple):
         log_factor : ndarray, shape (n,)
             Log evidence of a walk against that of standing.
         moment : ndarray, shape (n, 2, 2)
-            Second moment of how far each was at first from where it seems to stand [m^2].
+            Second moment of how far each was at first, if it walks, from where it seems to stand
+            [m^2].
         """
-        known = np.repeat(walking, 2)
+        n, known = walking.size, np.repeat(walking, 2)
         inverse = np.linalg.inv(self.information[known][:, known])
-        gain = self.information[:, known] @ inverse
-        information = _own(self.information - gain @ self.information[known])
-        slope = (self.slope - gain @ self.slope[known]).reshape(-1, 2, 1)
+        k = len(inverse)
+        gain = (self.information[:, known] @ inverse).reshape(n, 2, k)  # of all, by those who walk
+        by_all = self.information[known].reshape(k, n, 2).transpose(1, 0, 2)
+        information = _own(self.information) - gain @ by_all
+        slope = self.slope.reshape(n, 2, 1) - gain @ self.slope[known, None]
+        lever = _own(self.lever) - self.lever[:, :, known] @ gain.transpose(0, 2, 1)
+
+        own = inverse.reshape(k, k // 2, 2).transpose(1, 0, 2)
         information[walking] = np.linalg.inv(_own(inverse))
         slope[walking] = information[walking] @ (inverse @ self.slope[known]).reshape(-1, 2, 1)
+        lever[walking] = self.lever[walking][:, :, known] @ own @ information[walking]
+
         covariance = np.linalg.inv(information)
         velocity = covariance @ slope
         moment = covariance + velocity @ velocity.transpose(0, 2, 1)
         log_factor = 0.5 * ((slope * velocity).sum(axis=(1, 2)) - np.linalg.slogdet(information)[1])
-        return log_factor, self.lever @ moment @ self.lever.transpose(0, 2, 1)
+        return log_factor, lever @ moment @ lever.transpose(0, 2, 1)
 
 
 def _own(matrix: np.ndarray) -> np.ndarray:
-    """Return the blocks (n, 2, 2) on the diagonal of a matrix (2 n, 2 n)."""
-    each = np.arange(len(matrix) // 2)
+    """Return the blocks (n, 2, 2) on the diagonal of a matrix, (2 n, 2 n) or (n, 2, 2 n)."""
+    each = np.arange(matrix.shape[-1] // 2)
     return matrix.reshape(each.size, 2, each.size, 2)[each, :, each]
 
 
@@ -110,19 +121,38 @@ def judge_together(found: Walks) -> tuple[np.ndarray, np.ndarray]:
     """Return how probable each of n landmarks is to walk (n,), and the moments of `Walks.given`.
 
     One that walks pulls the map along, so that those that stand seem to walk until that is known.
-    So each is judged with those others walking that rather do than not: one after the other changes
-    sides, first that of which the contrary is most probable.
+    So a set of those that walk is looked for that no change of one makes more probable, by
+    coordinate ascent from none, and each is judged with the others as that set has them.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When nothing can be said.
     """
-    walking = np.zeros(len(found.lever), bool)
-    for _ in range(2 * walking.size):
+    walking, log_prior = np.zeros(len(found.lever), bool), log_prior_of_walkers(len(found.lever))
+    while True:
         log_factor, moments = found.given(walking)
-        probabilities = walking_probabilities(log_factor)
-        contrary = np.where(walking, 1.0 - probabilities, probabilities)
-        worst = int(contrary.argmax())
-        if contrary[worst] <= 0.5:
-            break
-        walking[worst] = not walking[worst]
-    return probabilities, moments
+        others = np.count_nonzero(walking) - walking
+        log_odds = log_factor + log_prior[others + 1] - log_prior[others]
+        if not np.isfinite(log_odds).all():
+            raise np.linalg.LinAlgError("no evidence of walks")
+        gain = np.where(walking, -log_odds, log_odds)
+        best = int(gain.argmax())
+        if gain[best] < ROUNDING:
+            return np.asarray(expit(log_odds)), moments
+        walking[best] = not walking[best]
+
+
+def log_prior_of_walkers(n: int) -> np.ndarray:
+    """Return the log prior (n + 1,) of a set of 0, 1, ... n walkers among n landmarks.
+
+    As a rule each walks with a probability that is known; among people any share may.
+    """
+    share = np.append(SHARES, WALKS)[:, None]
+    prior = np.append(np.full(SHARES.size, UPHEAVAL / SHARES.size), 1.0 - UPHEAVAL)[:, None]
+    walk = np.arange(n + 1)
+    log = np.log(prior) + walk * np.log(share) + (n - walk) * np.log1p(-share)
+    return np.asarray(logsumexp(log, axis=0))
 
 
 def walks(
@@ -163,7 +193,7 @@ def walks(
     information, each = np.eye(2 * k) - coupled.T @ pulled, np.arange(k)
     information.reshape(k, 2, k, 2)[each, :, each] += own[:, :, :2]
     slope = own[:, :, 2].ravel() - coupled.T @ settled
-    return Walks(information, slope, pulled[-2 * n :].reshape(n, 2, k, 2)[which, :, each])
+    return Walks(information, slope, pulled[-2 * n :].reshape(n, 2, 2 * k)[which])
 
 
 def _couplings(
@@ -186,17 +216,3 @@ def _taken_up(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndar
     settled = left.step(everything.slope, everything.common_slope)
     pulled = np.concatenate([by_velocity[0].reshape(poses, -1), by_velocity[1]])
     return pulled, np.concatenate([settled[0].ravel(), settled[1]])
-
-
-def walking_probabilities(log_factor: np.ndarray) -> np.ndarray:
-    """Return how probable each of n landmarks is to walk, by its evidence (n,), and all others'.
-
-    As a rule each does with a probability that is known; among people any share may.
-    """
-    share = np.append(SHARES, WALKS)[:, None]
-    prior = np.append(np.full(SHARES.size, UPHEAVAL / SHARES.size), 1.0 - UPHEAVAL)
-    walk, stand = np.log(share) + log_factor, np.log1p(-share)
-    either = np.logaddexp(walk, stand)
-    log = np.log(prior) + either.sum(axis=1)
-    weights = np.exp(log - log.max())
-    return np.asarray(weights @ np.exp(walk - either) / weights.sum())
