@@ -101,7 +101,7 @@ class Chart:
         if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        self._learn()  # 0 what the last solution tells of noise
+        fresh = self.learn(frame.t)  # 0 what the last solution tells of noise and walkers
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
@@ -114,9 +114,19 @@ class Chart:
             gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
-        if changed or reset:
+        if changed or reset or fresh:
             self._find_home(now)  # 7 resection: which home bearings are right; 8 status, covariance
         return gated.innovations if gated is not None else []
+
+    def learn(self, t: float) -> bool:
+        """Learn from the last solution; return whether a map begins at `t` [s], as none can be."""
+        try:
+            self.map.learn()
+        except np.linalg.LinAlgError:
+            self.counts.reject(Rejection.MAP_RESET)
+            self._reset_map(t)
+            return True
+        return False
 
     def conclude(self, whole: Smoother) -> bool:
         """Find home anew by what a whole drive says; see `Localizer.conclude`."""
@@ -230,13 +240,6 @@ class Chart:
                 return self._relocalise(seen, motion)
             case _:
                 return self._begin_search(seen, health)
-
-    def _learn(self) -> None:
-        """Learn from the last solution of the map, if anything can be made of that."""
-        try:
-            self.map.learn()
-        except np.linalg.LinAlgError:
-            self._give_up_map()
 
     def _update(self, gated: Gated) -> bool:
         """Update the map by what fits; return whether there is a new solution."""

@@ -56,6 +56,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     track = run(drive, localizer)
     if localizer.signs_reversed:
         return track
+    localizer.chart.learn(float(track.t[-1]))
     whole = localizer.chart.map.smoother.whole()
     for _ in range(SOLVES):
         whole.solve()

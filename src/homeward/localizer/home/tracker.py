@@ -124,7 +124,7 @@ class HomeTracker:
         now = (update if known.solved else propagate)(problem, before)
         if now is None:
             return None
-        if known.solved and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
+        if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
             # The best set's home went astray: there may be a way back to it, or a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)

@@ -77,7 +77,7 @@ class Map:
         known: KnownLandmarks,
     ) -> None:
         self._settings, self._counts = settings, counts
-        self._noise, self._process_noise = noise, process_noise
+        self._process_noise = process_noise
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
@@ -151,6 +151,8 @@ class Map:
         if self._unlearnt:
             self._unlearnt = False
             self._learner.learn(self.smoother, self.landmarks)
+            if self._learner.opens_mount(self.smoother):
+                self._solve()
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or came to rest."""
@@ -360,7 +362,7 @@ class Map:
         return True
 
     def _solve(self) -> None:
-        """Correct the whole window, take out what does not fit, and close old keyframes."""
+        """Correct the whole window, take out what does not fit, and learn from what is left."""
         self.busy, smoother = True, self.smoother
         if self.landmarks.mapped:
             self._learner.fit_robot_to_scene(smoother)
@@ -375,8 +377,6 @@ class Map:
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
         if len(smoother.stamps) < self._settings.window:  # short yet: this takes no time
             self.learn()
-        if self._learner.denies_mount(smoother):
-            self._solve()
 
     def _marginalise_old(self) -> None:
         """Close the oldest keyframes that are not needed any more."""

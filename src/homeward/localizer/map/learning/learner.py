@@ -56,32 +56,32 @@ class Learner:
         smoother.slip_sigma = share * self._slip_sigma
 
     def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
-        """Learn from the last solution.
+        """Learn from the last solution: bearings' noise, then who walks by that, then odometry's.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             When the normal equations are singular.
         """
-        newest, known, residuals = smoother.newest, landmarks, smoother.residuals()
+        newest, residuals = smoother.newest, smoother.residuals()
         own, whole, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
         since, self._learnt_at = newest - self._learnt_at, newest
         wider = self._noise.update(residuals, own, whole, gaps, numbers, since)
         if wider != 1.0:
             smoother.scale_noise(wider)
-            known.scale_noise(wider)
+            landmarks.scale_noise(wider)
         if smoother.settled:
-            judge_walking(smoother, [*known.mapped.values(), *known.former.values()])
+            judge_walking(smoother, [*landmarks.mapped.values(), *landmarks.former.values()])
         since = newest - self._odometry_learnt_at
-        if since >= LEARNS_EVERY and smoother.settled and known.mapped:
+        if since >= LEARNS_EVERY and smoother.settled and landmarks.mapped:
             self._odometry_learnt_at = newest
             left, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
 
-    def denies_mount(self, smoother: Smoother) -> bool:
-        """Return whether a solution denies for the first time where the camera is believed to be.
+    def opens_mount(self, smoother: Smoother) -> bool:
+        """Let the camera be anywhere on the robot if bearings deny its place; return whether so.
 
-        It is believed to be anywhere then.
+        They do so once, and need a solution then.
         """
         now, sound = smoother.state, smoother.settled and self._noise.settled
         calibration = now.calibration, now.calibration_variances
