@@ -17,7 +17,7 @@ from homeward.localizer.map.learning.walking import (
     walks,
 )
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import WALKS
+from homeward.localizer.tunables import WALKING_PRIOR
 
 SIGMA, SPEED = 0.01, 0.2
 PLACE = np.array([2.0, 3.0])
@@ -155,7 +155,7 @@ def test_where_many_walk_one_of_whom_nothing_is_known_is_doubted_too():
     crowd = judge_together(apart(*[20.0] * 6, *[-8.0] * 5, 0.0))[0]
     assert np.allclose(nothing, nothing[0])
     assert nothing[0] < 0.1
-    assert stands[-1] < 2.0 * WALKS
+    assert stands[-1] < 2.0 * WALKING_PRIOR
     assert 0.4 < crowd[-1] < 0.7
     assert crowd[:6].min() > 0.999
     assert crowd[6:11].max() < 0.01

@@ -1,9 +1,4 @@
-"""Tunables: every number of the localiser that its answers depend on, and why it is what it is.
-
-What a user may want to set is in `settings`. Capitals of other modules are numerics: how often,
-how many at most, how small; they buy time or keep arithmetic sound, and are no matter of belief.
-Lengths are in distances of landmarks: the median one of those that are mapped.
-"""
+"""Tunables: every number of the localiser that affects its estimates, and why it has its value."""
 
 from __future__ import annotations
 
@@ -11,110 +6,121 @@ from statistics import NormalDist
 
 
 def sigmas(tests: int = 1) -> float:
-    """Return the two-sided gate of so many tests that together err with `FALSE_ALARM` [1]."""
+    """Return the two-sided gate of n tests with a joint false-alarm rate of `FALSE_ALARM` [1]."""
     return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / tests)
 
 
-# Tests of what is seen
+# Statistical tests
 FALSE_ALARM = 0.0027
-"""Probability that a test doubts what is right: that of three standard deviations."""
-AGREES = sigmas()
-"""What is off by more does not agree: one test, which costs one sighting [standard deviations]."""
+"""Probability that a test rejects what is right: that of three standard deviations."""
+INLIER_GATE = sigmas()
+"""Gate of a single test, which costs one sighting [standard deviations]."""
 GATE = sigmas(40)
-"""What is off by more is rejected: a landmark is tested at all keyframes of a window (Bonferroni)
+"""Innovation gate: a landmark is tested at every keyframe of a window (Bonferroni correction)
 [standard deviations]."""
-DENIED = sigmas(5000)
-"""What is off by more is denied for good: tested at each keyframe of 40 min [standard deviations].
-"""
+CONTRADICTION_GATE = sigmas(5000)
+"""Gate of a decision that is never revised: tested at every keyframe of 40 min [standard
+deviations]."""
 MAJORITY = 0.6
-"""So large a share of all must agree: most of them, with some to spare for outliers."""
-RECENT = 10
-"""The last so many sightings tell whether the map fits, and where else the robot may be: two of
-each of five landmarks, while odometry still ties them together."""
-ENOUGH = 6
-"""From so many sightings on something is said of a landmark: with half of them wrong, three right
-ones are left, of which one checks the other two."""
-ESTABLISHED = 2 * ENOUGH
-"""That a landmark moved is said after so many at its old place, and as many at its new one."""
-EXCESSIVE = 1.5
-"""Given deviations, of bearings and of motions, are doubted where the map leaves so many times more
-[1]."""
+"""Share that must agree: more than half, to leave room for outliers."""
+RECENT_SIGHTINGS = 10
+"""Sightings that the kidnap detector and the relocalisation use: two of each of five landmarks,
+recent enough for odometry to connect them."""
+MIN_SIGHTINGS = 6
+"""Sightings before anything is decided about a landmark: if half of them are wrong, three right
+ones remain, and one of these checks the other two."""
+ESTABLISHED_SIGHTINGS = 2 * MIN_SIGHTINGS
+"""Sightings at the old place, and again at the new one, before a landmark is declared moved."""
+MAX_NOISE_RATIO = 1.5
+"""Given standard deviations (of bearings, of odometry) are overruled when the residuals are larger
+by more than this factor [1]."""
 
-# How large is small: a bearing is linear in what is small against the distance of the landmark
-LINEAR = 0.3
-"""Bearings are linear in turns [rad] and shifts [distance] up to this: tan is, to 3 %."""
-CLOSE = LINEAR / 3
-"""... and here to 0.3 %, as that goes with the square: two places so near to each other are one
+# Linearity of bearings, in turns and in shifts relative to the landmark distance
+LINEAR_RANGE = 0.3
+"""Turns [rad] and shifts [landmark distance] up to which a bearing is linear: tan is, to 3 %."""
+SAME_PLACE = LINEAR_RANGE / 3
+"""A third of that is linear to 0.3 %, since the error goes with the square: two places so close are
+one [landmark distance]."""
+NEGLIGIBLE = LINEAR_RANGE / 10
+"""A tenth of that is linear to 0.03 %: corrections up to this need no relinearisation."""
+STANDSTILL = 0.01
+"""Motion below which the robot counts as standing still: half the default bearing noise [rad,
+landmark distance]."""
+MAX_MOTION_SIGMA = 0.7
+"""Odometry less certain than this cannot predict bearings [rad, landmark distance]. A bearing
+inflated by this many of its standard deviations has lost a third of its information, and is not
+used."""
+
+# Bearings that determine and verify a pose
+MIN_BEARINGS = 3
+"""Bearings that determine a pose (geometry, not a choice): any three fit some pose."""
+VERIFYING_BEARINGS = MIN_BEARINGS + 2
+"""Bearings that verify a pose: two beyond the three that determine it."""
+RELOCALISED_SHARE = 0.7
+"""Share of the sightings that must fit the pose of a relocalised robot: more than `MAJORITY`, since
+three always fit [1]."""
+
+# Landmark initialisation and motion
+BASELINE_RATIO = 5.0
+"""A landmark is triangulated once the baseline is this many times the uncertainty of odometry along
+it, so that this turns sight lines by at most a fifth of the parallax. While nothing is mapped,
+motions less certain than that are not used."""
+RIVAL_MARGIN = 1.5
+"""A triangulated position must explain this many sight lines more than any rival: more than one
+line that fits by chance."""
+RIVAL_DISTANCE = 0.67
+"""Positions this far apart are rivals: nearer than 0.6 or farther than 3 times the distance
 [distance]."""
-TINY = LINEAR / 10
-"""... and here to 0.03 %: so much is corrected without solving anew."""
-STANDS = 0.01
-"""A robot that moved less stands: half the noise of a bearing, as it is believed at first."""
-LOST = 0.7
-"""A motion less certain than this [rad, distance] tells nothing of bearings; nor does a bearing
-that is blurred so much by its way [standard deviations]: a third of what it told is gone."""
-
-# What checks what
-POSE = 3
-"""So many bearings fix a pose, and fit some pose always; geometry, no choice."""
-PROOF = POSE + 2
-"""From a place from which so many (more) fit the robot sees them: two check a pose of three."""
-FOUND = 0.7
-"""... and so large a share of all it saw: a larger one than `MAJORITY`, as three always fit [1]."""
-
-# Landmarks enter, move and go
-BASE = 5.0
-"""They start from a base so many times longer than odometry's uncertainty about it, which then
-turns sight lines by a fifth of the parallax at most; and before any is mapped a way less certain
-than that is not looked at."""
-MARGIN = 1.5
-"""A place explains so many lines more than any other: one that is right by chance does not do."""
-RIVAL_SHARE = 0.67
-"""Another place is so far off, of its own distance: nearer than 0.6 or farther than 3 times [1]."""
-WALKS = 0.01
-"""One landmark in a hundred is on its way while it is looked at, as a rule [1]."""
-AS_WELL = 2.0
-"""Where another landmark is off by less than so many times as much, it is that one."""
+WALKING_PRIOR = 0.01
+"""Prior probability that a landmark walks about while it is observed [1]."""
+SWAP_RATIO = 2.0
+"""Identities count as swapped if another landmark's residuals are less than this many times larger
+[1]."""
 
 # Home
 UPHEAVAL = 0.1
-"""Of the places that are come back to one in ten was rearranged: any share may have moved [1]."""
-PUSHED = 0.5
-"""Half of the landmarks that moved were pushed by about so much, seen from home; the other half was
-carried anywhere [rad]."""
-NOISE_DOUBT = 0.01
-"""The deviation of home bearings is wrong in one of a hundred homes, ..."""
-NOISIER = (3.0, 10.0)
-"""... as they are by so many times: half a decade tells one noise from another [1]."""
-HOME_SHARE = 0.5
-"""Home is about so far from the middle of its landmarks: among them [of their range]."""
-REACH = 20.0
-"""... and not so many times farther from them than they are from each other: from there all of them
-are within 3 deg, the noise of a bearing or two."""
-LEAST_SHARE = 0.002
-"""So much of the information on home is left when errors of the map are taken out [1]."""
-NEGLIGIBLE = 1e-3
-"""A hypothesis so many times less probable than the best one is dropped, and a flip that leads to
-one is not tried: fifty of them stay below what `sure` leaves open."""
-STILL_FIXED = 2.0
-"""A pose that was given is given until it is so many times less certain than it had to be."""
+"""Prior probability that a place was rearranged, so that any share of landmarks may have moved [1].
+"""
+OUTLIER_SIGMA = 0.5
+"""Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
+the others may be anywhere on the circle [rad]."""
+NOISE_SCALE_PRIOR = 0.01
+"""Prior probability that the given standard deviation of the home bearings is wrong ..."""
+NOISE_SCALES = (3.0, 10.0)
+"""... and by which factors: half a decade tells one noise level from another [1]."""
+HOME_DISTANCE = 0.5
+"""Typical distance of home from the centre of its landmarks: among them [range of the landmarks].
+"""
+MAX_HOME_DISTANCE = 20.0
+"""Largest distance of home [extent of the landmarks]: from there all of them are within 3 deg, the
+noise of one or two bearings."""
+MIN_INFORMATION_SHARE = 0.002
+"""Share of the information on home that is kept when the spurious part is removed [1]."""
+IMPROBABLE = 1e-3
+"""Hypotheses less probable than the best one by this factor are dropped, and flips that lead to one
+are not tried: fifty of them together stay below what the setting `sure` leaves open."""
+FIX_HYSTERESIS = 2.0
+"""Hysteresis of the fix: a pose is withdrawn only when this many times less certain than the limit
+at which it was first published."""
 
 # Odometry
-HEAVY_TAIL = 3.0
-"""Wheels slip and robots bump: the gate takes odometry for so much worse than its noise says."""
-DRIFT = 0.5 / 60.0
-"""The calibration drifts by half of its a-priori deviation in an hour, as a random walk: tyres and
-batteries [1 / sqrt(s)]."""
-SPEED_LASTS_S, TURN_LASTS_S = 1.0, 0.5
-"""Without odometry it goes on for about so long at the speed, and turn rate, that it has [s]."""
-SLOWEST, SLOWEST_TURN = 0.3, 0.3
-"""It may be so fast [m/s], and turn so fast [rad/s], however little it moved before."""
-LATELY_S = 60.0
-"""What is usual is the mean over so much time of moving, which one wild twist spoils little [s]."""
-NOISE_PRIOR = 2.0
-"""What is believed of odometry's noise at first counts as so many motions: it is little more than a
-guess at the order of magnitude [1]."""
+GATE_INFLATION = 3.0
+"""The gate inflates the standard deviation of odometry by this factor, since wheels slip and robots
+are bumped."""
+CALIBRATION_DRIFT = 0.5 / 60.0
+"""Random walk of the calibration: half of its a priori deviation in an hour, by tyres and batteries
+[1 / sqrt(s)]."""
+SPEED_TIME_S, TURN_TIME_S = 1.0, 0.5
+"""Correlation times of speed and turn rate during an odometry dropout [s]."""
+MIN_USUAL_SPEED, MIN_USUAL_TURN_RATE = 0.3, 0.3
+"""Lower bounds on the usual speed [m/s] and turn rate [rad/s], however little the robot has moved.
+"""
+MOTION_MEMORY_S = 60.0
+"""Averaging time of the usual speed, counted while moving: one wild twist hardly changes it [s]."""
+NOISE_PRIOR_MOTIONS = 2.0
+"""Weight of the prior on the odometry noise, in motions: it is an order of magnitude only [1]."""
 USUAL_DISTANCE_M = 3.5
-"""... for a robot among landmarks so far away, or farther: in a room [m]."""
+"""Landmark distance from which on that prior holds, as in a room [m]."""
 NOISE_MEMORY = 200.0
-"""So many keyframes count for it, two minutes of driving: floors differ [1]."""
+"""Keyframes over which the odometry noise is averaged, two minutes of driving: floors differ [1].
+"""

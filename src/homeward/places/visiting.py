@@ -15,7 +15,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import MOST_JUDGED, wrong_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.tunables import AGREES, CLOSE, ENOUGH, PROOF
+from homeward.localizer.tunables import INLIER_GATE, MIN_SIGHTINGS, SAME_PLACE, VERIFYING_BEARINGS
 from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
@@ -50,10 +50,10 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     mount = Pose(*localizer.chart.home.observation.mount.tolist())
     there = told.map.with_home(home, right, mount, found, vague).at_home(home)
     there = there.only(_well_placed(there))
-    if len(there.names) < PROOF:
+    if len(there.names) < VERIFYING_BEARINGS:
         raise HomewardError(
             f"{len(there.names)} landmarks are placed well by this drive, and a place takes "
-            f"{PROOF}: drive further"
+            f"{VERIFYING_BEARINGS}: drive further"
         )
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
@@ -78,7 +78,7 @@ def merged(place: Place, told: Told) -> Place:
     expected = sum(stays[n] for n in judged)
     apart = Visit(place.next_visit, told.when, told.drive, told.evidence, "apart", of=len(stays))
     kept_apart = replace(place, visits=_visits(place, apart))
-    if len(stayed) < max(PROOF, LEAST_AGREEING * expected):
+    if len(stayed) < max(VERIFYING_BEARINGS, LEAST_AGREEING * expected):
         return kept_apart
     before = place.aged(told.when)
     theirs = told.map
@@ -86,7 +86,7 @@ def merged(place: Place, told: Told) -> Place:
     moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.standings]
     now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
-    if disagreement > AGREES**2:
+    if disagreement > INLIER_GATE**2:
         return kept_apart
     after = now.at_home(place.origin)
     routes = {n: r.carried(place.map, after, stayed) for n, r in place.routes.items()}
@@ -121,12 +121,12 @@ def merged_places(place: Place, other: Place) -> Place:
         f"of the {len(judged)} landmarks that both have too few stand alike: "
         "these are two places, or most was rearranged"
     )
-    if len(stayed) < max(PROOF, LEAST_AGREEING * len(judged)):
+    if len(stayed) < max(VERIFYING_BEARINGS, LEAST_AGREEING * len(judged)):
         raise differ
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
     both_say, disagreement = fused(before, theirs, stayed)
-    if disagreement > AGREES**2:
+    if disagreement > INLIER_GATE**2:
         raise differ
     now = both_say.at_home(place.origin)
     both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}
@@ -278,13 +278,13 @@ def _missed(place: Place, told: Told) -> dict[str, float]:
     return {
         name: missed_probability(share, n)
         for name, n, k in zip(place.map.names, looks.tolist(), seen.tolist(), strict=True)
-        if n >= ENOUGH and not k and name not in told.map.names
+        if n >= MIN_SIGHTINGS and not k and name not in told.map.names
     }
 
 
 def _well_placed(some: JointMap) -> set[str]:
     """Return the landmarks that are placed well enough for bearings to be linear in their error."""
-    most = CLOSE * 0.5 * some.size
+    most = SAME_PLACE * 0.5 * some.size
     return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
 
 
@@ -293,7 +293,7 @@ def _with_stored(place: Place, told: Told) -> Place:
     for name, (route, seen) in told.routes.items():
         require_name("route", name, place.routes)
         both = [n for n in seen.names if n in place.standings]
-        if len(both) >= PROOF:
+        if len(both) >= VERIFYING_BEARINGS:
             route = route.carried(seen, place.map, both)
             place = replace(place, routes={**place.routes, name: route})
     for name, (stored, answer) in told.homes.items():

@@ -26,7 +26,7 @@ from homeward.localizer.home.linearisation import (
 )
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
-from homeward.localizer.tunables import PUSHED
+from homeward.localizer.tunables import OUTLIER_SIGMA
 
 BESIDE = 1.0
 """Homes that are so near are the same one [standard deviations]."""
@@ -174,7 +174,7 @@ class HomeFit:
         """(q,), bool: those of the set that the others predict well enough to contradict them."""
         if self.inliers.sum() <= self.problem.fewest:
             return np.zeros_like(self.inliers)
-        return np.asarray(self.inliers & (self.evidence.variance < PUSHED**2))
+        return np.asarray(self.inliers & (self.evidence.variance < OUTLIER_SIGMA**2))
 
     @property
     def odds(self) -> np.ndarray:

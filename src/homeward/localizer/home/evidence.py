@@ -23,7 +23,7 @@ from scipy.special import betaln
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, REST, Linear, Whitened
-from homeward.localizer.tunables import PUSHED, UPHEAVAL
+from homeward.localizer.tunables import OUTLIER_SIGMA, UPHEAVAL
 
 UNIFORM_FROM = math.sqrt(TWO_PI)
 """A bearing predicted with a larger standard deviation may be anywhere on the circle: there, no
@@ -39,7 +39,7 @@ def log_inlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
 
 def log_outlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return the log density of being `off` [rad], of wrong ones predicted with `variance`."""
-    pushed, anywhere = log_inlier(off, variance + PUSHED**2), -math.log(TWO_PI)
+    pushed, anywhere = log_inlier(off, variance + OUTLIER_SIGMA**2), -math.log(TWO_PI)
     return np.asarray(np.logaddexp(pushed, anywhere) - math.log(2.0))
 
 

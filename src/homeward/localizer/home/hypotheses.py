@@ -25,7 +25,7 @@ from homeward.localizer.home.resection import (
     mixture_scores,
     poses_from_triples,
 )
-from homeward.localizer.tunables import NEGLIGIBLE, NOISIER, POSE
+from homeward.localizer.tunables import IMPROBABLE, MIN_BEARINGS, NOISE_SCALES
 
 Seed = tuple[np.ndarray, np.ndarray, float]
 """A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from; and so many
@@ -38,7 +38,7 @@ MOST_FLIPS = 12
 """Flips at most from one start."""
 PAIRS_UP_TO = 10
 """Pairs of landmarks are flipped together when home saw no more than this."""
-UNDECIDED = -math.log(NEGLIGIBLE)
+UNDECIDED = -math.log(IMPROBABLE)
 """Hypotheses whose log evidence falls short of the best one's by more are dropped, and flips that
 cost more are not tried."""
 NEIGHBOURS = 3
@@ -208,11 +208,13 @@ def seeds(problem: HomeProblem, most: int = MOST_SEEDS) -> list[Seed]:
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
-    cameras = poses_from_triples(points, problem.bearings) if q >= POSE else np.zeros((0, 3))
+    cameras = (
+        poses_from_triples(points, problem.bearings) if q >= MIN_BEARINGS else np.zeros((0, 3))
+    )
     each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     innovations = innovations_from(cameras, points, marginals, problem.bearings)
-    for scale in (1.0, *NOISIER):
+    for scale in (1.0, *NOISE_SCALES):
         if problem.prior is not None:
             found.append((problem.prior, np.ones(q, bool), scale))
         if len(cameras):
@@ -232,7 +234,7 @@ def _best_of_triples(
     scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
-    for i in best[np.count_nonzero(inliers[best], axis=1) >= POSE].tolist():
+    for i in best[np.count_nonzero(inliers[best], axis=1) >= MIN_BEARINGS].tolist():
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:most]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
@@ -285,10 +287,10 @@ def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     fits = [*settled.values(), *_neighbours(best, settled)]
     fits.sort(key=lambda f: -f.log_evidence)
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
-    keep = weights > NEGLIGIBLE
+    keep = weights > IMPROBABLE
     weights = weights[keep] / weights[keep].sum()
     at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
-    least = best.log_evidence + math.log(NEGLIGIBLE)
+    least = best.log_evidence + math.log(IMPROBABLE)
     unconverged = [f for f in found.values() if not f.settled and f.log_evidence > least]
     return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
 

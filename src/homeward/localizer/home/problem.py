@@ -12,7 +12,13 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.localizer.geometry import between, lever, rotation
-from homeward.localizer.tunables import HOME_SHARE, NOISE_DOUBT, NOISIER, POSE, REACH
+from homeward.localizer.tunables import (
+    HOME_DISTANCE,
+    MAX_HOME_DISTANCE,
+    MIN_BEARINGS,
+    NOISE_SCALE_PRIOR,
+    NOISE_SCALES,
+)
 
 POSE_AND_YAW = 4
 """What is known begins with the newest pose (3) and the camera's yaw (1)."""
@@ -72,7 +78,7 @@ class HomeProblem:
     def log_noise_prior(self) -> float:
         """Log of how probable it is beforehand that home's bearings are so noisy."""
         wrong = self.noise_scale != 1.0
-        return math.log(NOISE_DOUBT / len(NOISIER) if wrong else 1.0 - NOISE_DOUBT)
+        return math.log(NOISE_SCALE_PRIOR / len(NOISE_SCALES) if wrong else 1.0 - NOISE_SCALE_PRIOR)
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -119,7 +125,7 @@ class HomeProblem:
         if self.prior is not None or not self.bearings.size:
             return 0.0
         x, y = self.centre
-        away = math.hypot(float(home[0]) - x, float(home[1]) - y) / (HOME_SHARE * self.range)
+        away = math.hypot(float(home[0]) - x, float(home[1]) - y) / (HOME_DISTANCE * self.range)
         return -1.5 * math.log1p(away**2)
 
     def is_near(self, home: np.ndarray) -> bool:
@@ -128,14 +134,14 @@ class HomeProblem:
             return True
         x, y = self.centre
         off = max(abs(float(home[0]) - x), abs(float(home[1]) - y))
-        return off < REACH * self.extent
+        return off < MAX_HOME_DISTANCE * self.extent
 
     @cached_property
     def vague(self) -> np.ndarray:
         """(3, 3): information on home before anything is known: in sight of its landmarks."""
         if self.prior_information is not None or not self.bearings.size:
             return np.zeros((3, 3))
-        near = (0.5 * REACH * max(self.extent, 1e-3)) ** -2
+        near = (0.5 * MAX_HOME_DISTANCE * max(self.extent, 1e-3)) ** -2
         return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
 
     @property
@@ -153,7 +159,7 @@ class HomeProblem:
     @property
     def fewest(self) -> int:
         """Home bearings that fix home."""
-        return POSE if self.prior is None else 0
+        return MIN_BEARINGS if self.prior is None else 0
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

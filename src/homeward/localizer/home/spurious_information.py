@@ -2,7 +2,7 @@
 
 Where home lies on the circle through the landmarks its position is not fixed at all; but the
 landmarks as mapped are never quite on the circle, and so seem to fix it. What their errors add to
-the information in the mean is taken out again, down to a share of `LEAST_SHARE`.
+the information in the mean is taken out again, down to a share of `MIN_INFORMATION_SHARE`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from homeward.localizer.geometry import LEAST_SQUARE
 from homeward.localizer.home.linearisation import Linear, inverted
 from homeward.localizer.home.problem import POSE_AND_YAW
-from homeward.localizer.tunables import LEAST_SHARE
+from homeward.localizer.tunables import MIN_INFORMATION_SHARE
 
 
 def spurious_covariance(
@@ -62,7 +62,7 @@ def _by_chance(information: np.ndarray, spread: float, pseudo: complex) -> np.nd
     yy = (yy - b * (2.0 * c * xy + b * xx)) / (c * c)
     half, apart = 0.5 * (xx - yy), math.hypot(0.5 * (xx - yy), xy)
     shares = 0.5 * (xx + yy) + apart, 0.5 * (xx + yy) - apart
-    most, least = (min(share, 1.0 - LEAST_SHARE) for share in shares)
+    most, least = (min(share, 1.0 - MIN_INFORMATION_SHARE) for share in shares)
     middle, ratio = 0.5 * (most + least), 0.5 * (most - least) / max(apart, 1e-300)
     kept = np.array([[middle + ratio * half, ratio * xy], [ratio * xy, middle - ratio * half]])
     root = np.array([[a, 0.0], [b, c]])

@@ -27,7 +27,7 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES
+from homeward.localizer.tunables import INLIER_GATE
 
 SEARCH_EVERY = 40
 """Keyframes between two searches for home from scratch ..."""
@@ -131,7 +131,7 @@ class HomeTracker:
 
     def _most(self, now: Hypotheses) -> int:
         """Return from how many seeds to look for home: more, where it is in doubt."""
-        doubted = now.rivals(AGREES) > 1.0 - self._sure
+        doubted = now.rivals(INLIER_GATE) > 1.0 - self._sure
         return MOST_IN_DOUBT if doubted else MOST_SEEDS
 
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:

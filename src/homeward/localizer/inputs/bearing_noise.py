@@ -22,7 +22,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.inputs.lasting_errors import LastingErrors
 from homeward.localizer.inputs.reorder import BearingFrame
-from homeward.localizer.tunables import EXCESSIVE, GATE
+from homeward.localizer.tunables import GATE, MAX_NOISE_RATIO
 
 RESIDUALS = 40
 """So many residuals are needed to judge it by the map ..."""
@@ -175,8 +175,8 @@ class BearingNoise:
             return 1.0
         latest = (off / own)[clear][-LATEST:]
         before, excess = self.scale, MAD_TO_SIGMA * float(np.median(latest))
-        self.settled = excess <= EXCESSIVE
-        if before > 1.0 or excess > EXCESSIVE:
+        self.settled = excess <= MAX_NOISE_RATIO
+        if before > 1.0 or excess > MAX_NOISE_RATIO:
             self.scale = max(1.0, before * excess)
         return self.scale / before
 

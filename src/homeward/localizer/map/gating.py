@@ -21,7 +21,14 @@ from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.tunables import BASE, FALSE_ALARM, HEAVY_TAIL, LOST, MAJORITY, POSE
+from homeward.localizer.tunables import (
+    BASELINE_RATIO,
+    FALSE_ALARM,
+    GATE_INFLATION,
+    MAJORITY,
+    MAX_MOTION_SIGMA,
+    MIN_BEARINGS,
+)
 
 FINEST, ROUNDING = 1e-6, 1e-10
 """No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
@@ -81,11 +88,11 @@ def gate_bearings(
     (along, _, _), (_, across, _), (_, _, turn) = motion.covariance.tolist()
     drift = turn + (along + across) * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
     variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
-    widened = np.sqrt(variance + (HEAVY_TAIL**2 - 1.0) * drift)
+    widened = np.sqrt(variance + (GATE_INFLATION**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
-    if np.count_nonzero(accepted) >= POSE:
+    if np.count_nonzero(accepted) >= MIN_BEARINGS:
         among = prediction.only(accepted)
-        by_motion = (HEAVY_TAIL**2 - new_keyframe) * _from_motion(motion, heading, among)
+        by_motion = (GATE_INFLATION**2 - new_keyframe) * _from_motion(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
         accepted[accepted] = consistent_subset(
             among.residual, among.innovation_covariance + by_motion, gate, likely
@@ -108,7 +115,7 @@ def denies_motion(prediction: Prediction, motion: Motion, heading: float) -> boo
         Where it begins [rad].
     """
     count = prediction.residual.size
-    if count < POSE:
+    if count < MIN_BEARINGS:
         return False
     covariance = prediction.innovation_covariance + _from_motion(motion, heading, prediction)
     _, weighted, vague = lapack.dposv(covariance, prediction.residual)
@@ -150,11 +157,11 @@ def inflate_by_odometry(
         return sigmas
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
     distances = marginal.distances
-    if not distances.size and across > (motion.path / BASE) ** 2:
+    if not distances.size and across > (motion.path / BASELINE_RATIO) ** 2:
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * median(by_shift.tolist()) > (LOST * median(sigmas.tolist())) ** 2:
+    if across * median(by_shift.tolist()) > (MAX_MOTION_SIGMA * median(sigmas.tolist())) ** 2:
         return None
     shared = (stamp + 1) * known.size * across * by_shift
     return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))
@@ -191,7 +198,7 @@ def consistent_subset(
     _data_snooping(kept, residual, innovation_covariance, gate)
     if np.count_nonzero(kept) >= MAJORITY * m:
         return kept
-    enough = np.count_nonzero(likely) >= max(POSE, 0.5 * m)
+    enough = np.count_nonzero(likely) >= max(MIN_BEARINGS, 0.5 * m)
     return likely if enough else np.ones(m, bool)
 
 
@@ -203,7 +210,7 @@ def _data_snooping(
         information = positive_inverse(innovation_covariance)
     except np.linalg.LinAlgError:  # nothing can be told
         return
-    while np.count_nonzero(kept) >= POSE:
+    while np.count_nonzero(kept) >= MIN_BEARINGS:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
         worst = int(squares.argmax())
         if not squares[worst] > gate**2:

@@ -23,15 +23,15 @@ from homeward.localizer.map.sightings import (
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
-    AGREES,
-    AS_WELL,
-    BASE,
-    ENOUGH,
-    ESTABLISHED,
+    BASELINE_RATIO,
+    ESTABLISHED_SIGHTINGS,
     GATE,
-    LINEAR,
+    INLIER_GATE,
+    LINEAR_RANGE,
     MAJORITY,
-    TINY,
+    MIN_SIGHTINGS,
+    NEGLIGIBLE,
+    SWAP_RATIO,
 )
 
 MOST_STARTS = 6
@@ -71,7 +71,7 @@ class Landmark:
     @property
     def established(self) -> bool:
         """Whether it was seen often enough, and from enough sides, to say that it moved."""
-        return self.parallax >= LINEAR and self.sightings >= ESTABLISHED
+        return self.parallax >= LINEAR_RANGE and self.sightings >= ESTABLISHED_SIGHTINGS
 
     def seen_along(self, direction: float) -> None:
         """Count a sighting along a direction in the odometry frame [rad]."""
@@ -238,7 +238,7 @@ class Landmarks:
         place = self.expected.get(name)
         if place is None or name in self.mapped:
             return None
-        agree = self._off(rows, place[None])[0] < AGREES * self._line_sigmas(rows) + TINY
+        agree = self._off(rows, place[None])[0] < INLIER_GATE * self._line_sigmas(rows) + NEGLIGIBLE
         return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -246,27 +246,27 @@ class Landmarks:
         eyes = self.smoother.cameras(rows)[0]
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
-        if base < BASE * math.sqrt(sum(self.smoother.shift_variances[since:])):
+        if base < BASELINE_RATIO * math.sqrt(sum(self.smoother.shift_variances[since:])):
             return None
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
     def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether sightings that agree on a position (2,) show that a landmark is there."""
-        return len(rows) >= ESTABLISHED and not self._is_another(name, rows, position)
+        return len(rows) >= ESTABLISHED_SIGHTINGS and not self._is_another(name, rows, position)
 
     def _was_there(self, name: str, position: np.ndarray) -> bool:
         """Return whether what was seen of a landmark before fits a new position (2,) as well."""
         rows = self.smoother.sightings
         rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
         off = self._off(rows, position[None])[0]
-        return bool((off < AGREES * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
+        return bool((off < INLIER_GATE * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
     def _is_back(self, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings fit where a landmark stood that was said to have moved."""
         if name not in self.former:
             return False
         off = self._off(rows, self.places([self.former[name]])[0])[0]
-        return bool((off < AGREES * self._line_sigmas(rows)).mean() >= MAJORITY)
+        return bool((off < INLIER_GATE * self._line_sigmas(rows)).mean() >= MAJORITY)
 
     def _take_back(self, name: str) -> None:
         """Let a landmark stand where it stood before it was said to have moved."""
@@ -279,18 +279,18 @@ class Landmarks:
 
         One that is refused itself explains nothing: two may stand mapped in each other's place.
         """
-        sound = [m for n, m in self.mapped.items() if n != name and m.refused < ENOUGH]
+        sound = [m for n, m in self.mapped.items() if n != name and m.refused < MIN_SIGHTINGS]
         others = self.places([*sound, *self.former.values()])[0]
         own, *off = np.median(self._off(rows, np.vstack([position, others])), axis=1).tolist()
-        return any(each < AS_WELL * own for each in off)
+        return any(each < SWAP_RATIO * own for each in off)
 
     def refused(self, fits: Mapping[str, bool]) -> list[str]:
         """Count which sightings of a stamp fitted; return the landmarks refused too often."""
         for name, fit in fits.items():
             landmark = self.mapped[name]
             refused = landmark.refused + (-2 if fit else 1)
-            landmark.refused = min(max(refused, 0), 5 * ENOUGH)
-        return [name for name in fits if self.mapped[name].refused >= ENOUGH]
+            landmark.refused = min(max(refused, 0), 5 * MIN_SIGHTINGS)
+        return [name for name in fits if self.mapped[name].refused >= MIN_SIGHTINGS]
 
     def reinitialise(self, names: list[str]) -> bool:
         """Let landmarks start anew that are found not to be where they were; tell if any did.
@@ -328,7 +328,7 @@ class Landmarks:
         index = self.smoother.index(rows[:, LANDMARK])
         off = np.abs(residuals) > GATE * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
-        bad = (sightings >= ENOUGH) & (misfits > 0.5 * sightings)
+        bad = (sightings >= MIN_SIGHTINGS) & (misfits > 0.5 * sightings)
         mapped = list(self.mapped.values())
         names = [m.name for m, off in zip(mapped, bad[self.index(mapped)], strict=True) if off]
         for name in names:

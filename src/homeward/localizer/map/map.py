@@ -33,7 +33,7 @@ from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import DRIFT, FALSE_ALARM, STANDS, TINY
+from homeward.localizer.tunables import CALIBRATION_DRIFT, FALSE_ALARM, NEGLIGIBLE, STANDSTILL
 from homeward.reasons import Rejection
 
 MOST_PER_KEYFRAME = 12
@@ -80,7 +80,7 @@ class Map:
         self._process_noise = process_noise
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
-        drift = DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
+        drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
         learnt = noise, process_noise, extrinsics
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
@@ -160,7 +160,7 @@ class Map:
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
         scale = self.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
-        return due and (rests or shift > STANDS * scale or motion.turned > STANDS)
+        return due and (rests or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Let there be a keyframe at `t` [s], and what is known move on to it."""
@@ -356,7 +356,7 @@ class Map:
             return False
         turned = abs(updated.mean[2] - self.state.mean[2])
         moved = updated.positions - self._solved_positions
-        if turned > TINY or (np.hypot(*moved.T) > TINY * updated.reach).any():
+        if turned > NEGLIGIBLE or (np.hypot(*moved.T) > NEGLIGIBLE * updated.reach).any():
             return False
         self.smoother.state = updated
         return True

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.tunables import AGREES, ENOUGH, MAJORITY
+from homeward.localizer.tunables import INLIER_GATE, MAJORITY, MIN_SIGHTINGS
 
 NEAREST, FARTHEST, DISTANCES = 0.1, 30.0, 24
 """Distances tried, against the median distance of what is mapped; every ratio as probable."""
@@ -54,7 +54,7 @@ def range_mixture(
     scale : float
         Median distance of mapped landmarks [m].
     """
-    if len(bearings) < ENOUGH or not (math.isfinite(scale) and scale > 0):
+    if len(bearings) < MIN_SIGHTINGS or not (math.isfinite(scale) and scale > 0):
         return None
     ratio = (FARTHEST / NEAREST) ** (1.0 / (DISTANCES - 1))
     distances = scale * NEAREST * ratio ** np.arange(DISTANCES)
@@ -62,12 +62,12 @@ def range_mixture(
     directions = np.full(DISTANCES, lines[-1])
     for _ in range(STEPS):
         off, lever = _off(cameras, lines, distances, directions)
-        weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (AGREES * sigmas))) ** 2
+        weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (INLIER_GATE * sigmas))) ** 2
         directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)
-    share = np.abs(_off(cameras, lines, distances, directions)[0]) / (AGREES * sigmas)
+    share = np.abs(_off(cameras, lines, distances, directions)[0]) / (INLIER_GATE * sigmas)
     if (share < 1.0).mean(axis=1).max() < MAJORITY:
         return None
-    cost = 0.5 * AGREES**2 * ENOUGH * np.minimum(share**2, 1.0).mean(axis=1)
+    cost = 0.5 * INLIER_GATE**2 * MIN_SIGHTINGS * np.minimum(share**2, 1.0).mean(axis=1)
     weights = np.exp(cost.min() - cost)
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -53,7 +53,7 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
     Motion,
 )
-from homeward.localizer.tunables import LINEAR
+from homeward.localizer.tunables import LINEAR_RANGE
 
 STEPS = 5
 """Gauss-Newton steps at most."""
@@ -345,7 +345,7 @@ class Smoother:
         landmarks = common[NC:].reshape(-1, 2)
         turn = float(np.abs(poses[:, 2]).max())
         share = float((np.hypot(*landmarks.T) / self.state.reach).max(initial=0.0))
-        scale = 1.0 / max(1.0, max(turn, share) / LINEAR)
+        scale = 1.0 / max(1.0, max(turn, share) / LINEAR_RANGE)
         self._older = self._older + scale * poses[:-1]
         shift = max(np.abs(poses[:, :2]).max(), np.abs(common[CAMERA_X:NC]).max())
         size = max(turn, share, shift / self.state.scale, np.abs(common[:CAMERA_X]).max())

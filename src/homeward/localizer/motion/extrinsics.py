@@ -13,7 +13,13 @@ from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import CLOSE, DENIED, LINEAR, STANDS, TINY
+from homeward.localizer.tunables import (
+    CONTRADICTION_GATE,
+    LINEAR_RANGE,
+    NEGLIGIBLE,
+    SAME_PLACE,
+    STANDSTILL,
+)
 
 DENIAL = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
@@ -78,14 +84,16 @@ class Extrinsics:
         """
         if self.denied or not self._untold.any():
             return False
-        least = np.array([TINY, STANDS * scale, STANDS * scale])
-        anywhere = np.array([LINEAR, CLOSE * scale, CLOSE * scale])
+        least = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
+        anywhere = np.array([LINEAR_RANGE, SAME_PLACE * scale, SAME_PLACE * scale])
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         own = precision - self.sigmas**-2.0
         tells = self._untold & (own > anywhere**-2.0)
         own[~tells] = np.inf
         off = np.abs(mean) * precision / own
-        self.denied = bool((tells & (off > np.maximum(DENIED * own**-0.5, least))).any())
+        self.denied = bool(
+            (tells & (off > np.maximum(CONTRADICTION_GATE * own**-0.5, least))).any()
+        )
         if self.denied:
             self.sigmas, self._least = np.where(self._untold, anywhere, self.sigmas), least
         return self.denied

@@ -18,7 +18,13 @@ from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, P
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import LATELY_S, SLOWEST, SLOWEST_TURN, SPEED_LASTS_S, TURN_LASTS_S
+from homeward.localizer.tunables import (
+    MIN_USUAL_SPEED,
+    MIN_USUAL_TURN_RATE,
+    MOTION_MEMORY_S,
+    SPEED_TIME_S,
+    TURN_TIME_S,
+)
 
 ADVANCE_S = 0.5
 """Twists are integrated at least this often [s]."""
@@ -66,7 +72,7 @@ class MotionPrior:
     """Motion prior: how fast the robot usually is, and so how far it may go during a dropout.
 
     Nobody knows where to, but hardly faster than usual. So its velocity is a random one of that
-    size that is forgotten in `SPEED_LASTS_S` (a process of Ornstein and Uhlenbeck, 1930): the shift
+    size that is forgotten in `SPEED_TIME_S` (a process of Ornstein and Uhlenbeck, 1930): the shift
     grows with the time at first, and with its root later. What it grows by from one time to another
     depends on these two alone, not on how often somebody asked in between.
     """
@@ -76,7 +82,7 @@ class MotionPrior:
 
     def count(self, moving: float, path: float, turned: float) -> None:
         """Count time of moving [s], with the path [m] and the turns [rad] made in it."""
-        keep = math.exp(-moving / LATELY_S)
+        keep = math.exp(-moving / MOTION_MEMORY_S)
         self._moving = keep * self._moving + moving
         self._path = keep * self._path + path
         self._turned = keep * self._turned + turned
@@ -90,8 +96,11 @@ class MotionPrior:
             How long it was silent before, and for how much longer [s].
         """
         moving = max(self._moving, 1e-9)
-        speed, turn = max(SLOWEST, self._path / moving), max(SLOWEST_TURN, self._turned / moving)
-        shift, swing = _growth(silent, time, SPEED_LASTS_S), _growth(silent, time, TURN_LASTS_S)
+        speed, turn = (
+            max(MIN_USUAL_SPEED, self._path / moving),
+            max(MIN_USUAL_TURN_RATE, self._turned / moving),
+        )
+        shift, swing = _growth(silent, time, SPEED_TIME_S), _growth(silent, time, TURN_TIME_S)
         return speed**2 * shift, turn**2 * swing
 
 

@@ -13,7 +13,12 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import EXCESSIVE, HEAVY_TAIL, NOISE_MEMORY, NOISE_PRIOR
+from homeward.localizer.tunables import (
+    GATE_INFLATION,
+    MAX_NOISE_RATIO,
+    NOISE_MEMORY,
+    NOISE_PRIOR_MOTIONS,
+)
 
 NOTABLE = 2.0
 """Deviations that differ by so many times are told to the user [1]."""
@@ -55,8 +60,8 @@ class ProcessNoise:
         may be as bad as the gate bears with.
         """
         squares, redundancy = self._squares[1, 0], self._redundancies[1, 0]
-        before = NOISE_PRIOR * self._expected[0] * HEAVY_TAIL**2
-        of_all = (before + squares) / (NOISE_PRIOR + redundancy)
+        before = NOISE_PRIOR_MOTIONS * self._expected[0] * GATE_INFLATION**2
+        of_all = (before + squares) / (NOISE_PRIOR_MOTIONS + redundancy)
         return max(0.0, float(of_all - self.scales[0, 0]))
 
     @property
@@ -103,10 +108,10 @@ class ProcessNoise:
 
     def _believe(self) -> np.ndarray:
         """Believe what was learnt and, as so many motions, what is usual; return the widening."""
-        known = NOISE_PRIOR + self._redundancies
-        now = (NOISE_PRIOR * self._expected + self._squares) / known
+        known = NOISE_PRIOR_MOTIONS + self._redundancies
+        now = (NOISE_PRIOR_MOTIONS * self._expected + self._squares) / known
         now[1] = np.maximum(now[0], now[1])
-        doubted = (now > EXCESSIVE**2) | (self.scales > 1.0)
+        doubted = (now > MAX_NOISE_RATIO**2) | (self.scales > 1.0)
         given = np.where(doubted, np.maximum(now, 1.0), 1.0)
         before, self.scales = self.scales, np.where(self._learns, now, given)
         self.rates = self._at_first * self.scales[1, [0, 0, 1], None]

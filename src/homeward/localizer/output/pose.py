@@ -14,7 +14,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME, inverted
 from homeward.localizer.output.tails import missing_tails
-from homeward.localizer.tunables import AGREES, PUSHED
+from homeward.localizer.tunables import INLIER_GATE, OUTLIER_SIGMA
 
 CENTRE_STEPS = 20
 AT_REST = 1e-3
@@ -82,7 +82,7 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
         return None
     by_bearing = fit.inverse[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
     share = fit.moved_share(checked)
-    moves = math.sqrt(share) * PUSHED * fit.home_frame_jacobians[0] @ by_bearing
+    moves = math.sqrt(share) * OUTLIER_SIGMA * fit.home_frame_jacobians[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
@@ -145,7 +145,7 @@ def combined_estimate(
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the middle of weighted points: the mean of near ones, the median of far ones.
 
-    It minimises the mean of sqrt(d^2 + AGREES^2), d being the distance in standard deviations
+    It minimises the mean of sqrt(d^2 + INLIER_GATE^2), d being the distance in standard deviations
     (Weiszfeld's iteration). Alike hypotheses are averaged, which errs least; and unlike the mean it
     does not follow an improbable one far away.
 
@@ -161,7 +161,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
         return np.asarray(points[0])
     # The middle is one of shares of the points, so products of these tell all distances.
     products, share = points @ inverted(covariance)[0] @ points.T, weights
-    squares = products.diagonal() + AGREES**2
+    squares = products.diagonal() + INLIER_GATE**2
     for _ in range(CENTRE_STEPS):
         towards = products @ share
         pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)

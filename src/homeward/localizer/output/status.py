@@ -21,7 +21,7 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import AGREES, CLOSE, POSE, STILL_FIXED
+from homeward.localizer.tunables import FIX_HYSTERESIS, INLIER_GATE, MIN_BEARINGS, SAME_PLACE
 from homeward.reasons import Reason
 
 
@@ -41,15 +41,15 @@ def why_home_is_not_found(
     has_odometry : bool
         Whether odometry has come yet.
     """
-    if len(home) < POSE:
-        return f"home saw only {len(home)} landmarks; {POSE} are needed"
+    if len(home) < MIN_BEARINGS:
+        return f"home saw only {len(home)} landmarks; {MIN_BEARINGS} are needed"
     if not has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
-    if not used and len(mapped) >= POSE:
+    if not used and len(mapped) >= MIN_BEARINGS:
         return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
-    needed = f"{POSE} are needed; drive an arc"
+    needed = f"{MIN_BEARINGS} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 
 
@@ -124,7 +124,7 @@ class IntegrityMonitor:
         if firm or not self.fixed:
             at_rest = self.fixed or (now.best.settled and now.unconverged_probability < 0.5)
             self.fixed = at_rest and self._is_fixed(now.best)
-            self._rivals = now.rivals(AGREES)
+            self._rivals = now.rivals(INLIER_GATE)
         faults = uncheckable_outliers(now.best, self._checked)
         if faults is not None:
             self._estimate = combined_estimate(now.best, self._others, faults)
@@ -181,7 +181,7 @@ class IntegrityMonitor:
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
-        if stayed < POSE:
+        if stayed < MIN_BEARINGS:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
         if self._rivals > 1.0 - self._settings.sure:
@@ -202,7 +202,7 @@ class IntegrityMonitor:
         # A wrong home that lies far away would call its landmarks distant; the robot does not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
-        self._most, self._close = STILL_FIXED * reach, CLOSE * distance
+        self._most, self._close = FIX_HYSTERESIS * reach, SAME_PLACE * distance
         most = self._most if self.fixed else reach
         # Where home may turn by as much, what is linear in its heading no longer holds.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance

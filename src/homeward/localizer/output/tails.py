@@ -1,9 +1,9 @@
-"""Tails of a mixture: what its covariance lacks, for a Gaussian to be no surer than the mixture.
+"""Overbounding of a Gaussian mixture (DeCleene, 2000): no lighter tails than the mixture has.
 
-The second moment says how far off a mixture is in the mean, not how far off it may be: a part of
-3 % that lies elsewhere is 5.7 standard deviations of the mixture away, where no Gaussian has 3 %.
-So it is widened until `AGREES` deviations hold what they should hold, all but `FALSE_ALARM`, in the
-directions of the parts and along the axes (overbounding, as of DeCleene, 2000, for integrity).
+The second moment of a mixture is its mean squared error, not a bound: a component of 3 % that lies
+elsewhere is 5.7 standard deviations of the mixture away, where no Gaussian has 3 %. So the
+covariance is inflated until `INLIER_GATE` deviations contain all but `FALSE_ALARM` of the mixture,
+towards each of its components and along the axes.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from homeward.localizer.tunables import AGREES, FALSE_ALARM
+from homeward.localizer.tunables import FALSE_ALARM, INLIER_GATE
 
 HALVINGS = 8
-"""Of the bounds between which a quantile is sought: it is found to 0.5 % of a deviation."""
+"""Bisections for a quantile, which is then known to 0.5 % of a deviation."""
 
 
 def missing_tails(
     off: np.ndarray, weights: np.ndarray, covariances: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray | None:
-    """Return what must be added to a mixture's covariance; None where nothing lacks.
+    """Return what must be added to a mixture's covariance to bound its tails; None if nothing.
 
     Parameters
     ----------
     off : ndarray, shape (k, n)
-        The parts of the mixture, from its middle.
+        Means of the components, from the centre of the mixture.
     weights : ndarray, shape (k,)
-        Of them; their sum is one.
+        Their probabilities; they sum to one.
     covariances : ndarray, shape (k, n, n)
-        Of them.
+        Of the components.
     covariance : ndarray, shape (n, n)
         Of the mixture: its second moment.
 
@@ -45,22 +45,22 @@ def missing_tails(
     apart = away > 1.0
     towards = np.concatenate([unit, off[apart] / away[apart, None]])
     at, sigma = towards @ off.T, np.sqrt(((towards @ covariances) * towards).sum(axis=2)).T
-    lacks = _beyond(np.full(len(at), AGREES), at, sigma, weights) > FALSE_ALARM
+    lacks = _beyond(np.full(len(at), INLIER_GATE), at, sigma, weights) > FALSE_ALARM
     if not lacks.any():
         return None
     towards, quantile = towards[lacks], _quantile(at[lacks], sigma[lacks], weights)
     wide = unit.copy()
     for i in np.argsort(-quantile).tolist():
         along = wide @ towards[i]
-        variance, needed = float(towards[i] @ along), (quantile[i] / AGREES) ** 2
+        variance, needed = float(towards[i] @ along), (quantile[i] / INLIER_GATE) ** 2
         if needed > variance:
             wide += (needed - variance) / variance**2 * along[:, None] * along
     return np.asarray(root @ (wide - unit) @ root.T)
 
 
 def _quantile(at: np.ndarray, sigma: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return how far mixtures on lines (u,) reach, but for `FALSE_ALARM`; see `_beyond`."""
-    # One part alone reaches so far; and all together no farther than if each had its share of that.
+    """Return the two-sided `FALSE_ALARM` quantiles of mixtures on a line (u,); see `_beyond`."""
+    # Bounds: each component alone, and all of them if each had its share of the probability.
     alone, share = FALSE_ALARM / weights, 0.5 * FALSE_ALARM / (weights.size * weights)
     near, far = (
         (np.abs(at) - sigma * ndtri(np.minimum(p, 1.0))).max(axis=1) for p in (alone, share)
@@ -75,9 +75,9 @@ def _quantile(at: np.ndarray, sigma: np.ndarray, weights: np.ndarray) -> np.ndar
 def _beyond(
     limit: np.ndarray, at: np.ndarray, sigma: np.ndarray, weights: np.ndarray
 ) -> np.ndarray:
-    """Return how much of mixtures on lines lies beyond a limit (u,) to both sides, shape (u,).
+    """Return the probability (u,) of one-dimensional mixtures beyond a limit (u,) to both sides.
 
-    Their parts are Gaussians of `weights` (k,), `at` and with `sigma`, both (u, k).
+    Their components are Gaussians with `weights` (k,), at `at` and with `sigma`, both (u, k).
     """
     both = np.stack([at, -at]) - limit[:, None]
     return np.asarray(ndtr(both / sigma).sum(axis=0) @ weights)

@@ -17,14 +17,22 @@ from homeward.estimator import CHECKED, Innovation
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.search import Search
-from homeward.localizer.tunables import AGREES, LINEAR, LOST, MAJORITY, POSE, PROOF, RECENT
+from homeward.localizer.tunables import (
+    INLIER_GATE,
+    LINEAR_RANGE,
+    MAJORITY,
+    MAX_MOTION_SIGMA,
+    MIN_BEARINGS,
+    RECENT_SIGHTINGS,
+    VERIFYING_BEARINGS,
+)
 
 
 class KidnapDetector:
     """Kidnapped-robot detector: the share of recent bearings that the map rejects."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
+        self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT_SIGHTINGS)
 
     def clear(self) -> None:
         """Forget what was seen."""
@@ -35,14 +43,14 @@ class KidnapDetector:
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
         # As few fit from anywhere, by chance.
-        few = RECENT - len(wrong) < POSE
-        return len(self._recent) == RECENT and few and len(set(wrong)) >= 2
+        few = RECENT_SIGHTINGS - len(wrong) < MIN_BEARINGS
+        return len(self._recent) == RECENT_SIGHTINGS and few and len(set(wrong)) >= 2
 
     @property
     def fitting(self) -> float:
         """Share of the last sightings that fit [1]; NaN while too little was seen."""
-        full = len(self._recent) == RECENT
-        return sum(fits for _, fits in self._recent) / RECENT if full else math.nan
+        full = len(self._recent) == RECENT_SIGHTINGS
+        return sum(fits for _, fits in self._recent) / RECENT_SIGHTINGS if full else math.nan
 
     def others_fit(self, names: list[str]) -> bool:
         """Return whether the last sightings of all landmarks but these fitted."""
@@ -61,7 +69,7 @@ class SlipDetector:
     def __init__(self) -> None:
         self.search: Search | None = None
         """For that place; None where the robot is where it was thought to be."""
-        self._fits: deque[bool] = deque(maxlen=RECENT)
+        self._fits: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
 
     def clear(self) -> None:
         """Drop the suspicion, if any."""
@@ -78,17 +86,17 @@ class SlipDetector:
         motion : Motion
             ... so much after the newest keyframe.
         """
-        fits = [abs(i.value) <= AGREES * i.sigma for i in innovations]
+        fits = [abs(i.value) <= INLIER_GATE * i.sigma for i in innovations]
         if self.search is None:
             if not fits or 2 * sum(fits) > len(fits):
                 return False
             self.search = Search(motion)
         self._fits.extend(fits)
-        holds = self.search.motion_since(motion).covariance[2, 2] < LINEAR**2
+        holds = self.search.motion_since(motion).covariance[2, 2] < LINEAR_RANGE**2
         if not holds or sum(self._fits) >= MAJORITY * len(self._fits):
             self.clear()
             return False
-        self.search.fewest = sum(self._fits) + PROOF
+        self.search.fewest = sum(self._fits) + VERIFYING_BEARINGS
         return True
 
 
@@ -136,8 +144,8 @@ class SceneChangeDetector:
             return False
         off = place - self._from
         distances = np.hypot(*(landmarks - self._from[:2]).T)
-        near = np.hypot(*off[:2]) < LINEAR * np.median(distances)
-        return bool(near and abs(wrap(off[2])) < LINEAR)
+        near = np.hypot(*off[:2]) < LINEAR_RANGE * np.median(distances)
+        return bool(near and abs(wrap(off[2])) < LINEAR_RANGE)
 
 
 def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
@@ -151,4 +159,4 @@ def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
         What is known of that keyframe's pose and of the landmarks.
     """
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
-    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > LOST**2)
+    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > MAX_MOTION_SIGMA**2)

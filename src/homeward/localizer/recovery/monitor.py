@@ -20,7 +20,7 @@ from homeward.localizer.recovery.detectors import (
     odometry_lost,
 )
 from homeward.localizer.recovery.search import Search
-from homeward.localizer.tunables import LINEAR, LOST, MAJORITY, RECENT
+from homeward.localizer.tunables import LINEAR_RANGE, MAJORITY, MAX_MOTION_SIGMA, RECENT_SIGHTINGS
 from homeward.reasons import Reason
 
 
@@ -83,10 +83,10 @@ class Monitor:
         marginal = known.state
         gone = not self.is_lost and odometry_lost(motion, marginal)
         # All that is mapped from an unknown origin would be as vague as that, and nothing linear.
-        no_origin = not self._origin_given and marginal.covariance[2, 2] > LOST**2
+        no_origin = not self._origin_given and marginal.covariance[2, 2] > MAX_MOTION_SIGMA**2
         if not known.landmarks.mapped and (gone or no_origin):
             return Health.NO_MAP
-        if self.is_lost and motion.covariance[2, 2] <= LINEAR**2:
+        if self.is_lost and motion.covariance[2, 2] <= LINEAR_RANGE**2:
             return Health.LOST
         return Health.ODOMETRY_LOST if gone or self.is_lost else Health.OK
 
@@ -162,4 +162,4 @@ class Monitor:
     @property
     def fits_well(self) -> bool:
         """Whether all but one fit of what was seen lately."""
-        return not self.is_lost and self._kidnap.fitting >= 1.0 - 1.0 / RECENT
+        return not self.is_lost and self._kidnap.fitting >= 1.0 - 1.0 / RECENT_SIGHTINGS

@@ -13,7 +13,14 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
-from homeward.localizer.tunables import AGREES, CLOSE, FOUND, LINEAR, POSE, PROOF
+from homeward.localizer.tunables import (
+    INLIER_GATE,
+    LINEAR_RANGE,
+    MIN_BEARINGS,
+    RELOCALISED_SHARE,
+    SAME_PLACE,
+    VERIFYING_BEARINGS,
+)
 
 HEADINGS = 120
 MOST_PAIRS = 40
@@ -57,23 +64,25 @@ def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarr
     covariance : ndarray, shape (3, 3)
         None instead of both when the lines do not tell, or tell two places.
     """
-    if len(lines.names) < PROOF or np.unique(lines.names).size < POSE:
+    if len(lines.names) < VERIFYING_BEARINGS or np.unique(lines.names).size < MIN_BEARINGS:
         return None
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for start in _candidates(lines):
         refined = _refine(start, lines)
         if refined is None:
             continue
-        apart = CLOSE * float(_distances(refined[1][None], lines)[0])
+        apart = SAME_PLACE * float(_distances(refined[1][None], lines)[0])
         if not any(_same(refined[1], f[1], apart) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < max(PROOF, FOUND * len(lines.names), fewest):
+    if not found or found[0][0] < max(
+        VERIFYING_BEARINGS, RELOCALISED_SHARE * len(lines.names), fewest
+    ):
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
     pose, covariance = found[0][1:]
-    most = CLOSE * float(_distances(pose[None], lines)[0])
+    most = SAME_PLACE * float(_distances(pose[None], lines)[0])
     return (pose, covariance) if np.diag(covariance)[:2].max() < most**2 else None
 
 
@@ -98,11 +107,11 @@ def _candidates(lines: SightLines) -> np.ndarray:
     poses = np.asarray(poses[np.isfinite(poses).all(axis=1)])
     if not len(poses):
         return poses
-    tolerance = AGREES * lines.sigmas + TWO_PI / HEADINGS
+    tolerance = INLIER_GATE * lines.sigmas + TWO_PI / HEADINGS
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
-    for pose, apart in zip(best, (CLOSE * _distances(best, lines)).tolist(), strict=True):
+    for pose, apart in zip(best, (SAME_PLACE * _distances(best, lines)).tolist(), strict=True):
         if not any(_same(pose, p, apart) for p in chosen):
             chosen.append(pose)
         if len(chosen) == TRIED:
@@ -119,7 +128,7 @@ def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.nda
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
     """Return how many lines agree, the refined pose and its covariance."""
-    pose, longest = start.copy(), LINEAR * np.ones(3)
+    pose, longest = start.copy(), LINEAR_RANGE * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
@@ -128,13 +137,13 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
         )
         by_eye = np.column_stack([-by_place, -np.ones(len(r))])
         jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
-        weight = 1.0 / (variance * np.maximum(r * r / (variance * AGREES**2), 1.0))
+        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER_GATE**2), 1.0))
         information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
         covariance = np.linalg.inv(information)
         step = covariance @ (jacobian.T @ (weight * r))
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
-    agree = np.abs(r) < AGREES * np.sqrt(variance)
-    if np.unique(lines.names[agree]).size < POSE:
+    agree = np.abs(r) < INLIER_GATE * np.sqrt(variance)
+    if np.unique(lines.names[agree]).size < MIN_BEARINGS:
         return None
     return int(agree.sum()), pose, covariance
 
@@ -148,4 +157,4 @@ def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
 def _same(a: np.ndarray, b: np.ndarray, apart: float) -> bool:
     """Return whether two poses, so far apart at most [m], are the same answer."""
     near = np.hypot(a[0] - b[0], a[1] - b[1]) < apart
-    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR)
+    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR_RANGE)

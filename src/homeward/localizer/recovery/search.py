@@ -10,7 +10,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import RECENT
+from homeward.localizer.tunables import RECENT_SIGHTINGS
 
 
 class Search:
@@ -26,7 +26,7 @@ class Search:
         self.fewest = 0
         """So many sightings must agree on a pose at the fewest."""
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT)
+        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT_SIGHTINGS)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, from that since the newest keyframe."""

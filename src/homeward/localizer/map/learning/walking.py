@@ -23,7 +23,7 @@ from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKS
+from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20
 """Shares of walking landmarks over which is integrated."""
@@ -148,7 +148,7 @@ def log_prior_of_walkers(n: int) -> np.ndarray:
 
     As a rule each walks with a probability that is known; among people any share may.
     """
-    share = np.append(SHARES, WALKS)[:, None]
+    share = np.append(SHARES, WALKING_PRIOR)[:, None]
     prior = np.append(np.full(SHARES.size, UPHEAVAL / SHARES.size), 1.0 - UPHEAVAL)[:, None]
     walk = np.arange(n + 1)
     log = np.log(prior) + walk * np.log(share) + (n - walk) * np.log1p(-share)

@@ -22,7 +22,7 @@ from homeward.localizer.map.survey.factors import (
     turned,
 )
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import NEGLIGIBLE, UPHEAVAL
+from homeward.localizer.tunables import IMPROBABLE, UPHEAVAL
 
 MOST_JUDGED = 48
 """So many landmarks at most are judged together: it takes the cube of their number."""
@@ -101,7 +101,7 @@ def wrong_probabilities(
             break
         right[i] ^= True
     log = np.array(list(found.values()))
-    weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(NEGLIGIBLE)))
+    weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(IMPROBABLE)))
     wrong = ~np.array([np.frombuffer(key, bool) for key in found])
     return np.asarray(weights @ wrong / weights.sum())
 
