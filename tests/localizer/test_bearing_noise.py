@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
+from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.sightings import COLUMNS, GAP, LANDMARK, OWN, SIGMA, scale_noise
 
@@ -56,9 +56,9 @@ def test_sightings_too_rare_to_be_linear_in_time_tell_nothing():
 
 
 def test_what_can_be_a_deviation():
-    assert deviation(0.01) == 0.01
-    assert deviation(1e200) == math.pi
-    assert all(math.isnan(deviation(s)) for s in (0.0, -1.0, math.nan, math.inf, 1e-300))
+    assert valid_sigma(0.01) == 0.01
+    assert valid_sigma(1e200) == math.pi
+    assert all(math.isnan(valid_sigma(s)) for s in (0.0, -1.0, math.nan, math.inf, 1e-300))
 
 
 class Left:
@@ -77,17 +77,17 @@ class Left:
 
 def test_given_deviations_are_doubted_by_what_a_map_leaves_and_believed_again():
     noise = BearingNoise(0.01, 0.02)
-    assert (noise.settled, noise.scale) == (False, 1.0)
+    assert (noise.confirmed, noise.scale) == (False, 1.0)
     assert Left(1.2).told_to(noise) == 1.0
-    assert (noise.settled, noise.scale) == (True, 1.0)
+    assert (noise.confirmed, noise.scale) == (True, 1.0)
     bad = Left(5.0)
     scale_noise(bad.sightings, bad.told_to(noise))
-    assert not noise.settled  # what was made of them has been too sure
+    assert not noise.confirmed  # what was made of them has been too sure
     assert noise.scale == pytest.approx(5.0, rel=0.2)
     assert noise.sigma == pytest.approx(0.01 * noise.scale)
     assert bad.sightings[0, OWN] == pytest.approx(0.01 * noise.scale)
     bad.told_to(noise)
-    assert noise.settled
+    assert noise.confirmed
     better = Left(0.2)
     scale_noise(better.sightings, noise.scale)
     scale_noise(better.sightings, better.told_to(noise))
@@ -109,4 +109,4 @@ def test_few_sightings_and_blurred_ones_doubt_nothing():
     blurred.sightings[:, SIGMA] *= 2.0
     Left(5.0, 20).told_to(noise)
     blurred.told_to(noise)
-    assert (noise.settled, noise.scale) == (False, 1.0)
+    assert (noise.confirmed, noise.scale) == (False, 1.0)

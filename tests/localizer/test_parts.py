@@ -14,7 +14,7 @@ from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map import elimination
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.sightings import Frames, bearing_residuals
@@ -287,7 +287,9 @@ def test_more_must_fit_from_elsewhere_than_from_here():
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
-    landmarks = Landmarks(Smoother(np.ones(5), np.ones(NC), np.ones(3), LastingErrors(), 0.0), 0.06)
+    landmarks = Landmarks(
+        Smoother(np.ones(5), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
+    )
     landmarks.mapped["a"] = Landmark("a", 0)
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, True])
     assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, True])

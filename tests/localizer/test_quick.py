@@ -7,7 +7,7 @@ import pytest
 from rig import Rig, Wheels, ring
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import MOST_FROM_HOME
 from homeward.localizer.map.sightings import LANDMARK, sighting_rows
 from homeward.localizer.map.smoother import Smoother
@@ -23,7 +23,7 @@ MOUNT = np.array([0.1, 0.0, 0.0])
 def circle(rng, keyframes):
     """A window that was solved after a drive in a circle, and the twists' odometry."""
     odometry = Wheels()
-    window = Smoother(SIGMAS, np.full(NC, 1e-9), MOUNT_SIGMAS, LastingErrors(), 0.0)
+    window = Smoother(SIGMAS, np.full(NC, 1e-9), MOUNT_SIGMAS, CorrelatedErrors(), 0.0)
     for point in POINTS:
         window.add_landmark(point + 0.02 * rng.normal(size=2))
     for k in range(keyframes):

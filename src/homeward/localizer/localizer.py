@@ -35,7 +35,7 @@ from homeward.estimator import (
 )
 from homeward.frames import Pose
 from homeward.localizer.chart import Chart
-from homeward.localizer.inputs.bearing_noise import deviation
+from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
@@ -115,7 +115,7 @@ class Localizer:
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
-        noisy += noise.lasting.words(noise.sigma) + self.chart.process_noise.words
+        noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.words
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.state.calibration
         survey = self.chart.map.registration.survey
         scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes
@@ -162,7 +162,7 @@ class Localizer:
         if not usable:
             return self.estimate(said)
         self._advance(t)
-        told = {n: deviation(s) for n, s in (sigmas or {}).items()}
+        told = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         good = {n: s for n, s in told.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, good))
         if (twist := self._twists.before(t)) is not None:

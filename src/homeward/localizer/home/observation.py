@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.home.problem import HomeProblem, home_from_start
-from homeward.localizer.inputs.bearing_noise import BearingNoise, deviation
+from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
 from homeward.localizer.settings import LocalizerSettings
@@ -32,7 +32,7 @@ class HomeObservation:
         self, home: Mapping[str, HomeBearing], drive: DriveSettings, settings: LocalizerSettings
     ) -> None:
         self.bearings = {
-            n: HomeBearing(float(b.bearing), deviation(b.sigma))
+            n: HomeBearing(float(b.bearing), valid_sigma(b.sigma))
             for n, b in home.items()
             if math.isfinite(b.bearing)
         }

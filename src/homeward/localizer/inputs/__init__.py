@@ -1,1 +1,1 @@
-"""What arrives, in which order, and how noisy it is."""
+"""Sensor inputs: the order of samples, their noise, and their sign convention."""

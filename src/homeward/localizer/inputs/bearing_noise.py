@@ -1,13 +1,12 @@
 """Measurement noise of bearings: as given, or estimated from second differences and residuals.
 
-At once by their second differences, which need no map: between a sighting of a landmark and the
-next but one its direction, the odometry's turns taken out, is all but linear in time. Later by what
-the map leaves of them. Whichever is larger is believed: the first knows nothing of slow errors, and
-the second nothing of what was rejected.
+Second differences are available at once and need no map: over two successive intervals the
+direction of a landmark, less the turns of odometry, is nearly linear in time. Residuals follow once
+there is a map. The larger of the two estimates is used, since differences are blind to slow errors,
+and residuals to rejected sightings.
 
-What was given is doubted where the map leaves far more of the bearings than it allows: a number in
-a file is easily wrong by a factor of ten, and who takes it at its word is then sure of a wrong
-pose.
+Given values are overruled when the residuals are far larger: a number in a file is easily wrong by
+a factor of ten, and would make a wrong pose look certain.
 """
 
 from __future__ import annotations
@@ -20,30 +19,32 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import GATE, MAX_NOISE_RATIO
 
-RESIDUALS = 40
-"""So many residuals are needed to judge it by the map ..."""
+MIN_RESIDUALS = 40
+"""Residuals needed for an estimate from the map ..."""
 DIFFERENCES = 20, 200
-"""... or so many second differences, and the last so many are looked at."""
-SPAN_S = 1.05
-"""Three sightings that take longer are not linear in time [s]."""
-NO_CAMERA = 1e-6
-"""No camera is better [rad]; a smaller deviation is as good as none given."""
+"""... second differences needed for one without it, and how many of the latest are used."""
+MAX_SPAN_S = 1.05
+"""Longest time from the first to the third sighting of a second difference: beyond, directions are
+not linear in time [s]."""
+MIN_SIGMA = 1e-6
+"""Smallest plausible standard deviation; a smaller one counts as not given [rad]."""
 MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
-KEPT, KEPT_OF_LASTING = 0.9, 0.97
-"""So much of what was believed is kept from keyframe to keyframe [1]; more of what lasts, since a
-camera elsewhere than thought makes such errors, too, until that is found out."""
-CLEAR = 1.1
-"""Of sightings whose way from the keyframe blurs them no more the noise is their own [1]."""
-LATEST = 300
-"""So many of the latest are looked at: a camera may become worse on the way."""
+KEPT, CORRELATION_KEPT = 0.9, 0.97
+"""Forgetting factors per keyframe, of the noise and of the correlation of errors [1]. The latter is
+slower, since a wrong camera position causes correlated errors, too, until it has been estimated."""
+MAX_INFLATION = 1.1
+"""Noise is estimated from sightings whose standard deviation odometry inflates no more than this
+[1]."""
+LATEST_RESIDUALS = 300
+"""Latest residuals used for the noise scale: a camera may become worse during a drive."""
 
 
 class WeighedFrame(NamedTuple):
-    """Weighed frame: what the camera saw at one stamp, each bearing with its noise."""
+    """Bearings of one frame with their measurement noise."""
 
     t: float
     """[s]"""
@@ -56,140 +57,141 @@ class WeighedFrame(NamedTuple):
 
 
 class BearingNoise:
-    """Measurement noise: the standard deviations of bearings, estimated where nobody gave them.
+    """Measurement noise: the standard deviations of bearings, estimated where none were given.
 
     Parameters
     ----------
     given : float or None
-        What the drive says of those that come without one [rad].
+        Standard deviation that the drive gives for bearings without their own [rad].
     default : float
-        What is believed at first if it says nothing [rad].
+        Initial value if it gives none [rad].
     """
 
     def __init__(self, given: float | None, default: float) -> None:
         self._given, self._default = given, default
-        self._by_map = default
-        self._by_differences = 0.0
-        self._told = given is not None
-        """Whether the newest bearings came with deviations, or the drive gave one."""
+        self._from_map = default
+        self._from_differences = 0.0
+        self._is_given = given is not None
+        """Whether the newest bearings came with standard deviations, or the drive gave one."""
         self._typical = math.nan
-        self.settled = False
-        """Whether residuals have been looked at, and bear out what is believed."""
+        self.confirmed = False
+        """Whether residuals confirm the present noise level."""
         self.scale = 1.0
-        """Noise scale: how many times larger than given the deviations are estimated to be [1]."""
-        self.lasting = LastingErrors()
-        """What lasts in their errors."""
+        """Noise scale: estimated over given standard deviation [1]."""
+        self.correlated = CorrelatedErrors()
+        """Their time-correlated part."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
         self._last: dict[str, deque[tuple[float, float]]] = {}
 
     @property
     def sigma(self) -> float:
-        """Of a bearing that comes without one, as believed now [rad]."""
+        """Present standard deviation of a bearing that comes without one [rad]."""
         if self._given is not None:
             return self.scale * self._given
-        return max(self._by_map, self._by_differences)
+        return max(self._from_map, self._from_differences)
 
     @property
     def typical(self) -> float:
-        """Of most of the newest bearings [rad]."""
+        """Median standard deviation of the newest bearings [rad]."""
         return self.sigma if math.isnan(self._typical) else self._typical
 
-    def sigmas(self, names: list[str], told: Mapping[str, float]) -> np.ndarray:
-        """Return the deviations of new bearings, of which some came with one [rad]."""
-        untold = self.sigma
-        sigmas = [self.scale * told[n] if n in told else untold for n in names]
+    def sigmas(self, names: list[str], given: Mapping[str, float]) -> np.ndarray:
+        """Return the standard deviations of new bearings, some of which came with one [rad]."""
+        default = self.sigma
+        sigmas = [self.scale * given[n] if n in given else default for n in names]
         if sigmas:
             self._typical = sorted(sigmas)[len(sigmas) // 2]
         return np.array(sigmas)
 
     def weigh(self, frame: BearingFrame, heading: float) -> WeighedFrame:
-        """Give each bearing of a frame, seen at a `heading` [rad], its noise; learn from them."""
-        t, sightings, told = frame
+        """Assign noise to the bearings of a frame, and learn from them; see `add_bearings`."""
+        t, sightings, given = frame
         self.add_bearings(frame, heading)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        return WeighedFrame(t, names, bearings, self.sigmas(names, told))
+        return WeighedFrame(t, names, bearings, self.sigmas(names, given))
 
     def add_bearings(self, frame: BearingFrame, heading: float) -> None:
-        """Take the bearings of a frame, the heading being what odometry alone has [rad]."""
-        t, sightings, told = frame
-        self._told = self._given is not None or bool(told)
+        """Update the second differences by a frame; `heading` is that of odometry alone [rad]."""
+        t, sightings, given = frame
+        self._is_given = self._given is not None or bool(given)
         if self._given is not None:
             return
         for name, bearing in sightings.items():
-            if name in told:
+            if name in given:
                 continue
             last = self._last.setdefault(name, deque(maxlen=2))
-            if len(last) == 2 and last[0][0] < last[1][0] < t <= last[0][0] + SPAN_S:
+            if len(last) == 2 and last[0][0] < last[1][0] < t <= last[0][0] + MAX_SPAN_S:
                 first, middle = last
                 self._differences.append(_second_difference(first, middle, (t, heading + bearing)))
             last.append((t, heading + bearing))
         if len(self._differences) >= DIFFERENCES[0]:
-            self._by_differences = _scale(np.array(self._differences))
+            self._from_differences = _robust_sigma(np.array(self._differences))
 
     def update(
         self,
         residuals: np.ndarray,
         own: np.ndarray,
-        whole: np.ndarray,
+        total: np.ndarray,
         gaps: np.ndarray,
         landmarks: np.ndarray,
         keyframes: int,
     ) -> float:
-        """Follow what the map leaves of bearings, after so many keyframes more.
+        """Update the noise by the residuals of a solved map.
 
         Parameters
         ----------
         residuals : ndarray, shape (m,)
             Measured minus expected [rad].
-        own, whole : ndarray, shape (m,)
-            Standard deviations without, and with, what the way from the keyframe adds [rad].
+        own, total : ndarray, shape (m,)
+            Standard deviations without, and with, the odometry noise since the keyframe [rad].
         gaps, landmarks : ndarray, shape (m,)
-            See `LastingErrors.update`.
+            See `CorrelatedErrors.update`.
         keyframes : int
-            Since the last time.
+            Keyframes since the last update.
 
         Returns
         -------
         float
-            By how much deviations that were given, in what is kept, are to be widened [1].
+            Factor by which the stored standard deviations must be inflated [1].
         """
-        if len(residuals) < RESIDUALS:
+        if len(residuals) < MIN_RESIDUALS:
             return 1.0
-        off, clear = np.abs(residuals), whole <= CLEAR * own
-        if clear.sum() >= RESIDUALS:
+        off, clear = np.abs(residuals), total <= MAX_INFLATION * own
+        if clear.sum() >= MIN_RESIDUALS:
             errors = np.where(clear, residuals / own, np.nan)
-            self.lasting.update(errors, gaps, landmarks, 1.0 - KEPT_OF_LASTING**keyframes)
-        if self._told:
-            return self._rescale(off, own, whole)
-        self.settled = True
+            self.correlated.update(errors, gaps, landmarks, 1.0 - CORRELATION_KEPT**keyframes)
+        if self._is_given:
+            return self._rescale(off, own, total)
+        self.confirmed = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, self._default)
-        self._by_map += (1.0 - KEPT**keyframes) * (now - self._by_map)
+        self._from_map += (1.0 - KEPT**keyframes) * (now - self._from_map)
         return 1.0
 
-    def _rescale(self, off: np.ndarray, own: np.ndarray, whole: np.ndarray) -> float:
-        """Doubt what was given as much as the sizes of residuals, (m,) [rad], tell."""
-        clear = whole <= CLEAR * own
-        if clear.sum() < RESIDUALS:
+    def _rescale(self, off: np.ndarray, own: np.ndarray, total: np.ndarray) -> float:
+        """Update the noise scale by the sizes of residuals, (m,) [rad]."""
+        clear = total <= MAX_INFLATION * own
+        if clear.sum() < MIN_RESIDUALS:
             return 1.0
-        latest = (off / own)[clear][-LATEST:]
+        latest = (off / own)[clear][-LATEST_RESIDUALS:]
         before, excess = self.scale, MAD_TO_SIGMA * float(np.median(latest))
-        self.settled = excess <= MAX_NOISE_RATIO
+        self.confirmed = excess <= MAX_NOISE_RATIO
         if before > 1.0 or excess > MAX_NOISE_RATIO:
             self.scale = max(1.0, before * excess)
         return self.scale / before
 
 
-def deviation(sigma: float) -> float:
-    """Return the standard deviation of a bearing [rad] as far as it can be one, else NaN."""
-    return min(float(sigma), math.pi) if NO_CAMERA <= sigma < math.inf else math.nan
+def valid_sigma(sigma: float) -> float:
+    """Return a given standard deviation of a bearing [rad], NaN where it is implausible."""
+    return min(float(sigma), math.pi) if MIN_SIGMA <= sigma < math.inf else math.nan
 
 
-def _scale(off: np.ndarray) -> float:
-    """Return the standard deviation of errors, given by size, of which up to half may be wild.
+def _robust_sigma(off: np.ndarray) -> float:
+    """Return the standard deviation of errors, given by size, of which half may be outliers.
 
-    A wrong id spoils three differences, so the median of all may be one of the wild.
+    A wrong id spoils three differences, so the median of all may be an outlier; a lower quantile
+    finds those to leave out before the median absolute deviation is taken.
     """
     off = np.sort(off)
     rough = QUARTER_TO_SIGMA * float(np.quantile(off, 0.25))
@@ -202,9 +204,9 @@ def _scale(off: np.ndarray) -> float:
 def _second_difference(
     first: tuple[float, float], middle: tuple[float, float], last: tuple[float, float]
 ) -> float:
-    """Return how far a direction is off the line through two others, in their own deviations.
+    """Return the second difference of directions, over its factor of the noise of one.
 
-    Each is a time [s] and a direction [rad]; all three err alike and independently.
+    Each argument is a time [s] and a direction [rad], with independent errors of equal variance.
     """
     (a, at), (b, now), (c, then) = first, middle, last
     share = (b - a) / (c - a)

@@ -1,9 +1,4 @@
-"""Reorder buffer: bearings wait for odometry that comes late; what comes too late is told.
-
-The motion up to some bearings is known once odometry of a later stamp has come. Mostly it has come
-just before, or the bearings themselves are late. Where it is odometry that is late, the bearings
-wait for it.
-"""
+"""Reorder buffer: bearings wait for late odometry; samples that come too late are counted."""
 
 from __future__ import annotations
 
@@ -14,14 +9,14 @@ from typing import NamedTuple
 
 from homeward.drives.clock import LATE_S
 
-LATELY_S = 10.0
-"""After odometry that came later than bearings, they wait for it so long [s]."""
-SEVERAL = 10
-"""Of fewer samples nobody says that most come late."""
+WAIT_S = 10.0
+"""Time for which bearings keep waiting after odometry has arrived later than bearings [s]."""
+MIN_SAMPLES = 10
+"""Samples needed before it is reported that most come late."""
 
 
 class BearingFrame(NamedTuple):
-    """Bearing frame: all sightings of one stamp."""
+    """All bearings of one stamp."""
 
     t: float
     """[s]"""
@@ -32,34 +27,34 @@ class BearingFrame(NamedTuple):
 
 
 class ReorderBuffer:
-    """Reorder buffer: keeps bearings until their odometry has come, and counts late samples."""
+    """Reorder buffer: holds bearings until their odometry has arrived, and counts late samples."""
 
     def __init__(self) -> None:
         self.newest = -math.inf
-        """The last stamp of bearings [s]."""
+        """Newest stamp of bearings [s]."""
         self._waiting: deque[BearingFrame] = deque()
         self._waits_until = -math.inf
-        self._came: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._late: Counter[str] = Counter()
 
     def odometry(self, t: float, late: bool) -> None:
-        """Take note of a twist of stamp `t` [s], and whether it was too late to be used."""
+        """Register a twist of stamp `t` [s], and whether it was too late to be used."""
         self._count("odometry", late)
         if self.newest - LATE_S <= t < self.newest:
-            self._waits_until = t + LATELY_S
+            self._waits_until = t + WAIT_S
 
     def late_bearings(self) -> None:
-        """Take note of bearings that were too late to be used."""
+        """Count bearings that were too late to be used."""
         self._count("bearings", True)
 
     def bearings(self, frame: BearingFrame) -> None:
-        """Take bearings; `due` returns them."""
+        """Queue a bearing frame; `due` returns it."""
         self._count("bearings", False)
         self.newest = frame.t
         self._waiting.append(frame)
 
     def due(self, last_odometry_t: float, now: float) -> Iterator[BearingFrame]:
-        """Yield the bearings that need not wait any longer, in order of time.
+        """Yield the frames that need not wait any longer, in order of time.
 
         Parameters
         ----------
@@ -76,22 +71,22 @@ class ReorderBuffer:
 
     @property
     def waits(self) -> bool:
-        """Whether there are bearings that wait."""
+        """Whether frames are waiting."""
         return bool(self._waiting)
 
     def complaint(self) -> str | None:
-        """Return in words that most samples of a kind came too late; None where they did not."""
+        """Return a message if most samples of a kind came too late, else None."""
         for kind, late in self._late.items():
-            came = self._came[kind]
-            if came >= SEVERAL and 2 * late > came:
+            count = self._counts[kind]
+            if count >= MIN_SAMPLES and 2 * late > count:
                 return (
-                    f"most {kind} came too late, {late:,} of {came:,}; feed samples "
+                    f"most {kind} came too late, {late:,} of {count:,}; feed samples "
                     f"in the order of their stamps, none more than {LATE_S:g} s late"
                 )
         return None
 
     def _count(self, kind: str, late: bool) -> None:
         """Count a sample."""
-        self._came[kind] += 1
+        self._counts[kind] += 1
         if late:
             self._late[kind] += 1

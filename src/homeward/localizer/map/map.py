@@ -81,7 +81,7 @@ class Map:
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, known.tells)
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
-        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.lasting, t)
+        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
         learnt = noise, process_noise, extrinsics
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)

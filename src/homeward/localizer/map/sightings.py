@@ -11,7 +11,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import composition, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motion.preintegration import NC, Motion
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME = range(8)
@@ -120,9 +120,9 @@ def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray
     return rows
 
 
-def effective_sigmas(rows: np.ndarray, lasting: LastingErrors) -> np.ndarray:
+def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:
     """Return the deviations by which rows (m, COLUMNS) count beside those before, (m,) [rad]."""
-    excess = lasting.excess(rows[:, GAP])
+    excess = correlated.excess(rows[:, GAP])
     return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + rows[:, OWN] ** 2 * excess))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (
     STEP,
@@ -88,7 +88,7 @@ class Smoother:
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Of the camera's on the robot, around zero.
-    lasting : LastingErrors
+    lasting : CorrelatedErrors
         What lasts in the errors of bearings, as believed now.
     t : float
         Of the first keyframe, the origin [s].
@@ -99,7 +99,7 @@ class Smoother:
         odometry_sigmas: np.ndarray,
         drift: np.ndarray,
         mount_sigmas: np.ndarray,
-        lasting: LastingErrors,
+        correlated: CorrelatedErrors,
         t: float,
     ) -> None:
         self.first = 0
@@ -131,7 +131,7 @@ class Smoother:
         """(w - 1, STEP): the motions from keyframe to keyframe."""
         self._next_id = 0
         self._closed: list[Closed] | None = None
-        self._drift, self._lasting = drift, lasting
+        self._drift, self._correlated = drift, correlated
         of_odometry = 1.0 / np.maximum(odometry_sigmas, SURE) ** 2
         of_odometry[TURN_SLIP] = 0.0
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
@@ -148,7 +148,7 @@ class Smoother:
     def whole(self) -> Smoother:
         """Return one in which every keyframe since `keep_closed` is open, not yet solved."""
         unused = np.ones(len(OF_ODOMETRY))
-        whole = Smoother(unused, self._drift, self.mount_sigmas, self._lasting, 0.0)
+        whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma = self.slip_sigma
         whole.first = self.first - sum(len(part.poses) for part in closed)
@@ -320,7 +320,7 @@ class Smoother:
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
         """Return the deviations by which rows count (m,), less of what may walk [rad]."""
         stands = self.stands[self.index(rows[:, LANDMARK])]
-        return np.asarray(effective_sigmas(rows, self._lasting) / np.sqrt(stands))
+        return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(stands))
 
     def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
         """Return all that is known, and what is seen of it, around what is believed now."""

@@ -64,9 +64,9 @@ class Learner:
             When the normal equations are singular.
         """
         newest, residuals = smoother.newest, smoother.residuals()
-        own, whole, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
+        own, total, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
         since, self._learnt_at = newest - self._learnt_at, newest
-        wider = self._noise.update(residuals, own, whole, gaps, numbers, since)
+        wider = self._noise.update(residuals, own, total, gaps, numbers, since)
         if wider != 1.0:
             smoother.scale_noise(wider)
             landmarks.scale_noise(wider)
@@ -83,7 +83,7 @@ class Learner:
 
         They do so once, and need a solution then.
         """
-        now, sound = smoother.state, smoother.settled and self._noise.settled
+        now, sound = smoother.state, smoother.settled and self._noise.confirmed
         calibration = now.calibration, now.calibration_variances
         if not (sound and self._extrinsics.denies(*calibration, now.scale)):
             return False

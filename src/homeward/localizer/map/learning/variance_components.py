@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from homeward.localizer.inputs.bearing_noise import CLEAR
+from homeward.localizer.inputs.bearing_noise import MAX_INFLATION
 from homeward.localizer.map.elimination import Elimination
 from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
 from homeward.localizer.motion.preintegration import NC
@@ -55,7 +55,7 @@ class BearingErrors(NamedTuple):
 
         Parameters are those of `misfit`.
         """
-        clear = self.own >= CLEAR**-2.0
+        clear = self.own >= MAX_INFLATION**-2.0
         if not clear.any():
             return 1.0
         signs = rng.choice([-1.0, 1.0], clear.shape) * clear

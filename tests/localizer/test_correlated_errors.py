@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lasting import drive_of, figures
-from homeward.localizer.inputs.lasting_errors import LastingErrors
+from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 
@@ -31,49 +31,49 @@ def process(rng, share, time, gap, count, landmarks=8):
     ("share", "time", "gap"), [(0.8, 2.0, 0.1), (0.5, 1.0, 0.2), (0.9, 5.0, 0.5)]
 )
 def test_what_lasts_is_learnt_by_its_share_and_its_time(share, time, gap):
-    lasting = LastingErrors()
-    lasting.update(*process(np.random.default_rng(0), share, time, gap, 6000), 1.0)
-    assert lasting.share == pytest.approx(share, abs=0.1)
-    assert lasting.time == pytest.approx(time, rel=0.35)
+    correlated = CorrelatedErrors()
+    correlated.update(*process(np.random.default_rng(0), share, time, gap, 6000), 1.0)
+    assert correlated.share == pytest.approx(share, abs=0.1)
+    assert correlated.correlation_time == pytest.approx(time, rel=0.35)
 
 
 def test_white_errors_cost_nothing():
-    lasting = LastingErrors()
+    correlated = CorrelatedErrors()
     errors, gaps, landmarks = process(np.random.default_rng(1), 0.0, 1.0, 0.1, 3000)
-    lasting.update(errors, gaps, landmarks, 1.0)
-    assert lasting.excess(gaps).mean() < 0.2
+    correlated.update(errors, gaps, landmarks, 1.0)
+    assert correlated.excess(gaps).mean() < 0.2
 
 
 def test_nothing_is_said_of_few_or_unknown_errors():
-    lasting = LastingErrors()
+    correlated = CorrelatedErrors()
     errors, gaps, landmarks = process(np.random.default_rng(2), 0.9, 2.0, 0.2, 4)
-    lasting.update(errors, gaps, landmarks, 1.0)
+    correlated.update(errors, gaps, landmarks, 1.0)
     errors, gaps, landmarks = process(np.random.default_rng(2), 0.9, 2.0, 0.2, 400)
-    lasting.update(np.full_like(errors, np.nan), gaps, landmarks, 1.0)
-    assert lasting.share == 0.0
+    correlated.update(np.full_like(errors, np.nan), gaps, landmarks, 1.0)
+    assert correlated.share == 0.0
 
 
 def test_wild_errors_do_not_last():
-    rng, lasting = np.random.default_rng(3), LastingErrors()
+    rng, correlated = np.random.default_rng(3), CorrelatedErrors()
     errors, gaps, landmarks = process(rng, 0.0, 1.0, 0.1, 3000)
     errors[rng.random(errors.size) < 0.02] = 500.0
-    lasting.update(errors, gaps, landmarks, 1.0)
-    assert lasting.share < 0.1
+    correlated.update(errors, gaps, landmarks, 1.0)
+    assert correlated.share < 0.1
 
 
 @pytest.mark.parametrize("gap", [0.02, 0.3, 2.0, 30.0])
 def test_as_many_sightings_tell_as_much_as_the_mean_of_their_process(gap):
     """The variance of the mean of n samples of the process, exactly."""
     share, time, n = 0.7, 1.5, 20_000
-    lasting = LastingErrors()
-    lasting.share, lasting.time = share, time
+    correlated = CorrelatedErrors()
+    correlated.share, correlated.correlation_time = share, time
     kept = math.exp(-gap / time)
     lag = np.arange(1, n)
     exact = (1.0 + 2.0 * share * ((1.0 - lag / n) * kept**lag).sum()) / n
-    counted = (1.0 + lasting.excess(np.array([gap]))[0]) / n
+    counted = (1.0 + correlated.excess(np.array([gap]))[0]) / n
     assert counted == pytest.approx(exact, rel=0.01)
-    assert lasting.excess(np.array([np.inf, 0.0])).tolist()[0] == 0.0
-    assert np.isfinite(lasting.excess(np.array([0.0])))
+    assert correlated.excess(np.array([np.inf, 0.0])).tolist()[0] == 0.0
+    assert np.isfinite(correlated.excess(np.array([0.0])))
 
 
 def test_maps_keep_their_scale_where_errors_last():
