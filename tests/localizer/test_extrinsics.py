@@ -59,7 +59,7 @@ def test_only_what_nobody_told_is_named():
 def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
     rig.drive(60)
-    assert not rig.localizer.chart.extrinsics.denied
+    assert not rig.localizer.chart.extrinsics.contradicted
     assert not any("camera" in n for n in rig.localizer.notes)
 
 
@@ -69,7 +69,7 @@ def test_what_was_told_is_not_doubted():
     assert np.abs(rig.localizer.chart.map.state.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
     wrong = Extrinsics(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
-    assert not wrong.denies(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
+    assert not wrong.test(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
 
 
 def told_by_map(off, information, sigmas):
@@ -84,17 +84,17 @@ def test_it_is_denied_by_what_the_map_says_on_its_own():
     drive, settings, sigma = DriveSettings(), LocalizerSettings(), 0.05
     for off in np.random.default_rng(0).normal(0.0, sigma, (2000, 3)):  # as far off as by chance
         extrinsics = Extrinsics(drive, settings)
-        assert not extrinsics.denies(*told_by_map(off, sigma**-2.0, extrinsics.sigmas))
-        assert not extrinsics.denied
+        assert not extrinsics.test(*told_by_map(off, sigma**-2.0, extrinsics.sigmas))
+        assert not extrinsics.contradicted
     for axis in range(3):
         extrinsics, off = Extrinsics(drive, settings), np.zeros(3)
         off[axis] = 8.0 * sigma
         now = told_by_map(off, sigma**-2.0, extrinsics.sigmas)
-        assert extrinsics.denies(*now)
-        assert extrinsics.denied
-        assert not extrinsics.denies(*now)  # a second time
+        assert extrinsics.test(*now)
+        assert extrinsics.contradicted
+        assert not extrinsics.test(*now)  # a second time
         assert (extrinsics.sigmas > 0.25).all()
     vague = Extrinsics(DriveSettings(), LocalizerSettings())
-    assert not vague.denies(*told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
-    assert not vague.denies(*told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
+    assert not vague.test(*told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
+    assert not vague.test(*told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
     assert math.isfinite(vague.sigmas.sum())

@@ -97,7 +97,7 @@ def test_where_poses_are_told_well_the_noise_comes_out_as_it_is(noisier):
         equations, errors = chain(rng, 0.003, noisier, noise.scales[0])
         noise.update(*misfit(eliminate(equations), errors, NONE_SEEN, rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(noisier, rel=0.2)
-    assert (np.sqrt(noise.core) > 0.7).all()
+    assert (np.sqrt(noise.inlier_ratios) > 0.7).all()
 
 
 @pytest.mark.parametrize("better", [0.2, 1.0])
@@ -153,7 +153,7 @@ def test_what_is_told_is_believed_but_for_clear_evidence():
     for _ in range(3):
         noise.update(np.full((2, 2), 900.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
     assert (noise.scales[:, 0] > 4.0).all()
-    assert "odometry errs" in noise.words[0]
+    assert "odometry errs" in noise.notes[0]
     for _ in range(20):
         noise.update(np.full((2, 2), 10.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
     assert (noise.scales[:, 0] == 1.0).all()
@@ -161,18 +161,18 @@ def test_what_is_told_is_believed_but_for_clear_evidence():
 
 def test_what_no_bearing_shows_of_odometry_is_carried_until_it_was_looked_at():
     noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
-    at_first = noise.uncounted
+    at_first = noise.common_slip_variance
     noise.update(np.full((2, 2), 100.0), np.full((2, 2), 100.0), 100, 100)
-    alike = noise.uncounted
+    alike = noise.common_slip_variance
     noise.update(np.array([[100.0] * 2, [900.0] * 2]), np.full((2, 2), 100.0), 100, 100)
-    assert alike < 0.1 * at_first < noise.uncounted
+    assert alike < 0.1 * at_first < noise.common_slip_variance
 
 
 def test_little_evidence_changes_little_and_words_come_late():
     noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
     noise.update(np.full((2, 2), 0.2), np.full((2, 2), 0.1), 10, 10)
     assert noise.scales == pytest.approx(1.0, abs=0.1)
-    assert noise.words == ()
+    assert noise.notes == ()
 
 
 def test_steps_are_as_noisy_as_they_are_told_to_be():
@@ -204,16 +204,16 @@ def test_nothing_told_costs_little(size, times):
 def test_what_is_usual_of_odometry_counts_until_it_is_learnt():
     noise = ProcessNoise(OdometryNoise(), OdometryDefaults())
     at_first = noise.rates
-    assert (noise.expect(1.0) == 1.0).all()
-    assert noise.expect(0.1) == pytest.approx(np.array([[0.1, 1.0]] * 2))
+    assert (noise.scale_prior(1.0) == 1.0).all()
+    assert noise.scale_prior(0.1) == pytest.approx(np.array([[0.1, 1.0]] * 2))
     assert noise.rates[:2] == pytest.approx(0.1 * at_first[:2])
     assert np.array_equal(noise.rates[2], at_first[2])
-    assert noise.words == ()
+    assert noise.notes == ()
     for _ in range(40):
         noise.update(np.full((2, 2), 100.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
     assert noise.scales == pytest.approx(1.0, rel=0.02)
     told = ProcessNoise(OdometryNoise(speed_sigma=0.01), OdometryDefaults())
-    assert (told.expect(0.1) == 1.0).all()
+    assert (told.scale_prior(0.1) == 1.0).all()
 
 
 @pytest.mark.parametrize("seed", [0, 3])

@@ -217,7 +217,7 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     assert rig.drive(60).status is Status.LOCALISED
     assert rig.localizer.chart.noise.scale == pytest.approx(10.0, rel=0.25)
     assert NOISY_NOTE in rig.localizer.notes
-    assert not rig.localizer.chart.extrinsics.denied  # what the noise alone had said of it
+    assert not rig.localizer.chart.extrinsics.contradicted  # what the noise alone had said of it
     assert not rig.moved()
     assert rig.wrong_share() <= 0.05
 

@@ -85,7 +85,7 @@ class Chart:
     def follow(self, t: float) -> None:
         """Follow the odometry after a twist of `t` [s] has come."""
         self.odometry.rewind(t)
-        if t - self.odometry.done > ADVANCE_S:
+        if t - self.odometry.end > ADVANCE_S:
             self.odometry.run_ahead(t, self.map.state.calibration)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
@@ -184,7 +184,7 @@ class Chart:
         observed, calibration = self.home.observation, self.map.state.calibration
         return LandmarkReport(
             observed.given_noise(self.noise),
-            observed.yaw(calibration, self.extrinsics.denied),
+            observed.yaw(calibration, self.extrinsics.contradicted),
             self.map.landmarks,
             self.home.names,
             hypotheses,
@@ -215,7 +215,7 @@ class Chart:
             gated = self.map.gate(seen, motion, False)
             if gated.denies_motion:
                 self.map.take_back()
-                way = motion if motion.path else self.odometry.unknown(seen.t)
+                way = motion if motion.path else self.odometry.dropout_motion(seen.t)
                 gated = self._gate_at_keyframe(seen, way)
         if any(gated.fits.values()):
             self._last_accepted = seen.t

@@ -39,7 +39,7 @@ from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.odometry import lag_words
+from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.settings import LocalizerSettings
 from homeward.one_thread import one_thread
@@ -115,11 +115,11 @@ class Localizer:
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
-        noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.words
+        noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.notes
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.state.calibration
         survey = self.chart.map.registration.survey
-        scale = survey.words(self.chart.map.state) if survey.known.tells else self._notes
-        return (*scale, *noisy, *extrinsics.words(calibration), *lag_words(calibration))
+        scale = survey.notes(self.chart.map.state) if survey.known.tells else self._notes
+        return (*scale, *noisy, *extrinsics.notes(calibration), *lag_notes(calibration))
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
@@ -139,7 +139,7 @@ class Localizer:
         self._twists.add(t, v, omega)
         for chart in self.charts:
             chart.follow(t)
-        self._twists.forget(min(chart.odometry.needed for chart in self.charts))
+        self._twists.forget(min(chart.odometry.needed_since for chart in self.charts))
         self._process_due()
 
     @guarded
@@ -193,7 +193,7 @@ class Localizer:
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-        return self.chart.extrinsics.found(self.chart.map.state.calibration)
+        return self.chart.extrinsics.estimate(self.chart.map.state.calibration)
 
     @property
     def chart(self) -> Chart:

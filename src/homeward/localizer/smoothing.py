@@ -14,7 +14,7 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.odometry import LONGEST_LAG, Odometry
+from homeward.localizer.motion.odometry import MAX_LAG_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
@@ -107,7 +107,7 @@ def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odo
     """Return an odometry that starts at `begin` [s] and knows the twists until `end` [s]."""
     twists = Twists()
     t = drive.odometry.t
-    for i in range(*np.searchsorted(t, [begin - 2.0 * LONGEST_LAG, end]).tolist()):
+    for i in range(*np.searchsorted(t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
         twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
     odometry = Odometry(twists, noise)
     odometry.restart(begin)

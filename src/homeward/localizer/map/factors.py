@@ -25,7 +25,7 @@ MOST_EMPTY = 8
 def step_row(motion: Motion) -> np.ndarray:
     """Return a motion as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
-    row[0, FREE] = motion.free
+    row[0, FREE] = motion.uncalibrated
     row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
     return row

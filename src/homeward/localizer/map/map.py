@@ -115,7 +115,7 @@ class Map:
     @property
     def scale_variance(self) -> float:
         """Of the map's scale, by slips that nothing shows [1]."""
-        uncounted = self._process_noise.uncounted
+        uncounted = self._process_noise.common_slip_variance
         return uncounted / max(self._scale_information, uncounted)
 
     def camera(self, motion: Motion) -> Motion:
@@ -167,7 +167,7 @@ class Map:
         noise = motion.covariance[0, 0] + motion.covariance[1, 1]
         if noise > 0.0:
             self._scale_information += motion.path**2 / noise * self._process_noise.scales[1, 0]
-        self._move_on(t, motion, self._process_noise.core)
+        self._move_on(t, motion, self._process_noise.inlier_ratios)
 
     def _move_on(self, t: float, motion: Motion, core: np.ndarray) -> None:
         """Add a keyframe; see `Smoother.add_keyframe`."""

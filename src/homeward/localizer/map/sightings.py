@@ -43,7 +43,7 @@ class Frames:
         """Add a frame, whose camera is a motion away from its keyframe; return its number."""
         number = self.next
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
-        self.free = np.concatenate([self.free, camera.free[None]])
+        self.free = np.concatenate([self.free, camera.uncalibrated[None]])
         self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
         return number
 

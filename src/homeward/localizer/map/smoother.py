@@ -49,7 +49,7 @@ from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     MOUNT,
     NC,
-    OF_ODOMETRY,
+    ODOMETRY_CALIBRATION,
     TURN_SLIP,
     Motion,
 )
@@ -147,7 +147,7 @@ class Smoother:
 
     def whole(self) -> Smoother:
         """Return one in which every keyframe since `keep_closed` is open, not yet solved."""
-        unused = np.ones(len(OF_ODOMETRY))
+        unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma = self.slip_sigma

@@ -92,7 +92,7 @@ class Marginal:
 
     def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
-        moved = motion.free + motion.jacobian @ self.calibration
+        moved = motion.uncalibrated + motion.jacobian @ self.calibration
         by_head = np.empty((3, HEAD))
         there, by_head[:, :3], by_motion = composition(self.mean[:3], moved)
         np.matmul(by_motion, motion.jacobian, out=by_head[:, 3:])

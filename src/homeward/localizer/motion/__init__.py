@@ -1,1 +1,1 @@
-"""The robot's motion between keyframes, from twists, and the calibration that it depends on."""
+"""Motion model: preintegrated odometry, its noise and its calibration."""

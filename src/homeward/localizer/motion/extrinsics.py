@@ -1,8 +1,8 @@
-"""Camera extrinsics on the robot: at the centre if nobody told, until the bearings deny it.
+"""Camera extrinsics on the robot: fixed where not given, until the bearings contradict that.
 
-Where a robot turns and drives on, bearings and odometry tell where its camera sits; where it hardly
-turns they tell nothing, and to leave it open there costs much. So it is taken to sit at the centre,
-looking ahead, and what the bearings would rather have it is watched.
+Extrinsics are observable only where the robot turns while driving; free parameters would cost
+accuracy where it does not. So a camera of which nothing is given is taken to be at the centre,
+looking ahead. Its estimate is tested against that, and freed if the test fails.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from homeward.localizer.tunables import (
     STANDSTILL,
 )
 
-DENIAL = (
+CONTRADICTION = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
     "under sensor in drive.yaml, about right would be {}."
 )
-LEAST_RAD, CENTRE_M = 1e-6, 1e-4
-"""It is taken to sit where it was told, or at the centre, as nearly as this [rad, m]."""
+MIN_SIGMA_RAD, FIXED_SIGMA_M = 1e-6, 1e-4
+"""Prior standard deviations of fixed extrinsics [rad, m]."""
 
 
 class Extrinsics:
-    """Extrinsics prior: of the camera's yaw, x and y on the robot.
+    """Prior on the extrinsics: the camera's yaw, x and y on the robot.
 
     Parameters
     ----------
@@ -41,59 +41,61 @@ class Extrinsics:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
-        self.sigmas = np.array([max(settings.camera_yaw_sigma, LEAST_RAD), CENTRE_M, CENTRE_M])
-        """(3,), around what was told or zero [rad, m, m]."""
-        self.denied = False
-        """Whether bearings deny what was taken for granted."""
-        self._least = np.zeros(3)
-        """Nearer to that is as good as there [rad, m, m]."""
-        told, self._said = drive.sensor.model_fields_set, drive.sensor
-        self._untold = np.array([part not in told for part in ("yaw", "x", "y")])
+        self.sigmas = np.array(
+            [max(settings.camera_yaw_sigma, MIN_SIGMA_RAD), FIXED_SIGMA_M, FIXED_SIGMA_M]
+        )
+        """(3,): prior standard deviations around the given values or zero [rad, m, m]."""
+        self.contradicted = False
+        """Whether the bearings have contradicted the assumed values."""
+        self._tolerance = np.zeros(3)
+        """Deviations that do not matter [rad, m, m]."""
+        given, self._given = drive.sensor.model_fields_set, drive.sensor
+        self._not_given = np.array([part not in given for part in ("yaw", "x", "y")])
 
-    def found(self, calibration: np.ndarray) -> Pose | None:
-        """Return the camera on the robot by a calibration (8,); None where it was as expected."""
+    def estimate(self, calibration: np.ndarray) -> Pose | None:
+        """Return the camera's pose on the robot by a calibration (8,); None if as assumed."""
         off = calibration[MOUNT]
-        if not self.denied or (np.abs(off) < self._least).all():
+        if not self.contradicted or (np.abs(off) < self._tolerance).all():
             return None
         yaw, x, y = off.tolist()
-        said = self._said
-        return Pose(said.x + x, said.y + y, said.yaw + yaw)
+        given = self._given
+        return Pose(given.x + x, given.y + y, given.yaw + yaw)
 
-    def words(self, calibration: np.ndarray) -> tuple[str, ...]:
-        """Return what the user must know of it, a calibration (8,) being the present one."""
-        found = self.found(calibration)
-        if found is None:
+    def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
+        """Return notes for the user, `calibration` (8,) being the present one."""
+        estimate = self.estimate(calibration)
+        if estimate is None:
             return ()
-        names = [part for part in ("x", "y", "yaw") if part not in self._said.model_fields_set]
-        values = {"x": found.x, "y": found.y, "yaw": found.heading}
+        names = [part for part in ("x", "y", "yaw") if part not in self._given.model_fields_set]
+        values = {"x": estimate.x, "y": estimate.y, "yaw": estimate.heading}
         right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
-        return (DENIAL.format(", ".join(names), right),)
+        return (CONTRADICTION.format(", ".join(names), right),)
 
-    def denies(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:
-        """Return whether the map denies for the first time what was taken for granted.
+    def test(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:
+        """Test the assumed values against the map; return whether it contradicts them now.
 
-        What it would say on its own follows from what it says with the prior, whose information is
-        known.
+        If so, they are free from now on. The information of the prior is known, and so what the map
+        alone would estimate follows from its posterior.
 
         Parameters
         ----------
         calibration, variances : ndarray, shape (8,)
-            As the map has it, and how certain it is of each part.
+            Posterior mean and variances in the map.
         scale : float
             Median distance of the landmarks [m].
         """
-        if self.denied or not self._untold.any():
+        if self.contradicted or not self._not_given.any():
             return False
-        least = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
-        anywhere = np.array([LINEAR_RANGE, SAME_PLACE * scale, SAME_PLACE * scale])
+        tolerance = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
+        wide = np.array([LINEAR_RANGE, SAME_PLACE * scale, SAME_PLACE * scale])
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         own = precision - self.sigmas**-2.0
-        tells = self._untold & (own > anywhere**-2.0)
-        own[~tells] = np.inf
+        observable = self._not_given & (own > wide**-2.0)
+        own[~observable] = np.inf
         off = np.abs(mean) * precision / own
-        self.denied = bool(
-            (tells & (off > np.maximum(CONTRADICTION_GATE * own**-0.5, least))).any()
+        self.contradicted = bool(
+            (observable & (off > np.maximum(CONTRADICTION_GATE * own**-0.5, tolerance))).any()
         )
-        if self.denied:
-            self.sigmas, self._least = np.where(self._untold, anywhere, self.sigmas), least
-        return self.denied
+        if self.contradicted:
+            self.sigmas, self._tolerance = np.where(self._not_given, wide, self.sigmas), tolerance
+        return self.contradicted

@@ -1,4 +1,4 @@
-"""Odometry: the preintegrated motion since the newest keyframe, through dropouts, too."""
+"""Odometry since the newest keyframe, preintegrated, with a motion prior for dropouts."""
 
 from __future__ import annotations
 
@@ -28,22 +28,23 @@ from homeward.localizer.tunables import (
 
 ADVANCE_S = 0.5
 """Twists are integrated at least this often [s]."""
-STRAIGHTEST = 0.2
-"""So large a share of the path counts as the straightest [1]."""
-STRAIGHT_BEFORE_M = 1.0
-"""Before it began the robot is thought to have driven straight for so long [m]."""
-NOTABLE_LAG = 0.25
-"""A lag beyond this is told to the user [s]."""
-LONGEST_LAG = 0.8
-"""A lag beyond this is not believed [s]."""
+STRAIGHTEST_SHARE = 0.2
+"""Share of the path that counts as the straightest [1]."""
+INITIAL_STRAIGHT_M = 1.0
+"""Length of straight path assumed before the start [m]."""
+NOTABLE_LAG_S = 0.25
+"""Lag that the user is told of [s]."""
+MAX_LAG_S = 0.8
+"""Largest plausible lag [s]."""
 
 
 def calibration_sigmas(
-    drive: DriveSettings, settings: LocalizerSettings, scale_tells: bool
+    drive: DriveSettings, settings: LocalizerSettings, scale_observable: bool
 ) -> np.ndarray:
-    """Return how unknown the odometry's calibration is a priori, shape (5,).
+    """Return the prior standard deviations of the odometry's calibration, shape (5,).
 
-    The scale of the speed is among it where something `scale_tells`: bearings cannot.
+    The scale of the speed is unknown only if something makes it observable (`scale_observable`),
+    such as a survey: bearings do not.
     """
     given, default = drive.odometry, settings.odometry
     speed = default.speed_scale if given.speed_scale_sigma is None else given.speed_scale_sigma
@@ -54,58 +55,55 @@ def calibration_sigmas(
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
             settings.lag_sigma,
-            speed if scale_tells else 0.0,
+            speed if scale_observable else 0.0,
         ]
     )
 
 
-def lag_words(calibration: np.ndarray) -> tuple[str, ...]:
-    """Return what the user must know of the lag in a calibration (8,), if it is notable."""
+def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
+    """Return notes for the user on the lag in a calibration (8,), if it is notable."""
     lag = float(calibration[LAG])
-    if abs(lag) < NOTABLE_LAG:
+    if abs(lag) < NOTABLE_LAG_S:
         return ()
     way = "after" if lag > 0 else "before"
     return (f"By the bearings, twists act {abs(lag):.2f} s {way} their stamps: is it one clock?",)
 
 
 class MotionPrior:
-    """Motion prior: how fast the robot usually is, and so how far it may go during a dropout.
+    """Motion prior for odometry dropouts: an Ornstein-Uhlenbeck velocity (1930) of the usual size.
 
-    Nobody knows where to, but hardly faster than usual. So its velocity is a random one of that
-    size that is forgotten in `SPEED_TIME_S` (a process of Ornstein and Uhlenbeck, 1930): the shift
-    grows with the time at first, and with its root later. What it grows by from one time to another
-    depends on these two alone, not on how often somebody asked in between.
+    The velocity is unknown, but hardly larger than usual, and forgotten with time constant
+    `SPEED_TIME_S`. So the shift first grows with time, later with its square root. The process is
+    evaluated in closed form: the growth between two times does not depend on intermediate calls.
     """
 
     def __init__(self) -> None:
         self._moving, self._path, self._turned = 0.0, 0.0, 0.0
 
     def count(self, moving: float, path: float, turned: float) -> None:
-        """Count time of moving [s], with the path [m] and the turns [rad] made in it."""
+        """Add time spent moving [s], with the path [m] and the turns [rad] made in it."""
         keep = math.exp(-moving / MOTION_MEMORY_S)
         self._moving = keep * self._moving + moving
         self._path = keep * self._path + path
         self._turned = keep * self._turned + turned
 
     def variance_growth(self, silent: float, time: float) -> tuple[float, float]:
-        """Return by what variances shift [m^2] and turn [rad^2] grow while odometry is silent.
+        """Return the growth of the variances of shift [m^2] and turn [rad^2] during a dropout.
 
         Parameters
         ----------
         silent, time : float
-            How long it was silent before, and for how much longer [s].
+            How long odometry was silent before, and for how much longer [s].
         """
         moving = max(self._moving, 1e-9)
-        speed, turn = (
-            max(MIN_USUAL_SPEED, self._path / moving),
-            max(MIN_USUAL_TURN_RATE, self._turned / moving),
-        )
-        shift, swing = _growth(silent, time, SPEED_TIME_S), _growth(silent, time, TURN_TIME_S)
-        return speed**2 * shift, turn**2 * swing
+        speed = max(MIN_USUAL_SPEED, self._path / moving)
+        turn_rate = max(MIN_USUAL_TURN_RATE, self._turned / moving)
+        shift, turn = (_variance(silent, time, lasts) for lasts in (SPEED_TIME_S, TURN_TIME_S))
+        return speed**2 * shift, turn_rate**2 * turn
 
 
-class _Done(NamedTuple):
-    """What is integrated, as it was before it ran ahead."""
+class _Checkpoint(NamedTuple):
+    """State of the integration, to which a late twist rewinds."""
 
     t: float
     motion: Motion
@@ -114,129 +112,127 @@ class _Done(NamedTuple):
 
 
 class Odometry:
-    """The motion since the last keyframe, by the twists.
+    """Preintegrates the twists since the newest keyframe.
 
     Parameters
     ----------
     twists : Twists
-        The history of them, which others may share.
+        Their history, shared with others.
     noise : ProcessNoise
-        Of them.
+        Their noise.
     """
 
     def __init__(self, twists: Twists, noise: ProcessNoise) -> None:
         self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
-        self._done = self._since = -math.inf
+        self._end = self._since = -math.inf
         self._path_by_bend = np.zeros(BENDS)
-        self._path_by_bend[0] = STRAIGHT_BEFORE_M
+        self._path_by_bend[0] = INITIAL_STRAIGHT_M
         self._straightest = 0.0
         self._motion_prior = MotionPrior()
-        self._before: deque[_Done] = deque()
+        self._saved: deque[_Checkpoint] = deque()
 
     def rewind(self, t: float) -> None:
-        """Undo what ran ahead of `t` [s], where a late twist came."""
-        while self._before and t < self._done:
-            self._done, self._motion, self._path_by_bend, self._motion_prior = self._before.pop()
+        """Rewind to before `t` [s], where a late twist came."""
+        while self._saved and t < self._end:
+            self._end, self._motion, self._path_by_bend, self._motion_prior = self._saved.pop()
 
     def restart(self, t: float) -> None:
-        """Let the motion begin anew at `t` [s]: there is a keyframe now."""
-        self._motion, self._done, self._since = Motion.identity(), t, t
-        self._before.clear()
+        """Restart the motion at `t` [s], a new keyframe."""
+        self._motion, self._end, self._since = Motion.identity(), t, t
+        self._saved.clear()
         share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
-        straight = int((share >= STRAIGHTEST).argmax())
+        straight = int((share >= STRAIGHTEST_SHARE).argmax())
         self._straightest = BEND * (straight + 0.5) if straight else 0.0
 
     def motion(self, t: float, calibration: np.ndarray) -> Motion:
-        """Return the motion since the last keyframe up to `t` [s]; nothing changes.
+        """Return the motion since the newest keyframe up to `t` [s]; nothing changes.
 
         Parameters
         ----------
         t : float
-            A time before the end of what is done counts as that end.
+            A time before `end` counts as `end`.
         calibration : ndarray, shape (8,)
             Where to linearise.
         """
-        if t <= self._done:
+        if t <= self._end:
             return self._motion
-        pieces = self._pieces(self._done, t, calibration)
+        pieces = self._pieces(self._end, t, calibration)
         return self._motion.compose(
             integrate(pieces, calibration, self._noise.rates, self._straightest)[0]
         )
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
-        """Return the motion up to `t` [s], and be done with it: nothing earlier is to come."""
+        """Integrate the motion up to `t` [s] for good and return it; earlier twists are refused."""
         self.rewind(t)
-        self._before.clear()
+        self._saved.clear()
         self._integrate(t, calibration)
         return self._motion
 
     def run_ahead(self, t: float, calibration: np.ndarray) -> None:
-        """Integrate up to `t` [s]; what comes up to `LATE_S` late is still taken."""
+        """Integrate up to `t` [s], so that twists up to `LATE_S` late can still be inserted."""
         done = self._path_by_bend.copy(), copy.copy(self._motion_prior)
-        self._before.append(_Done(self._done, self._motion, *done))
-        while len(self._before) > 1 and self._before[1].t <= t - LATE_S:
-            self._before.popleft()
+        self._saved.append(_Checkpoint(self._end, self._motion, *done))
+        while len(self._saved) > 1 and self._saved[1].t <= t - LATE_S:
+            self._saved.popleft()
         self._integrate(t, calibration)
 
-    def unknown(self, t: float) -> Motion:
-        """Return the motion up to `t` [s], were odometry silent since the last keyframe."""
+    def dropout_motion(self, t: float) -> Motion:
+        """Return the motion up to `t` [s] as if odometry had dropped out since the keyframe."""
         shift, swing = self._motion_prior.variance_growth(0.0, t - self._since)
         covariance = np.diag([shift, shift, swing])
         return dataclasses.replace(Motion.identity(), covariance=covariance)
 
     def accepts(self, t: float) -> bool:
-        """Return whether a sample of `t` [s] can be taken: no motion up to a later one was used."""
-        return not self._twists or t >= (self._before[0].t if self._before else self._done)
+        """Return whether a sample of `t` [s] is not too late: no later motion was used."""
+        return not self._twists or t >= (self._saved[0].t if self._saved else self._end)
 
     @property
-    def needed(self) -> float:
-        """Since when twists are still needed [s]."""
-        return (self._before[0].t if self._before else self._done) - 2.0 * LONGEST_LAG - STEADY_S
+    def needed_since(self) -> float:
+        """Oldest stamp of the twists that are still needed [s]."""
+        return (self._saved[0].t if self._saved else self._end) - 2.0 * MAX_LAG_S - STEADY_S
 
     @property
-    def done(self) -> float:
-        """How far the twists are integrated [s]."""
-        return self._done
+    def end(self) -> float:
+        """Time up to which the twists are integrated [s]."""
+        return self._end
 
     def _integrate(self, t: float, calibration: np.ndarray) -> None:
-        """Add the motion up to `t` [s] to what is done."""
-        if t <= self._done:
+        """Extend the integration to `t` [s]."""
+        if t <= self._end:
             return
-        pieces = self._pieces(self._done, t, calibration)
+        pieces = self._pieces(self._end, t, calibration)
         motion, path = integrate(pieces, calibration, self._noise.rates, self._straightest)
-        self._motion, self._done = self._motion.compose(motion), t
+        self._motion, self._end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
 
     def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> list[Piece]:
         """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
-        lag = min(max(float(calibration[LAG]), -LONGEST_LAG), LONGEST_LAG)
+        lag = min(max(float(calibration[LAG]), -MAX_LAG_S), MAX_LAG_S)
         begin, end = begin - lag, end - lag
         held = self._twists.between(begin, end)
         if not held:  # before the first twist, or none at all
-            return [Piece(*self._unknown(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
+            return [Piece(*self._dropout_growth(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
         pieces: list[Piece] = []
         until = [twist.t for twist in held[1:]] + [end]
         steady = [twist.steady for twist in held[1:]] + [self._twists.steady_speed(end)]
         for twist, then, speed in zip(held, until, steady, strict=True):
             start, silent = max(twist.t, begin), twist.t + HOLD_S
             known = min(max(silent - start, 0.0), then - start)
-            unknown = self._unknown(silent, start + known, then)
+            unknown = self._dropout_growth(silent, start + known, then)
             pieces.append(Piece(*unknown, known, twist.v, twist.omega, speed))
         if held[0].t > begin:
-            shift, swing = self._unknown(-math.inf, begin, held[0].t)
+            shift, swing = self._dropout_growth(-math.inf, begin, held[0].t)
             begun = pieces[0]
             pieces[0] = begun._replace(shift=begun.shift + shift, swing=begun.swing + swing)
         return pieces
 
-    def _unknown(self, silent: float, begin: float, end: float) -> tuple[float, float]:
-        """Return what the variances grow by from `begin` to `end` [s], of a silence since then."""
-        return (
-            self._motion_prior.variance_growth(begin - silent, end - begin)
-            if end > begin
-            else (0.0, 0.0)
-        )
+    def _dropout_growth(self, silent: float, begin: float, end: float) -> tuple[float, float]:
+        """Return the growth of the variances from `begin` to `end` [s], silent since `silent`."""
+        if end <= begin:
+            return 0.0, 0.0
+        return self._motion_prior.variance_growth(begin - silent, end - begin)
 
 
 def _time_moving(pieces: Sequence[Piece]) -> float:
@@ -244,6 +240,6 @@ def _time_moving(pieces: Sequence[Piece]) -> float:
     return sum(piece.dt for piece in pieces if piece.v or piece.omega)
 
 
-def _growth(after: float, time: float, lasts: float) -> float:
-    """Return how the variance of the integral of a velocity of variance one grows [s^2]."""
+def _variance(after: float, time: float, lasts: float) -> float:
+    """Return the growth of an integrated Ornstein-Uhlenbeck process of unit variance [s^2]."""
     return 2.0 * lasts * (time + lasts * math.exp(-after / lasts) * math.expm1(-time / lasts))

@@ -1,15 +1,19 @@
-"""Preintegration of odometry (Lupton and Sukkarieh, 2012): twists as one motion, with its Jacobian.
+"""Preintegration of odometry (Lupton and Sukkarieh, 2012; Forster et al., 2017).
 
-The unknowns are one vector, constant or nearly so (`CALIBRATION`): the true turn rate is
-``(1 + turn_scale) omega + turn_bias`` while the robot moves, the true speed is less in bends than
-on the straight, by ``turn_slip (|omega| - r |v|)``, twists act ``lag`` seconds after their stamps,
-all speeds are ``1 + speed_scale`` times as large, which nothing but known landmarks can tell,
-and the camera is turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from where
-it is said to sit. A robot whose twist is exactly zero stands, and neither drifts nor gathers noise.
+The twists between two keyframes become one motion, with its covariance and its Jacobian by the
+calibration, so that a new calibration needs no new integration.
 
-In the slip, r is how much this robot turns per metre where it drives straightest. So the speed is
-right there, and a robot that always turns alike has no slip: it could trade slip for the scale of
-the map, which nothing else holds, and the map would shrink, since small maps fit noise better.
+The calibration is one vector (`CALIBRATION`), constant but for a slow drift. The true turn rate is
+``(1 + turn_scale) omega + turn_bias`` while the robot moves; the true speed is reduced in bends by
+the slip ``turn_slip (|omega| - r |v|)``; twists act ``lag`` seconds after their stamps; all speeds
+are ``1 + speed_scale`` times as large, which only known landmarks make observable; the camera is
+turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from its given pose. A robot
+whose twist is exactly zero stands still, and gathers neither drift nor noise.
+
+In the slip, r is the turn per metre of this robot where it drives straightest. The speed is right
+there, and slip is zero for a robot that always turns alike. Otherwise slip could be traded for the
+scale of the map, which nothing else determines, and the map would shrink, since small maps fit
+noise better.
 """
 
 from __future__ import annotations
@@ -24,16 +28,16 @@ import numpy as np
 
 from homeward.localizer.geometry import between, composition
 
-OF_ODOMETRY = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
-CALIBRATION = (*OF_ODOMETRY, "camera_yaw", "camera_x", "camera_y")
-"""The unknowns of odometry and camera: [1], [rad/s], [m], [s], [1], [rad], [m], [m]."""
+ODOMETRY_CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
+CALIBRATION = (*ODOMETRY_CALIBRATION, "camera_yaw", "camera_x", "camera_y")
+"""Unknowns of odometry and camera: [1], [rad/s], [m], [s], [1], [rad], [m], [m]."""
 NC = len(CALIBRATION)
 TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
-BY_CAMERA = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-"""(3, 8): derivative of the camera's pose on the robot by the calibration."""
+CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+"""(3, 8): Jacobian of the camera's pose on the robot by the calibration."""
 BEND, BENDS = 0.125, 33
-"""The path is sorted by how much the robot turned per metre, into classes so wide [rad/m]."""
+"""Width [rad/m] and number of the classes of turn per metre into which the path is sorted."""
 
 
 @dataclass(frozen=True)
@@ -43,19 +47,19 @@ class Motion:
     delta: np.ndarray
     """(3,): x [m], y [m], heading [rad], the heading not wrapped."""
     covariance: np.ndarray
-    """(3, 3), of `delta`, from white noise alone."""
+    """(3, 3): of `delta`, by white noise alone."""
     jacobian: np.ndarray
-    """(3, 8), of `delta` with respect to the calibration."""
+    """(3, 8): of `delta` by the calibration."""
     path: float = 0.0
     """Length driven [m]."""
     turned: float = 0.0
     """Sum of the sizes of all turns [rad]."""
     calibration: np.ndarray = field(default_factory=lambda: np.zeros(NC))
-    """(8,): where it is linearised."""
+    """(8,): linearisation point."""
 
     @property
-    def free(self) -> np.ndarray:
-        """(3,): the motion were the calibration zero."""
+    def uncalibrated(self) -> np.ndarray:
+        """(3,): the motion for a calibration of zero."""
         return np.asarray(self.delta - self.jacobian @ self.calibration)
 
     @staticmethod
@@ -79,19 +83,19 @@ class Motion:
         )
 
     def inverse(self) -> Motion:
-        """Return the inverse motion, taken for exact and known."""
+        """Return the inverse motion, taken as exact."""
         delta = between(self.delta, np.zeros(3))
         return Motion(delta, np.zeros((3, 3)), np.zeros((3, NC)))
 
 
 def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
-    """Return the camera's pose on the robot: as told, `mount` (3,), corrected by a calibration."""
+    """Return the camera's pose on the robot: `mount` (3,) as given, corrected by a calibration."""
     delta = mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-    return Motion(delta, np.zeros((3, 3)), BY_CAMERA, calibration=calibration)
+    return Motion(delta, np.zeros((3, 3)), CAMERA_JACOBIAN, calibration=calibration)
 
 
 class Piece(NamedTuple):
-    """Piece of time with one twist; while odometry is silent, the variances grow before it."""
+    """Interval with one twist, preceded by the growth of variance during a dropout, if any."""
 
     shift: float
     """Growth of the shift's variance [m^2] ..."""
@@ -104,31 +108,32 @@ class Piece(NamedTuple):
     omega: float
     """[rad/s]"""
     steady: float
-    """The speed of late: slip by noisy samples would explain their own noise [m/s]."""
+    """Smoothed speed: slip computed from noisy samples would be correlated with their noise [m/s].
+    """
 
 
 def integrate(
     pieces: Sequence[Piece], calibration: np.ndarray, rates: np.ndarray, straightest: float
 ) -> tuple[Motion, np.ndarray]:
-    """Return the motion over pieces of time.
+    """Preintegrate the twists of consecutive intervals.
 
     Parameters
     ----------
     pieces : sequence of Piece
         At least one.
     calibration : ndarray, shape (8,)
-        Where to linearise; the lag is in the pieces' times.
+        Linearisation point; the lag is already in the times of the pieces.
     rates : ndarray, shape (3, 3)
-        Of the noise; see `homeward.drives.odometry_noise.noise_rates`.
+        Growth of the variances; see `homeward.drives.odometry_noise.noise_rates`.
     straightest : float
-        How much the robot turns per metre where it drives straightest [rad/m].
+        Turn per metre where the robot drives straightest, r above [rad/m].
 
     Returns
     -------
     motion : Motion
-        From begin to end.
+        From start to end.
     by_bend : ndarray, shape (BENDS,)
-        Its length by how much the robot turned per metre [m].
+        Its length by class of turn per metre [m].
     """
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = 1.0 + float(calibration[SPEED_SCALE])
@@ -162,8 +167,8 @@ def _add_errors(
 ) -> np.ndarray:
     """Return the covariance of a motion, and fill in its Jacobian by scale, bias and slip.
 
-    Each chord is a piece, its middle x, y, its direction's cosine and sine, and what slips in it. A
-    turn in it swings all that comes after its middle up to the motion's `end`.
+    Each chord is an interval, its midpoint x, y, the cosine and sine of its direction, and its
+    slip. A turn in it rotates everything from its midpoint to the motion's `end`.
     """
     xx = xy = xt = yy = yt = tt = 0.0
     scale_x = scale_y = scale_t = bias_x = bias_y = bias_t = slip_x = slip_y = 0.0

@@ -1,4 +1,4 @@
-"""History of twists, late ones in their place, and the heading that they alone tell."""
+"""History of twists, with late ones inserted, and dead reckoning of heading and path."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import NamedTuple
 from homeward.estimator import HOLD_S
 
 STEADY_S = 0.5
-"""A robot's speed lasts so long, the noise of its samples does not [s]."""
+"""Averaging time of the speed: longer than the noise of samples, shorter than changes of speed [s].
+"""
 
 
 class Twist(NamedTuple):
-    """A twist, which holds from its stamp on, and the heading there."""
+    """A twist, valid from its stamp to the next, and the dead reckoning there."""
 
     t: float
     """[s]"""
@@ -24,18 +25,18 @@ class Twist(NamedTuple):
     omega: float
     """[rad/s]"""
     heading: float
-    """As odometry alone has it [rad]."""
+    """Heading by odometry alone [rad]."""
     path: float
-    """The same, driven forward less backward [m]."""
+    """Signed path by odometry alone, backward negative [m]."""
     steady: float
-    """Its speed before, without the noise of samples [m/s]."""
+    """Mean speed just before, free of sample noise [m/s]."""
 
 
 _stamp = attrgetter("t")
 
 
 class Twists:
-    """The one history of twists, which all ask that need any of it."""
+    """The single history of twists, shared by all that need any of it."""
 
     def __init__(self) -> None:
         self._twists: deque[Twist] = deque()
@@ -46,18 +47,18 @@ class Twists:
 
     @property
     def newest(self) -> float:
-        """Stamp of the newest twist [s]; minus infinity where there was none."""
+        """Stamp of the newest twist [s]; minus infinity if there was none."""
         return self._twists[-1].t if self._twists else -math.inf
 
     def add(self, t: float, v: float, omega: float) -> None:
-        """Take a twist, which may be late; one of the same stamp as another replaces it."""
+        """Insert a twist, which may be late; one with the stamp of another replaces it."""
         later = []
         while self._twists and self._twists[-1].t > t:
             later.append(self._twists.pop())
         if self._twists and t == self._twists[-1].t:
             self._twists.pop()
         for now in ((t, v, omega), *(twist[:3] for twist in reversed(later))):
-            self._twists.append(Twist(*now, *self._done(now[0]), self.steady_speed(now[0])))
+            self._twists.append(Twist(*now, *self._reckoned(now[0]), self.steady_speed(now[0])))
 
     def before(self, t: float) -> Twist | None:
         """Return the twist that holds at `t` [s], or did last; None before the first."""
@@ -65,15 +66,15 @@ class Twists:
         return self._twists[after - 1] if after else None
 
     def heading(self, t: float) -> float:
-        """Return the heading at `t` [s], by the twists alone [rad]."""
-        return self._done(t)[0]
+        """Return the heading at `t` [s], by odometry alone [rad]."""
+        return self._reckoned(t)[0]
 
     def steady_speed(self, t: float) -> float:
-        """Return the speed before `t` [s], without the noise of samples [m/s]."""
-        return (self._done(t)[1] - self._done(t - STEADY_S)[1]) / STEADY_S
+        """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
+        return (self._reckoned(t)[1] - self._reckoned(t - STEADY_S)[1]) / STEADY_S
 
-    def _done(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and path [m] at `t` [s], by the twists alone."""
+    def _reckoned(self, t: float) -> tuple[float, float]:
+        """Return heading [rad] and signed path [m] at `t` [s], by odometry alone."""
         twist = self.before(t)
         if twist is None:
             twist = self._twists[0] if self._twists else None

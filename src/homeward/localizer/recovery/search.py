@@ -55,7 +55,7 @@ class Search:
         mapped = [landmarks.mapped[n] for n in names]
         positions, covariances = landmarks.places(mapped)
         lines = SightLines(
-            cameras=np.array([c.free + c.jacobian @ calibration for c in cameras]),
+            cameras=np.array([c.uncalibrated + c.jacobian @ calibration for c in cameras]),
             bearings=np.array(bearings),
             sigmas=np.array(sigmas),
             names=np.array([m.number for m in mapped]),

@@ -52,7 +52,7 @@ class Learner:
         times the variance per metre. In a hall it may be as small as in a room.
         """
         share = min(1.0, smoother.state.scale / USUAL_DISTANCE_M)
-        smoother.scale_odometry(self._process_noise.expect(share))
+        smoother.scale_odometry(self._process_noise.scale_prior(share))
         smoother.slip_sigma = share * self._slip_sigma
 
     def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
@@ -85,7 +85,7 @@ class Learner:
         """
         now, sound = smoother.state, smoother.settled and self._noise.confirmed
         calibration = now.calibration, now.calibration_variances
-        if not (sound and self._extrinsics.denies(*calibration, now.scale)):
+        if not (sound and self._extrinsics.test(*calibration, now.scale)):
             return False
         smoother.mount_sigmas = self._extrinsics.sigmas
         return True

@@ -104,7 +104,7 @@ class Survey:
         at = np.array([[2 * self._index[n], 2 * self._index[n] + 1] for n in names], int).ravel()
         return np.asarray(self._covariance[np.ix_(at, at)])
 
-    def words(self, state: Marginal) -> tuple[str, ...]:
+    def notes(self, state: Marginal) -> tuple[str, ...]:
         """Return what the user must know of it, the map being in a state; sentences."""
         speed, sigma = state.calibration[SPEED_SCALE], state.calibration_variances[SPEED_SCALE]
         words = [f"By the known landmarks, speeds are {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f}"]
