@@ -291,12 +291,12 @@ def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
         Smoother(np.ones(5), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
     )
     landmarks.mapped["a"] = Landmark("a", 0)
-    assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, True])
-    assert not any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, True])
-    assert any(landmarks.refused({"a": fit}) for fit in 20 * [False, False, False, True])
+    assert not any(landmarks.update_rejections({"a": fit}) for fit in 20 * [False, True])
+    assert not any(landmarks.update_rejections({"a": fit}) for fit in 20 * [False, False, True])
+    assert any(landmarks.update_rejections({"a": fit}) for fit in 20 * [False, False, False, True])
     for _ in range(300):
-        landmarks.refused({"a": False})
-    assert not [landmarks.refused({"a": True}) for _ in range(20)][-1]
+        landmarks.update_rejections({"a": False})
+    assert not [landmarks.update_rejections({"a": True}) for _ in range(20)][-1]
 
 
 def test_a_clock_that_is_set_back_goes_on():

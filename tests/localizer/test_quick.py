@@ -8,7 +8,7 @@ from rig import Rig, Wheels, ring
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.map.landmarks import MOST_FROM_HOME
+from homeward.localizer.map.landmarks import MAX_HOME_LANDMARKS
 from homeward.localizer.map.sightings import LANDMARK, sighting_rows
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC, Motion, camera_on_robot
@@ -121,8 +121,8 @@ def test_of_very_many_landmarks_those_beyond_the_first_are_judged_too():
     rig = Rig(ring(60, near=1.5, far=5.0), seed=2, faults={"L7": 0.4, "L33": -0.3, "L58": 0.5})
     rig.drive(40)
     known = rig.localizer.chart.map.landmarks
-    assert len(known.seen_from(known.mapped)) == MOST_FROM_HOME
+    assert len(known.shared_with_home(known.mapped)) == MAX_HOME_LANDMARKS
     evaluate = {m.landmark for m in rig.localizer.landmarks() if m.moved is not None}
-    assert len(evaluate) > MOST_FROM_HOME
+    assert len(evaluate) > MAX_HOME_LANDMARKS
     assert rig.moved() == {"L7", "L33", "L58"}
     assert rig.error() < 0.1

@@ -198,7 +198,7 @@ class Chart:
         if not known.survey.places or known.knows_home or self.map.landmarks.expected:
             return
         state = self.map.state
-        eye, _ = state.after(self.map.camera(motion))
+        eye, _ = state.pose_after(self.map.camera(motion))
         found = self._first_fix.look(seen, eye, state.propagate(motion).covariance.diagonal()[:3])
         if found is not None:
             known.expect(*found)
@@ -213,8 +213,8 @@ class Chart:
             gated = self._gate_at_keyframe(seen, motion)
         else:
             gated = self.map.gate(seen, motion, False)
-            if gated.denies_motion:
-                self.map.take_back()
+            if gated.contradicts_motion:
+                self.map.drop_frame()
                 way = motion if motion.path else self.odometry.dropout_motion(seen.t)
                 gated = self._gate_at_keyframe(seen, way)
         if any(gated.fits.values()):
@@ -245,7 +245,7 @@ class Chart:
         """Update the map by what fits; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
-        refused = self.monitor.at_fault(self.map.landmarks.refused(gated.fits))
+        refused = self.monitor.at_fault(self.map.landmarks.update_rejections(gated.fits))
         try:
             changed = self.map.update(gated, refused)
             carried = carried_since(self.map.landmarks) if changed else None

@@ -74,13 +74,13 @@ class HomeObservation:
         names: list[str],
         index: np.ndarray,
         walks: np.ndarray,
-        astray: np.ndarray,
+        walk_moment: np.ndarray,
         state: Marginal,
         noise: BearingNoise,
     ) -> HomeProblem:
         """Return what is known of landmarks of home, `index` (q,) of a state of the map.
 
-        Each walks with a probability `walks` (q,), and then is off by `astray` (q, 2, 2) [m^2].
+        Each walks with probability `walks` (q,), its offset then having `walk_moment` (q, 2, 2) [m^2].
         """
         columns = np.empty(4 + 2 * index.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
@@ -89,8 +89,8 @@ class HomeObservation:
         covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
         each = np.arange(4, columns.size).reshape(-1, 2)
         at = each[:, :, None], each[:, None, :]
-        counted = counted_for(covariance[at], walks, astray)
-        uncounted = covariance[at] + walks[:, None, None] * astray - counted
+        counted = counted_for(covariance[at], walks, walk_moment)
+        uncounted = covariance[at] + walks[:, None, None] * walk_moment - counted
         covariance[at] = counted
         shift = np.zeros(3)
         if self._same_camera:
@@ -123,7 +123,7 @@ class HomeObservation:
         return self._bearings, sigmas
 
 
-def counted_for(stands: np.ndarray, walks: np.ndarray, astray: np.ndarray) -> np.ndarray:
+def counted_for(stands: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray) -> np.ndarray:
     """Return the covariances by which places count that may be wrong, shape (q, 2, 2).
 
     Their information is that of either case, by how probable it is.
@@ -132,8 +132,8 @@ def counted_for(stands: np.ndarray, walks: np.ndarray, astray: np.ndarray) -> np
     ----------
     stands : ndarray, shape (q, 2, 2)
         Covariances of the places, if all stand.
-    walks, astray : ndarray, shape (q,), (q, 2, 2)
+    walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
         How probable each is to walk, and how much less certain it is then.
     """
-    either = stands + (1.0 - walks)[:, None, None] * astray
-    return np.asarray((stands + astray) @ np.linalg.solve(either, stands))
+    either = stands + (1.0 - walks)[:, None, None] * walk_moment
+    return np.asarray((stands + walk_moment) @ np.linalg.solve(either, stands))

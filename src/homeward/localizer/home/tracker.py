@@ -72,7 +72,7 @@ class HomeTracker:
     def update(self, known: Map) -> None:
         """Follow home as the map changes; search for it anew when there is reason to."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
-        self.names = known.landmarks.seen_from(self.observation.bearings)
+        self.names = known.landmarks.shared_with_home(self.observation.bearings)
         self._surveyed = known.registration.knows_home
         if self._surveyed is not frame:  # home is in another frame now
             now = None
@@ -92,7 +92,7 @@ class HomeTracker:
         It is in the odometry frame; where the map has a survey in home's frame, in that.
         """
         state = known.registration.from_home(state)
-        places = known.as_home_saw(self.names)
+        places = known.places_for_home(self.names)
         problem = self.observation.problem(self.names, *places, state, self._noise)
         if not known.registration.knows_home:
             return problem
@@ -125,7 +125,7 @@ class HomeTracker:
         if now is None:
             return None
         if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
-            # The best set's home went astray: there may be a way back to it, or a better one.
+            # The best set's home went walk_moment: there may be a way back to it, or a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
 

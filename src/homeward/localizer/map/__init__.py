@@ -1,1 +1,1 @@
-"""The map in the odometry frame, by fixed-lag smoothing; it knows nothing of home."""
+"""Map: keyframes and landmarks in the odometry frame; knows nothing of home."""

@@ -1,9 +1,9 @@
-"""Block-tridiagonal elimination (Schur complement) of a chain of poses with shared unknowns.
+"""Schur complement of a chain of poses with shared unknowns (block-tridiagonal elimination).
 
 The Hessian is block tridiagonal in the poses and dense in the shared unknowns. All poses but the
-newest are eliminated at once by a banded Cholesky factor, which leaves what is known of the newest
-pose and the shared unknowns; the others follow by substitution, or it is kept in their place, as
-the prior.
+newest are eliminated at once by a banded Cholesky factor. This leaves the information on the newest
+pose and the shared unknowns. The other poses follow by back substitution; or what is left becomes
+the prior that replaces them (marginalisation).
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from scipy.linalg import lapack
 from homeward.localizer.map.state import HEAD
 
 BAND = 6
-"""Diagonals of the lower half of the chain of poses: a block of three and the next one."""
+"""Diagonals of the lower half of the chain's Hessian: a block of three and the next one."""
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Hessian and downhill gradient of w poses and a shared unknowns."""
+    """Normal equations: Hessian and negative gradient of w poses and a shared unknowns."""
 
     own: np.ndarray
-    """(w, 3, 3): of each pose with itself."""
+    """(w, 3, 3): diagonal blocks of the poses."""
     next: np.ndarray
-    """(w - 1, 3, 3): of each pose (rows) with the next one (columns)."""
+    """(w - 1, 3, 3): blocks of each pose (rows) with the next one (columns)."""
     shared: np.ndarray
-    """(w, 3, a): of each pose with the shared unknowns."""
+    """(w, 3, a): blocks of each pose with the shared unknowns."""
     common: np.ndarray
-    """(a, a): of the shared unknowns."""
+    """(a, a): block of the shared unknowns."""
     slope: np.ndarray
-    """(w, 3)"""
+    """(w, 3): negative gradient by the poses ..."""
     common_slope: np.ndarray
-    """(a,)"""
+    """(a,): ... and by the shared unknowns."""
 
     @staticmethod
     def zeros(w: int, a: int) -> NormalEquations:
-        """Return equations that say nothing yet."""
+        """Return empty normal equations."""
         return NormalEquations(
             np.zeros((w, 3, 3)),
             np.zeros((max(w - 1, 0), 3, 3)),
@@ -51,20 +51,20 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Elimination:
-    """Normal equations of which all poses but the newest are eliminated."""
+    """Normal equations with all poses but the newest eliminated."""
 
     factor: np.ndarray
     """(BAND, 3 (w - 1)): banded Cholesky factor of their Hessian."""
     couplings: np.ndarray
-    """(3 (w - 1), 3 + a + 1): its inverse times their couplings to the newest pose, to the shared
-    unknowns, and the slope."""
+    """(3 (w - 1), 3 + a + 1): its inverse times the blocks with the newest pose, with the shared
+    unknowns, and the negative gradient."""
     information: np.ndarray
-    """(3 + a, 3 + a): on the newest pose and the shared unknowns."""
+    """(3 + a, 3 + a): information on the newest pose and the shared unknowns."""
     gradient: np.ndarray
-    """(3 + a,): downhill."""
+    """(3 + a,): their negative gradient."""
 
-    def no_gradient(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return zeros of the shapes of a gradient, (w, 3) and (a,)."""
+    def zero_gradient(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return a gradient of zero, shapes (w, 3) and (a,)."""
         return np.zeros((len(self.couplings) // 3 + 1, 3)), np.zeros(len(self.information) - 3)
 
     def solve(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -90,14 +90,14 @@ class Elimination:
         return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
 
     def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the steps of poses (w, 3), and of what they share (a,), by another gradient.
+        """Return the steps of poses (w, 3) and shared unknowns (a,) for another gradient.
 
-        Or by c of them at once: then of shapes (w, 3, c) and (a, c).
+        Or for c of them at once: then of shapes (w, 3, c) and (a, c).
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When what is left is singular.
+            When they are singular.
         """
         older, couplings = slope[:-1].reshape(-1, *slope.shape[2:]), self.couplings[:, :-1]
         if older.size:
@@ -116,7 +116,7 @@ def eliminate(e: NormalEquations) -> Elimination:
     Raises
     ------
     numpy.linalg.LinAlgError
-        When they are not fixed.
+        When a pose is not determined.
     """
     a, n = len(e.common), 3 * (len(e.own) - 1)
     information = np.empty((3 + a, 3 + a))
@@ -127,7 +127,7 @@ def eliminate(e: NormalEquations) -> Elimination:
         return Elimination(np.empty((BAND, 0)), np.empty((0, 4 + a)), information, gradient)
     factor, failed = lapack.dpbtrf(_banded(e.own[:-1], e.next[:-1]), lower=1, overwrite_ab=1)
     if failed:
-        raise np.linalg.LinAlgError("a pose is not fixed")
+        raise np.linalg.LinAlgError("a pose is not determined")
     couplings = np.zeros((4 + a, n)).T  # in columns, as LAPACK has them
     couplings[-3:, :3] = e.next[-1]
     couplings[:, 3:-1], couplings[:, -1] = e.shared[:-1].reshape(n, a), e.slope[:-1].ravel()
@@ -139,7 +139,7 @@ def eliminate(e: NormalEquations) -> Elimination:
 
 
 def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
-    """Return a chain of blocks as LAPACK's lower band, shape (BAND, 3 w)."""
+    """Return a chain of blocks in LAPACK's lower band storage, shape (BAND, 3 w)."""
     band = np.zeros((BAND, len(own), 3))
     for column in range(3):
         band[: 3 - column, :, column] = own[:, column:, column].T
@@ -148,14 +148,14 @@ def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
 
 
 def _substitute(left: Elimination, whitened: np.ndarray) -> np.ndarray:
-    """Return what the eliminated poses are by what is left after the factor is taken out."""
+    """Return the eliminated poses by back substitution."""
     if not whitened.size:
         return whitened
     return np.asarray(lapack.dtbtrs(left.factor, whitened, uplo="L", trans="T")[0])
 
 
 def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the covariances of all poses (for the whole of a drive).
+    """Return the marginal covariances of all poses, for smoothing a whole drive.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def _diagonal_of_inverse(own: np.ndarray, following: np.ndarray, newest: np.ndar
     """Return the diagonal blocks of a chain's inverse, the last of which is `newest` (3, 3)."""
     found, gains, passed = own.copy(), np.empty_like(following), np.zeros((3, 3))
     for k, coupling in enumerate(following):
-        found[k] = np.linalg.inv(own[k] - passed)  # were all that comes after it known
+        found[k] = np.linalg.inv(own[k] - passed)  # given all poses after it
         gains[k] = found[k] @ coupling
         passed = coupling.T @ gains[k]
     found[-1] = newest
@@ -192,7 +192,7 @@ def _diagonal_of_inverse(own: np.ndarray, following: np.ndarray, newest: np.ndar
 
 
 def positive_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverse of a symmetric positive definite matrix, to the last bit symmetric.
+    """Return the inverse of a symmetric positive definite matrix, exactly symmetric.
 
     Raises
     ------
@@ -206,14 +206,14 @@ def positive_inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 class Prior:
-    """What eliminated keyframes say of oldest pose, calibration and map.
+    """Marginalisation prior on oldest pose, calibration and landmarks.
 
-    A Gaussian in information form, linear around a point.
+    A Gaussian in information form, with a fixed linearisation point.
 
     Parameters
     ----------
     information : ndarray, shape (11 + 2 n, 11 + 2 n)
-        On oldest pose, calibration and landmarks, around zero.
+        Initial information on oldest pose, calibration and landmarks, around zero.
     """
 
     def __init__(self, information: np.ndarray) -> None:
@@ -232,7 +232,7 @@ class Prior:
         e.common_slope[:] += downhill[3:]
 
     def add_landmark(self, position: np.ndarray, sigma: float) -> None:
-        """Add a landmark of which nothing is known but that it is around (2,) within `sigma`."""
+        """Add a landmark with a weak prior, around (2,) with standard deviation `sigma`."""
         size = len(self._gradient)
         grown = np.zeros((size + 2, size + 2))
         grown[:size, :size] = self._information
@@ -253,10 +253,10 @@ class Prior:
         self._at = now[keep]
 
     def replace(self, left: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
-        """Take what is left of keyframes that were eliminated, linearised at `at`.
+        """Replace it by an elimination, linearised at `at`.
 
-        The calibration drifts by variances (8,) meanwhile: the old one is marginalised, the new one
-        takes its place.
+        The calibration drifts meanwhile by variances (8,): the old one is marginalised, and the new
+        one takes its place.
         """
         c = slice(3, HEAD)
         inverse = np.diag(1.0 / (drift + 1e-16))

@@ -1,4 +1,4 @@
-"""Odometry and bearing factors, linearised: their part of the normal equations."""
+"""Odometry and bearing factors, linearised, and their normal equations."""
 
 from __future__ import annotations
 
@@ -12,50 +12,51 @@ from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.tunables import GATE
 
-LEAST = 1e-10 * np.eye(3)
-"""No motion is known better than this [m^2, rad^2]."""
+MIN_COVARIANCE = 1e-10 * np.eye(3)
+"""Smallest covariance of a motion [m^2, rad^2]."""
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 STEP = 12 + 3 * NC
-"""Columns of the table of steps from keyframe to keyframe: the motion were the calibration zero,
-the inverse of its covariance (3, 3), and its derivative by the calibration (3, 8)."""
-MOST_EMPTY = 8
-"""Sums of groups are padded to their largest, unless that takes so many times the room [1]."""
+"""Columns of the table of motions between keyframes: the motion for a calibration of zero, the
+inverse of its covariance (3, 3), and its Jacobian by the calibration (3, 8)."""
+MAX_PADDING = 8
+"""Groups are padded to the largest, unless that takes this many times the memory [1]."""
 
 
 def step_row(motion: Motion) -> np.ndarray:
     """Return a motion as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.uncalibrated
-    row[0, INFORMATION] = np.linalg.inv(motion.covariance + LEAST).ravel()
+    row[0, INFORMATION] = np.linalg.inv(motion.covariance + MIN_COVARIANCE).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
     return row
 
 
 def scale_steps(steps: np.ndarray, factors: np.ndarray) -> None:
-    """Let the variances of shift and turn (2,) be so many times as large, in rows of the table."""
+    """Scale the variances of shift and turn by factors (2,), in rows of the table."""
     root = np.sqrt(factors)[[0, 0, 1]]
     steps[:, INFORMATION] /= np.outer(root, root).ravel()
 
 
 class OdometryErrors(NamedTuple):
-    """Odometry factors, linearised: what k steps leave between poses."""
+    """Odometry factors between k + 1 poses, linearised."""
 
     error: np.ndarray
-    """(k, 3): measured minus expected motion [m, m, rad]."""
+    """(k, 3): residual, measured minus expected motion [m, m, rad]."""
     jacobian: np.ndarray
-    """(k, 3, 14): of the expected one, by both poses and the calibration."""
+    """(k, 3, 14): Jacobian of the expected motion by both poses and the calibration."""
     information: np.ndarray
-    """(k, 3, 3): inverse of the covariance of the error."""
+    """(k, 3, 3): inverse of the covariance of the residual."""
     weight: np.ndarray
-    """(k,): of `cauchy_weights`: wheels slip, robots are shoved."""
+    """(k,): robust weights, see `cauchy_weights`: wheels slip, robots are pushed."""
 
 
 def cauchy_weights(squares: np.ndarray) -> np.ndarray:
-    """Weigh motions by their squared Mahalanobis errors: less than one for what is far off.
+    """Return the weights of a Cauchy M-estimator by squared Mahalanobis distances, 1 at most.
 
-    As of a Cauchy distribution in three dimensions (Lange, Little and Taylor, "Robust statistical
-    modeling using the t distribution", 1989, of one degree of freedom), so that a motion in which
-    wheels slip tells next to nothing; none counts for more than it says.
+    For the Cauchy distribution in three dimensions: the t distribution of one degree of freedom in
+    Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989. A motion
+    in which wheels slip then has hardly any influence; none counts for more than its covariance
+    says.
     """
     return np.asarray(4.0 / np.maximum(1.0 + squares, 4.0))
 
@@ -63,17 +64,18 @@ def cauchy_weights(squares: np.ndarray) -> np.ndarray:
 def odometry_errors(
     poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> OdometryErrors:
-    """Linearise the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,).
+    """Linearise the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (8,).
 
-    Errors are measured in the odometry's own metres: else all of them would shrink with the scale
-    of its speed, which nothing else may hold, and the map with it (errors in variables).
+    Residuals are measured in the odometry's own metres. Otherwise all of them would shrink with the
+    scale of its speed, which may be otherwise undetermined, and the map with it (errors in
+    variables).
     """
     a, b = poses[:-1], poses[1:]
     by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
     size = np.array([1.0 + calibration[SPEED_SCALE], 1.0 + calibration[SPEED_SCALE], 1.0])
     error = (steps[:, FREE] + by_calibration @ calibration - between(a, b)) / size
     back = rotation(a[:, 2]).transpose(0, 2, 1)
-    jacobian = np.empty((len(a), 3, 6 + NC))  # of the expected motion, less the odometry's
+    jacobian = np.empty((len(a), 3, 6 + NC))  # of expected minus measured motion
     jacobian[:, :, :3], jacobian[:, :, 3:6] = -back @ lever(b - a), back
     jacobian[:, :, 6:] = -by_calibration
     jacobian[:, :2, 6 + SPEED_SCALE] += error[:, :2]
@@ -86,7 +88,7 @@ def odometry_errors(
 def add_odometry(
     e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the steps (w - 1, STEP) between `poses` (w, 3), the calibration being (8,)."""
+    """Add the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (8,)."""
     if len(poses) < 2:
         return
     error, jacobian, information, weight = odometry_errors(poses, calibration, steps)
@@ -106,16 +108,16 @@ def add_odometry(
 
 
 class WeighedSightings(NamedTuple):
-    """Sightings, linearised, over the deviations by which they count."""
+    """Bearing factors, linearised and normalised by effective standard deviations."""
 
     residual: np.ndarray
-    """(m,): measured minus expected bearing [1]."""
+    """(m,): normalised residual, measured minus expected bearing [1]."""
     jacobian: np.ndarray
-    """(m, 13): of the expected one, by keyframe's pose, calibration and landmark."""
+    """(m, 13): normalised Jacobian of the expected one by pose, calibration and landmark."""
     pose: np.ndarray
-    """(m,), int: from which pose each was made, and ..."""
+    """(m,), int: the pose from which each was made ..."""
     landmark: np.ndarray
-    """(m,), int: ... of which landmark."""
+    """(m,), int: ... and its landmark."""
 
 
 def weigh_sightings(
@@ -126,23 +128,23 @@ def weigh_sightings(
     pose: np.ndarray,
     landmark: np.ndarray,
 ) -> WeighedSightings:
-    """Weigh sightings, those with large residuals less.
+    """Normalise bearing factors, with a redescending M-estimator against large residuals.
 
     Parameters
     ----------
     residual, jacobian : ndarray, shape (m,), (m, 13)
-        Of `bearing_residuals`.
+        See `bearing_residuals`.
     sigma, effective : ndarray, shape (m,)
-        Standard deviations of each, and by which it counts beside those before it [rad].
+        Standard deviations, and effective ones beside earlier sightings [rad].
     pose, landmark : ndarray, shape (m,), int
-        From which pose each was made, and of which landmark.
+        Indices of the pose and of the landmark of each.
     """
     scale = 1.0 / (effective * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
     return WeighedSightings(scale * residual, scale[:, None] * jacobian, pose, landmark)
 
 
 def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
-    """Add sightings to the equations of w poses, and the calibration and n landmarks they share."""
+    """Add bearing factors to the normal equations of w poses, calibration and n landmarks."""
     if not seen.residual.size:
         return
     jacobian, w, n = seen.jacobian, len(e.own), (len(e.common) - NC) // 2
@@ -169,14 +171,13 @@ def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
 
 
 def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
-    """Return the sums of outer products of rows (m, i), (m, j) of each group (groups, i, j).
+    """Return the sums of outer products of rows (m, i), (m, j) by group, (groups, i, j).
 
-    Each row is of the group (m,) whose number is given. They are put side by side, a line for each
-    group, and multiplied there, unless most of that would stay empty.
+    Groups are padded to equal size and multiplied as a batch, unless most of that would be empty.
     """
     counts = np.bincount(group, minlength=groups)
     most = int(counts.max(initial=0))
-    if groups * most > MOST_EMPTY * len(group):
+    if groups * most > MAX_PADDING * len(group):
         return _sum_one_by_one(group, left, right, groups)
     order = np.argsort(group, kind="stable")
     place = np.empty_like(order)
@@ -190,7 +191,7 @@ def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) 
 def sum_by_pair(
     seen: WeighedSightings, left: np.ndarray, right: np.ndarray, w: int, n: int
 ) -> np.ndarray:
-    """Return the same of w poses and n landmarks, (w, i, j n): a pair has but a few sightings."""
+    """Return such sums by pose and landmark, (w, i, j n), where each pair has few sightings."""
     sums = _sum_one_by_one(seen.pose * n + seen.landmark, left, right, w * n)
     return sums.reshape(w, n, *sums.shape[1:]).transpose(0, 2, 1, 3).reshape(w, left.shape[1], -1)
 
@@ -198,7 +199,7 @@ def sum_by_pair(
 def _sum_one_by_one(
     group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int
 ) -> np.ndarray:
-    """Return what `sum_by` does, in memory that goes with rows and groups."""
+    """Return what `sum_by` does, in memory proportional to rows and groups."""
     blocks = left[:, :, None] * right[:, None, :]
     size = left.shape[1] * right.shape[1]
     at = size * group[:, None] + np.arange(size)

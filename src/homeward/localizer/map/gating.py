@@ -1,7 +1,7 @@
-"""Innovation gate and data snooping (Baarda, 1968): which sightings fit what the map predicts.
+"""Innovation gate and data snooping (Baarda, 1968): which bearings fit the map's prediction.
 
-And what of odometry's noise is in them: it makes innovations large, and bearings that were taken on
-the way from a keyframe vague.
+The gate allows for the noise of odometry, which makes innovations large, and which inflates the
+noise of bearings that are seen between keyframes.
 """
 
 from __future__ import annotations
@@ -30,54 +30,54 @@ from homeward.localizer.tunables import (
     MIN_BEARINGS,
 )
 
-FINEST, ROUNDING = 1e-6, 1e-10
-"""No bearing is taken for better than this [rad], nor than such a share of the largest variance."""
+MIN_SIGMA, ROUNDING = 1e-6, 1e-10
+"""Smallest standard deviation of a bearing [rad]; smallest share of the largest variance [1]."""
 
 
 @dataclass(frozen=True)
 class Gated:
-    """Gated frame: which of its bearings fit the map."""
+    """Frame of m landmarks after the gate."""
 
     frame: WeighedFrame
-    """Of m landmarks."""
+    """The bearings."""
     motion: Motion
-    """Since the newest keyframe."""
+    """Motion since the newest keyframe."""
     new_keyframe: bool
-    """Whether that is at this frame."""
+    """Whether the newest keyframe is at this frame."""
     rows: np.ndarray
-    """(m, COLUMNS): of the table of sightings."""
+    """(m, COLUMNS): rows of the table of sightings."""
     directions: np.ndarray
-    """(m,): of the sight lines in the odometry frame [rad], not wrapped."""
+    """(m,): directions of the sight lines in the odometry frame [rad], not wrapped."""
     prediction: Prediction
-    """Of the landmarks that are mapped ..."""
+    """Prediction of the bearings of mapped landmarks ..."""
     innovations: list[Innovation]
-    """... and whether they fit that."""
-    denies_motion: bool
-    """Whether those that fit deny the motion since the newest keyframe."""
+    """... and their innovations."""
+    contradicts_motion: bool
+    """Whether the accepted bearings contradict the motion since the newest keyframe."""
 
     @cached_property
     def fits(self) -> dict[str, bool]:
-        """Whether the bearing of each mapped landmark fits."""
+        """Whether the bearing of each mapped landmark was accepted."""
         return {i.landmark: i.accepted for i in self.innovations}
 
 
 def gate_bearings(
     prediction: Prediction, motion: Motion, new_keyframe: bool, heading: float, gate: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gate the innovations: which sightings fit what the map predicts.
+    """Gate the innovations: which bearings fit the prediction.
 
     Parameters
     ----------
     prediction : Prediction
         Of m mapped landmarks.
     motion : Motion
-        The last one before the sightings.
+        The motion that led to the frame.
     new_keyframe : bool
-        Whether the newest keyframe is after `motion`, not before.
+        Whether the newest keyframe is at the end of `motion`, not at its start.
     heading : float
-        Where `motion` begins [rad].
+        Heading at the start of `motion` [rad].
     gate : float
-        Sightings whose innovation is larger do not fit [standard deviations].
+        Largest innovation [standard deviations].
 
     Returns
     -------
@@ -92,7 +92,7 @@ def gate_bearings(
     accepted = np.abs(prediction.residual) <= gate * widened
     if np.count_nonzero(accepted) >= MIN_BEARINGS:
         among = prediction.only(accepted)
-        by_motion = (GATE_INFLATION**2 - new_keyframe) * _from_motion(motion, heading, among)
+        by_motion = (GATE_INFLATION**2 - new_keyframe) * _motion_covariance(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
         accepted[accepted] = consistent_subset(
             among.residual, among.innovation_covariance + by_motion, gate, likely
@@ -100,24 +100,25 @@ def gate_bearings(
     return accepted, np.sqrt(variance)
 
 
-def denies_motion(prediction: Prediction, motion: Motion, heading: float) -> bool:
-    """Return whether bearings that fit are all the same too far off for a motion to be right.
+def contradicts_motion(prediction: Prediction, motion: Motion, heading: float) -> bool:
+    """Test accepted bearings jointly against the motion (chi-square); return whether it fails.
 
-    Wheels slip, or stand while the robot goes on: a chi-square test of all innovations together.
+    Each may pass the gate although the motion is wrong: wheels slip, or stand while the robot
+    moves.
 
     Parameters
     ----------
     prediction : Prediction
-        Of those that fit, from the newest keyframe.
+        Of the accepted bearings, from the newest keyframe.
     motion : Motion
         Since then.
     heading : float
-        Where it begins [rad].
+        At the start of it [rad].
     """
     count = prediction.residual.size
     if count < MIN_BEARINGS:
         return False
-    covariance = prediction.innovation_covariance + _from_motion(motion, heading, prediction)
+    covariance = prediction.innovation_covariance + _motion_covariance(motion, heading, prediction)
     _, weighted, vague = lapack.dposv(covariance, prediction.residual)
     return not vague and bool(prediction.residual @ weighted > chdtri(count, FALSE_ALARM))
 
@@ -125,32 +126,33 @@ def denies_motion(prediction: Prediction, motion: Motion, heading: float) -> boo
 def inflate_by_odometry(
     rows: np.ndarray, motion: Motion, stamp: int, prediction: Prediction, marginal: Marginal
 ) -> np.ndarray | None:
-    """Inflate the deviations of bearings by the odometry's noise since the newest keyframe.
+    """Inflate standard deviations of bearings by the odometry noise since the newest keyframe.
 
-    The table of sightings takes that way for exact and the sightings for independent, while the
-    error of the way is in all sightings of a stamp, and goes on in the later stamps'. So the k-th
-    stamp bears its variance k + 1 times for each of its sightings: as the variance grows with k,
-    and sum(1 / k / (k + 1)) = 1, all stamps then tell of the keyframe what the first one alone
-    would. Else noisy odometry makes the map too large, and the pose too sure.
+    The smoother takes the motion from the keyframe to a frame as exact and bearings as independent,
+    while the error of the motion is common to all bearings of a frame, and to later frames. So the
+    k-th frame bears its variance k + 1 times for each of its bearings. As the variance grows with
+    k, and sum(1 / k / (k + 1)) = 1, all frames together then have the information on the keyframe
+    that the first alone would have. Otherwise noisy odometry makes the map too large and the pose
+    overconfident.
 
     Parameters
     ----------
     rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings, with the deviations of the bearings alone. Those of landmarks
-        that are not mapped are taken to be as far as the mapped ones mostly are.
+        Of the table of sightings, with the standard deviations of the bearings alone. Landmarks
+        that are not mapped are taken to be at the median distance of the mapped ones.
     motion : Motion
         From the newest keyframe to the stamp.
     stamp : int
-        Its number k since then, from 1.
+        Number k of the frame since then, from 1.
     prediction : Prediction
-        Of those that are mapped.
+        Of those of mapped landmarks.
     marginal : Marginal
-        What is known of the newest keyframe and the map.
+        The state.
 
     Returns
     -------
     ndarray, shape (m,)
-        [rad]; None where the way is so uncertain that the bearings are of no use.
+        [rad]; None where the motion is so uncertain that the bearings are useless.
     """
     sigmas, known = rows[:, SIGMA], rows[:, LANDMARK] >= 0
     if not known.size:
@@ -172,8 +174,8 @@ def consistent_subset(
 ) -> np.ndarray:
     """Return the largest consistent subset of residuals, by data snooping.
 
-    One after the other, the one is left out that is farthest from what the others let expect
-    (data snooping: Baarda, "A testing procedure for use in geodetic networks", 1968).
+    The residual farthest from its prediction by the others is removed, one after the other (Baarda,
+    "A testing procedure for use in geodetic networks", 1968).
 
     Parameters
     ----------
@@ -182,19 +184,19 @@ def consistent_subset(
     innovation_covariance : ndarray, shape (m, m)
         Their covariance.
     gate : float
-        The farthest may be so far off [standard deviations].
+        Largest distance from that prediction [standard deviations].
     likely : ndarray, shape (m,), bool
-        Which are where odometry has them, its noise being what it says.
+        Which ones the gate would accept without its inflation of odometry noise.
 
     Returns
     -------
     ndarray, shape (m,), bool
-        Where too many would have to be left out, the likely ones; all, where these are too few.
+        Where too many would be removed: the likely ones, or all if these are too few.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
     innovation_covariance = innovation_covariance.copy()
     variances = innovation_covariance.reshape(-1)[:: m + 1]
-    variances += FINEST**2 + ROUNDING * variances.max(initial=0.0)
+    variances += MIN_SIGMA**2 + ROUNDING * variances.max(initial=0.0)
     _data_snooping(kept, residual, innovation_covariance, gate)
     if np.count_nonzero(kept) >= MAJORITY * m:
         return kept
@@ -205,10 +207,10 @@ def consistent_subset(
 def _data_snooping(
     kept: np.ndarray, residual: np.ndarray, innovation_covariance: np.ndarray, gate: float
 ) -> None:
-    """Leave out those that do not agree with the others, in `kept`."""
+    """Remove from `kept` those that do not agree with the others."""
     try:
         information = positive_inverse(innovation_covariance)
-    except np.linalg.LinAlgError:  # nothing can be told
+    except np.linalg.LinAlgError:  # no test is possible
         return
     while np.count_nonzero(kept) >= MIN_BEARINGS:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
@@ -220,9 +222,9 @@ def _data_snooping(
         information -= np.outer(row, row) / row[worst]
 
 
-def _from_motion(motion: Motion, heading: float, prediction: Prediction) -> np.ndarray:
-    """Return the covariance of residuals (m, m) that comes from a motion's noise."""
+def _motion_covariance(motion: Motion, heading: float, prediction: Prediction) -> np.ndarray:
+    """Return the covariance of residuals (m, m) by a motion's noise."""
     off = prediction.jacobian[:, HEAD:]
-    by_motion = off @ rotation(heading)[:2]  # less the sign, which does not matter
+    by_motion = off @ rotation(heading)[:2]  # the sign does not matter
     by_motion[:, 2] = 1.0
     return np.asarray(by_motion @ motion.covariance @ by_motion.T)

@@ -1,4 +1,4 @@
-"""Landmark life cycle: candidates, mapped landmarks, and those that moved."""
+"""Landmark life cycle: candidates (delayed initialisation), mapped landmarks, moved landmarks."""
 
 from __future__ import annotations
 
@@ -34,34 +34,34 @@ from homeward.localizer.tunables import (
     SWAP_RATIO,
 )
 
-MOST_STARTS = 6
-"""Landmarks tried to be started at one keyframe."""
-MORE = 1.1
-"""Sight lines that did not tell a position are tried again when there are so many times more."""
-MOST_FROM_HOME = 48
-"""Home is found among so many landmarks at most; those that came first are the nearest."""
+MAX_TRIALS = 6
+"""Candidates triangulated per keyframe."""
+RETRY_GROWTH = 1.1
+"""A failed candidate is tried again once it has this many times more sightings."""
+MAX_HOME_LANDMARKS = 48
+"""Landmarks used for the resection of home; those that came first are the nearest."""
 
 
 @dataclass
 class Landmark:
-    """What is kept of a landmark in the map."""
+    """A mapped landmark."""
 
     name: str
     number: int
     """Its id in the smoother."""
     sightings: int = 0
     entered: int = 0
-    """Keyframe at which it entered the map ..."""
+    """Keyframe at which it was initialised ..."""
     first: int = 0
-    """... from which it was first seen ..."""
+    """... of its first sighting ..."""
     last: int = 0
-    """... and from which it was last seen where it stands."""
-    refused: int = 0
-    """By how many more sightings of late did not fit than, counted twice, did."""
-    astray: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
-    """Second moment of how far it is off its place if it walks about [m^2]."""
+    """... and of the last one that fitted its position."""
+    rejections: int = 0
+    """Recent rejections less twice the acceptances, not below zero."""
+    walk_moment: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    """Second moment of its offset from the mapped position if it walks [m^2]."""
     lines: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Direction of the first sight line [rad], and how far others lie to either side of it."""
+    """Direction of the first sight line [rad], and how far the others lie to either side of it."""
 
     @property
     def parallax(self) -> float:
@@ -70,11 +70,11 @@ class Landmark:
 
     @property
     def established(self) -> bool:
-        """Whether it was seen often enough, and from enough sides, to say that it moved."""
+        """Whether it has the sightings and the parallax needed to declare it moved."""
         return self.parallax >= LINEAR_RANGE and self.sightings >= ESTABLISHED_SIGHTINGS
 
-    def seen_along(self, direction: float) -> None:
-        """Count a sighting along a direction in the odometry frame [rad]."""
+    def count_sighting(self, direction: float) -> None:
+        """Count a sighting, along a direction in the odometry frame [rad]."""
         if not self.sightings:
             self.lines = (direction, 0.0, 0.0)
         first, low, high = self.lines
@@ -85,131 +85,133 @@ class Landmark:
 
 @dataclass
 class Candidate:
-    """Candidate: sightings of a landmark that is not in the map yet, or not where it was mapped."""
+    """Candidate: sightings of a landmark that is not mapped, or that do not fit its position."""
 
     since: float
-    """When the first of them was seen [s]."""
+    """Time of the first of them [s]."""
     rows: deque[np.ndarray] = field(default_factory=deque)
-    due: float = 0.0
-    """It is worth a try when there are so many rows."""
+    next_trial: float = 0.0
+    """Number of sightings at which it is tried next."""
 
 
 class Landmarks:
-    """Which landmarks the map has, and how they come and go.
+    """The landmarks of the map: their initialisation, rejection and removal.
 
     Parameters
     ----------
     smoother : Smoother
-        What they enter and leave.
+        The map that they are part of.
     parallax : float
-        Angle between two sight lines that a landmark needs to enter [rad].
+        Smallest angle between two sight lines for triangulation [rad].
     """
 
     def __init__(self, smoother: Smoother, parallax: float) -> None:
         self.smoother, self._parallax = smoother, parallax
         self.mapped: dict[str, Landmark] = {}
         self.former: dict[str, Landmark] = {}
-        """Where landmarks stood that moved during the drive."""
+        """Former positions of landmarks that moved during the drive."""
         self.moved_at: dict[str, float] = {}
         """When they moved [s]."""
         self.range_mixtures: dict[str, RangeMixture] = {}
-        """Rays on which landmarks stand that have no place in the map."""
+        """Range mixtures of landmarks that could not be triangulated yet."""
         self.expected: dict[str, np.ndarray] = {}
-        """Where surveyed landmarks are to be that are not mapped yet, (2,) [m]."""
+        """Expected positions of surveyed landmarks that are not mapped yet, (2,) [m]."""
         self._candidates: dict[str, Candidate] = {}
 
-    def seen_from(self, home: Collection[str]) -> list[str]:
-        """Return the landmarks that home saw and the map has or had, in the order they came."""
+    def shared_with_home(self, home: Collection[str]) -> list[str]:
+        """Return landmarks that home saw and that are or were mapped, oldest first."""
         came = {**self.former, **self.mapped}
-        return [name for name in came if name in home][:MOST_FROM_HOME]
+        return [name for name in came if name in home][:MAX_HOME_LANDMARKS]
 
     def ids(self, names: Iterable[str]) -> np.ndarray:
-        """Return the ids of landmarks where they stand, shape (m,); -1 of those not mapped."""
+        """Return the smoother's ids of landmarks, shape (m,); -1 of those not mapped."""
         return np.array([self.mapped[n].number if n in self.mapped else -1 for n in names], int)
 
     def index(self, landmarks: Iterable[Landmark]) -> np.ndarray:
-        """Return which landmarks of the state these are, shape (k,)."""
+        """Return the indices of landmarks in the state, shape (k,)."""
         return self.smoother.index(np.array([m.number for m in landmarks], int))
 
-    def walking(self, landmarks: Iterable[Landmark]) -> np.ndarray:
-        """Return how probable landmarks are to walk about, shape (k,)."""
-        return np.asarray(1.0 - self.smoother.stands[self.index(landmarks)])
+    def walking_probabilities(self, landmarks: Iterable[Landmark]) -> np.ndarray:
+        """Return the probabilities of landmarks to be walking about, shape (k,)."""
+        return np.asarray(1.0 - self.smoother.p_static[self.index(landmarks)])
 
     def places(self, landmarks: Iterable[Landmark]) -> tuple[np.ndarray, np.ndarray]:
-        """Return where landmarks stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
+        """Return positions of landmarks, (k, 2) [m], and their covariances, (k, 2, 2)."""
         return self.smoother.state.places(self.index(landmarks))
 
     def expect(self, places: dict[str, np.ndarray]) -> None:
-        """Expect landmarks that are not mapped yet at places, (2,) [m]; try what waits there."""
+        """Set the expected positions (2,) [m] of unmapped landmarks; try their candidates."""
         for name in places.keys() - self.expected.keys() & self._candidates.keys():
-            self._candidates[name].due = 0
+            self._candidates[name].next_trial = 0
         self.expected = places
 
-    def keep(self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray) -> None:
-        """Take sightings of `t` [s], rows of the table, along directions [rad]."""
+    def add_accepted(
+        self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray
+    ) -> None:
+        """Add accepted sightings of `t` [s], rows of the table, along directions [rad]."""
         newest = self.smoother.newest
         for name, row, line in zip(names, rows, directions.tolist(), strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
                 self._candidates.setdefault(name, Candidate(t)).rows.append(row)
             else:
-                landmark.seen_along(line)
+                landmark.count_sighting(line)
                 landmark.last = newest
-                if not landmark.refused:
+                if not landmark.rejections:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
 
-    def set_aside(self, t: float, name: str, row: np.ndarray) -> None:
-        """Put a sighting of `t` [s] aside that does not fit where its landmark is mapped."""
+    def add_rejected(self, t: float, name: str, row: np.ndarray) -> None:
+        """Add a rejected sighting of `t` [s] to the candidate of its landmark."""
         self._candidates.setdefault(name, Candidate(t)).rows.append(row)
 
     def scale_noise(self, factor: float) -> None:
-        """Let the own deviations of sightings put aside be so many times as large."""
+        """Scale the measurement noise of the candidates' sightings."""
         for waiting in self._candidates.values():
             for row in waiting.rows:
                 scale_noise(row[None], factor)
 
     def initialise(self) -> bool:
-        """Let the landmarks enter whose sight lines agree by now; return whether any did.
+        """Initialise the candidates that can be triangulated; return whether any was.
 
-        Those seen most are tried first: where new ones come faster than they can be tried, many
-        are never seen again.
+        Those with most sightings are tried first: if new ones come faster than they can be tried,
+        many are never seen again.
         """
         waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
-        most = max(MOST_STARTS, sum(name in self.expected for name in waiting))
+        most = max(MAX_TRIALS, sum(name in self.expected for name in waiting))
         due = nlargest(most, waiting, key=lambda name: len(self._candidates[name].rows))
-        started = [name for name in due if self._initialise(name)]
+        initialised = [name for name in due if self._initialise(name)]
         for name in due:
-            if name in started:
+            if name in initialised:
                 self.range_mixtures.pop(name, None)
             else:
                 self._fit_range_mixture(name)
-        return bool(started)
+        return bool(initialised)
 
     def _is_due(self, name: str) -> bool:
-        """Return whether what is put aside of a landmark is worth a try."""
+        """Return whether a candidate has enough sightings for its next trial."""
         waiting = self._candidates.get(name)
-        return waiting is not None and len(waiting.rows) >= waiting.due
+        return waiting is not None and len(waiting.rows) >= waiting.next_trial
 
     def _initialise(self, name: str) -> bool:
-        """Let one landmark enter if its sight lines agree, even if it is mapped elsewhere."""
+        """Initialise one landmark if its sight lines agree, even if it is mapped elsewhere."""
         waiting = self._candidates.pop(name)
         rows = np.array(waiting.rows)
-        found = self._as_expected(name, rows) or self._triangulate(rows)
+        found = self._at_expected(name, rows) or self._triangulate(rows)
         known = name in self.mapped
         if found is None or (known and not self._has_moved(name, rows[found[1]], found[0])):
-            waiting.due = MORE * len(rows)
-            self._candidates[name] = waiting  # behind the others
+            waiting.next_trial = RETRY_GROWTH * len(rows)
+            self._candidates[name] = waiting  # in the order of trials
             return False
         position, agree = found
         rows = rows[agree]
-        if known and self._was_there(name, position):
-            self._drop(name)  # it was never elsewhere, but wrongly started
+        if known and self._fits_old_sightings(name, position):
+            self._drop(name)  # it never moved, but was badly initialised
         elif known:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
-        elif self._is_back(name, rows):
-            self._take_back(name)
+        elif self._has_returned(name, rows):
+            self._restore(name)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
         if name not in self.mapped:
             number = self.smoother.add_landmark(position)
@@ -219,11 +221,11 @@ class Landmarks:
         self.smoother.add_sightings(rows)
         directions = self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING]
         for line in directions.tolist():
-            self.mapped[name].seen_along(line)
+            self.mapped[name].count_sighting(line)
         return True
 
     def _fit_range_mixture(self, name: str) -> None:
-        """Keep on what ray a landmark without a place stands, if its sight lines agree on one."""
+        """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
         rows = np.array(self._candidates[name].rows)
         eyes = self.smoother.cameras(rows)[0]
         mapped = np.hypot(*(self.smoother.positions - eyes[-1, :2]).T)
@@ -233,16 +235,17 @@ class Landmarks:
         if seen is not None:
             self.range_mixtures[name] = seen
 
-    def _as_expected(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return a place that is known beforehand, and which sightings agree, if most do."""
+    def _at_expected(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the expected position, and which sightings agree with it, if most do."""
         place = self.expected.get(name)
         if place is None or name in self.mapped:
             return None
-        agree = self._off(rows, place[None])[0] < INLIER_GATE * self._line_sigmas(rows) + NEGLIGIBLE
+        tolerance = INLIER_GATE * self._line_sigmas(rows) + NEGLIGIBLE
+        agree = self._residuals(rows, place[None])[0] < tolerance
         return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return position and agreeing sightings of a landmark, if its base is long enough."""
+        """Return position and inlier sightings of a landmark, if the baseline is long enough."""
         eyes = self.smoother.cameras(rows)[0]
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
@@ -251,78 +254,79 @@ class Landmarks:
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
     def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
-        """Return whether sightings that agree on a position (2,) show that a landmark is there."""
-        return len(rows) >= ESTABLISHED_SIGHTINGS and not self._is_another(name, rows, position)
+        """Return whether sightings that agree on a position (2,) prove that a landmark moved."""
+        return len(rows) >= ESTABLISHED_SIGHTINGS and not self._is_swapped(name, rows, position)
 
-    def _was_there(self, name: str, position: np.ndarray) -> bool:
-        """Return whether what was seen of a landmark before fits a new position (2,) as well."""
+    def _fits_old_sightings(self, name: str, position: np.ndarray) -> bool:
+        """Return whether the sightings before fit a new position (2,) of a landmark as well."""
         rows = self.smoother.sightings
         rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
-        off = self._off(rows, position[None])[0]
+        off = self._residuals(rows, position[None])[0]
         return bool((off < INLIER_GATE * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
-    def _is_back(self, name: str, rows: np.ndarray) -> bool:
-        """Return whether sightings fit where a landmark stood that was said to have moved."""
+    def _has_returned(self, name: str, rows: np.ndarray) -> bool:
+        """Return whether sightings fit the former position of a landmark declared moved."""
         if name not in self.former:
             return False
-        off = self._off(rows, self.places([self.former[name]])[0])[0]
+        off = self._residuals(rows, self.places([self.former[name]])[0])[0]
         return bool((off < INLIER_GATE * self._line_sigmas(rows)).mean() >= MAJORITY)
 
-    def _take_back(self, name: str) -> None:
-        """Let a landmark stand where it stood before it was said to have moved."""
+    def _restore(self, name: str) -> None:
+        """Restore a landmark to its former position."""
         self.mapped[name] = self.former.pop(name)
-        self.mapped[name].refused = 0
+        self.mapped[name].rejections = 0
         del self.moved_at[name]
 
-    def _is_another(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
-        """Return whether another landmark of the map explains sightings as well as a position.
+    def _is_swapped(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
+        """Return whether another landmark explains sightings as well as a new position does.
 
-        One that is refused itself explains nothing: two may stand mapped in each other's place.
+        Ids may be swapped. Landmarks that are rejected themselves are left out: two may be mapped
+        in each other's place.
         """
-        sound = [m for n, m in self.mapped.items() if n != name and m.refused < MIN_SIGHTINGS]
+        sound = [m for n, m in self.mapped.items() if n != name and m.rejections < MIN_SIGHTINGS]
         others = self.places([*sound, *self.former.values()])[0]
-        own, *off = np.median(self._off(rows, np.vstack([position, others])), axis=1).tolist()
+        own, *off = np.median(self._residuals(rows, np.vstack([position, others])), axis=1).tolist()
         return any(each < SWAP_RATIO * own for each in off)
 
-    def refused(self, fits: Mapping[str, bool]) -> list[str]:
-        """Count which sightings of a stamp fitted; return the landmarks refused too often."""
+    def update_rejections(self, fits: Mapping[str, bool]) -> list[str]:
+        """Count the sightings of a frame that fitted; return landmarks rejected too often."""
         for name, fit in fits.items():
             landmark = self.mapped[name]
-            refused = landmark.refused + (-2 if fit else 1)
-            landmark.refused = min(max(refused, 0), 5 * MIN_SIGHTINGS)
-        return [name for name in fits if self.mapped[name].refused >= MIN_SIGHTINGS]
+            rejections = landmark.rejections + (-2 if fit else 1)
+            landmark.rejections = min(max(rejections, 0), 5 * MIN_SIGHTINGS)
+        return [name for name in fits if self.mapped[name].rejections >= MIN_SIGHTINGS]
 
     def reinitialise(self, names: list[str]) -> bool:
-        """Let landmarks start anew that are found not to be where they were; tell if any did.
+        """Reinitialise landmarks that are not where they were mapped; return whether any changed.
 
-        One that was established has moved, where its sightings since agree on another place. They
-        need not: it may be out of sight, and others be mistaken for it.
+        An established landmark has moved if its later sightings agree on another position. If they
+        do not, it may be out of sight, and others be mistaken for it.
         """
-        started = False
+        initialised = False
         for name in names:
             if self.mapped[name].established and name not in self.former:
-                started |= self._is_due(name) and self._initialise(name)
+                initialised |= self._is_due(name) and self._initialise(name)
             else:
                 self._drop(name)
-                started = True
-        return started
+                initialised = True
+        return initialised
 
     def revert_to(self, keyframe: int) -> None:
-        """Drop what entered after a keyframe; what is said to have moved since did not."""
+        """Remove landmarks initialised after a keyframe, and undo moves declared since."""
         for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
             self._drop(name)
         for name in [n for n in self.former if n not in self.mapped]:
-            self._take_back(name)
+            self._restore(name)
         self._candidates.clear()
         self.range_mixtures.clear()
 
     def drop_misfits(self, residuals: np.ndarray) -> int:
-        """Take landmarks out on which the sightings do not agree; return how many.
+        """Remove landmarks on which the sightings do not agree; return how many.
 
         Parameters
         ----------
         residuals : ndarray, shape (m,)
-            Of all sightings in the map [rad].
+            Of all sightings in the window [rad].
         """
         rows, n = self.smoother.sightings, len(self.smoother.positions)
         index = self.smoother.index(rows[:, LANDMARK])
@@ -336,15 +340,15 @@ class Landmarks:
         return len(names)
 
     def _drop(self, name: str) -> None:
-        """Take a landmark out of the map; it may start anew."""
+        """Remove a landmark from the map; it may be initialised again."""
         self.smoother.drop_landmark(self.mapped.pop(name).number)
 
     def first_needed(self, mature: float, since: int) -> int:
-        """Return the oldest keyframe that saw a landmark which is not safely placed yet.
+        """Return the oldest keyframe that saw a landmark of small parallax.
 
-        A landmark seen from a narrow base is not where it seems, and closing a keyframe that saw it
-        would keep that error for good; so keyframes stay open until their landmarks are seen from
-        more sides, under the angle `mature` [rad], or entered at keyframe `since` or before.
+        A landmark seen from a narrow baseline is biased, and marginalising a keyframe that saw it
+        would make that bias permanent. So keyframes stay in the window until their landmarks have
+        the parallax `mature` [rad], or were initialised at keyframe `since` or before.
         """
         known = [*self.mapped.values(), *self.former.values()]
         young = [m.number for m in known if m.parallax < mature and m.entered > since]
@@ -352,22 +356,22 @@ class Landmarks:
         needed = rows[np.isin(rows[:, LANDMARK], young), KEYFRAME]
         return int(needed.min()) if needed.size else self.smoother.newest
 
-    def drop_rows_before(self, first: int) -> None:
-        """Lose the sightings of waiting landmarks from before keyframe `first`."""
+    def drop_candidates_before(self, first: int) -> None:
+        """Drop the candidates' sightings from before keyframe `first`."""
         for name, waiting in list(self._candidates.items()):
             while waiting.rows and waiting.rows[0][KEYFRAME] < first:
                 waiting.rows.popleft()
-            waiting.due = min(waiting.due, MORE * len(waiting.rows) + 1)
+            waiting.next_trial = min(waiting.next_trial, RETRY_GROWTH * len(waiting.rows) + 1)
             if not waiting.rows:
                 del self._candidates[name]
 
-    def _off(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return how far sightings (m) are off what places (k, 2) let expect, (k, m) [rad]."""
+    def _residuals(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the absolute residuals (k, m) of m sightings for each of k positions [rad]."""
         expected = sight(self.smoother.cameras(rows)[0], places[:, None]).bearing
         return np.asarray(np.abs(wrap(rows[:, BEARING] - expected)))
 
     def _line_sigmas(self, rows: np.ndarray) -> np.ndarray:
-        """Return the deviations of sight lines, the heading's since then included, shape (m,)."""
+        """Return the standard deviations (m,) of sight lines, with that of the heading since."""
         turned = np.cumsum([0.0, *self.smoother.turn_variances[::-1]])[::-1]
         since = turned[rows[:, KEYFRAME].astype(int) - self.smoother.first]
         return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))

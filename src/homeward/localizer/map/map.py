@@ -1,4 +1,4 @@
-"""The map: keyframes, landmarks that come and go, and corrections, quick ones or of everything."""
+"""The map: keyframes, landmark life cycle, and updates by EKF or by the whole window."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.map.gating import (
     Gated,
-    denies_motion,
+    contradicts_motion,
     gate_bearings,
     inflate_by_odometry,
 )
@@ -24,7 +24,7 @@ from homeward.localizer.map.sightings import (
     SIGMA,
     sighting_rows,
 )
-from homeward.localizer.map.smoother import ALIKE, Smoother
+from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
@@ -36,14 +36,14 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import CALIBRATION_DRIFT, FALSE_ALARM, NEGLIGIBLE, STANDSTILL
 from homeward.reasons import Rejection
 
-MOST_PER_KEYFRAME = 12
-"""Sightings of one landmark that one keyframe takes; a robot that stands learns no more from it."""
-SOLVED_SHARE = 8
-"""Once full, the window is solved once per so large a part of it: a keyframe costs alike always."""
+MAX_PER_KEYFRAME = 12
+"""Sightings of a landmark per keyframe; a robot that stands still learns no more from it."""
+SOLVES_PER_WINDOW = 8
+"""Solutions per window, once it is full: so each keyframe costs the same on average."""
 
 
 class Map:
-    """The map in the odometry frame, which begins at the robot.
+    """The map in the odometry frame, whose origin is the robot's pose at the start.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ class Map:
     settings : LocalizerSettings
         Everything else.
     noise : BearingNoise
-        Which learns from what the map leaves of bearings.
+        Bearing noise, updated by the residuals.
     process_noise : ProcessNoise
-        Which learns from what it leaves of motions.
+        Odometry noise, updated likewise.
     extrinsics : Extrinsics
-        What is believed of the camera's place on the robot.
+        Prior on the camera's pose on the robot.
     counts : Counts
         Where to count sightings.
     t : float
-        When it begins [s].
+        Time of the start [s].
     known : KnownLandmarks
         What is known of landmarks beforehand.
     """
@@ -88,111 +88,111 @@ class Map:
         self.registration = Registration(Survey(known, settings), self.landmarks)
         self.begun = t
         self.solved = True
-        """Whether the state comes from the whole window, not from a quick correction."""
+        """Whether the state is a solution of the whole window, not an EKF update."""
         self._solved_at, self._solved_positions = 0, self.smoother.positions
         self.busy = False
-        """Whether the newest look had long work already: a solution, or to learn from one."""
-        self._unlearnt = False
-        """Whether there is a solution that was not learnt from."""
-        self._due = True
-        """Whether the whole window is to be solved at this keyframe."""
-        self._path = 0.0
-        """How far it drove from the newest keyframe to the last frame [m]."""
-        self._taken: dict[str, int] = {}
-        """Sightings of landmarks from the newest keyframe."""
+        """Whether the newest frame has taken long already: for a solution, or learning from one."""
+        self._unlearnt_solution = False
+        """Whether there is a solution that has not been learnt from."""
+        self._solve_due = True
+        """Whether the whole window must be solved at this keyframe."""
+        self._last_path = 0.0
+        """Path from the newest keyframe to the last frame [m]."""
+        self._counts_here: dict[str, int] = {}
+        """Sightings of each landmark from the newest keyframe."""
         self._last_seen: dict[str, float] = {}
-        """When landmarks were last seen [s]."""
-        self._between: list[np.ndarray] = []
-        """Those of them that the state does not know yet."""
+        """When each landmark was last seen [s]."""
+        self._pending_rows: list[np.ndarray] = []
+        """Sightings that have not been applied to the state yet."""
         self._scale_information = 0.0
-        """Of the map's scale by motions, were their noise what was believed at first [1]."""
+        """Information on the scale by the motions, at the initial process noise [1]."""
 
     @property
     def state(self) -> Marginal:
-        """What is known of the newest keyframe's pose, the calibration and the landmarks."""
+        """State: newest keyframe's pose, calibration and landmarks."""
         return self.smoother.state
 
     @property
     def scale_variance(self) -> float:
-        """Of the map's scale, by slips that nothing shows [1]."""
+        """Variance of the map's scale by slips that leave no residuals [1]."""
         uncounted = self._process_noise.common_slip_variance
         return uncounted / max(self._scale_information, uncounted)
 
     def camera(self, motion: Motion) -> Motion:
-        """Return where the camera is after the robot's motion."""
+        """Return the motion from the newest keyframe to the camera after the robot's motion."""
         return motion.compose(camera_on_robot(self._mount, self.state.calibration))
 
-    def as_home_saw(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return where landmarks stand where home saw them, for all one knows.
+    def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return positions of landmarks when home saw them, as far as known.
 
         Returns
         -------
         index : ndarray, shape (q,), int
-            In the state.
-        walks, astray : ndarray, shape (q,), (q, 2, 2)
-            How probable they are to walk, and how far they are off then: second moments [m^2].
+            Their indices in the state.
+        walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
+            Probability that each walks, and second moment of its offset if so [m^2].
         """
         known = self.landmarks
         there = [known.former.get(n) or known.mapped[n] for n in names]
-        astray = np.array([m.astray for m in there]).reshape(-1, 2, 2)
-        return known.index(there), known.walking(there), astray
+        walk_moment = np.array([m.walk_moment for m in there]).reshape(-1, 2, 2)
+        return known.index(there), known.walking_probabilities(there), walk_moment
 
     def learn(self) -> None:
-        """Learn from what the last solution left, unless that was done.
+        """Learn from the residuals of the last solution, unless that was done.
 
-        A solution of the whole window takes long enough: then it is done at the look after it.
+        A solution of the whole window takes long; then learning waits for the next frame.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When nothing can be made of the map any more.
+            When the map has become singular.
         """
-        self.busy = self._unlearnt
-        if self._unlearnt:
-            self._unlearnt = False
+        self.busy = self._unlearnt_solution
+        if self._unlearnt_solution:
+            self._unlearnt_solution = False
             self._learner.learn(self.smoother, self.landmarks)
-            if self._learner.opens_mount(self.smoother):
+            if self._learner.frees_extrinsics(self.smoother):
                 self._solve()
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
-        """Return whether the robot is far enough from its newest keyframe, or came to rest."""
-        rests, self._path = 0.0 < motion.path == self._path, motion.path
+        """Return whether the robot is far enough from its newest keyframe, or has stopped."""
+        rests, self._last_path = 0.0 < motion.path == self._last_path, motion.path
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
         scale = self.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
         return due and (rests or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
-        """Let there be a keyframe at `t` [s], and what is known move on to it."""
+        """Add a keyframe at `t` [s], and propagate the state to it."""
         noise = motion.covariance[0, 0] + motion.covariance[1, 1]
         if noise > 0.0:
             self._scale_information += motion.path**2 / noise * self._process_noise.scales[1, 0]
-        self._move_on(t, motion, self._process_noise.inlier_ratios)
+        self._add_keyframe(t, motion, self._process_noise.inlier_ratios)
 
-    def _move_on(self, t: float, motion: Motion, core: np.ndarray) -> None:
+    def _add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray) -> None:
         """Add a keyframe; see `Smoother.add_keyframe`."""
         smoother = self.smoother
         kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
         full = kept >= self._settings.window
-        self._due = not full or since * SOLVED_SHARE >= kept or not smoother.settled
-        if self._between and not self._due:
-            seen = smoother.predict(np.concatenate(self._between))
-            self._due = not self._take(self.state.update(seen))
-        smoother.add_keyframe(t, motion, core)
-        self._taken.clear()
-        self._between = []
+        self._solve_due = not full or since * SOLVES_PER_WINDOW >= kept or not smoother.converged
+        if self._pending_rows and not self._solve_due:
+            seen = smoother.predict(np.concatenate(self._pending_rows))
+            self._solve_due = not self._apply_if_linear(self.state.update(seen))
+        smoother.add_keyframe(t, motion, inlier_ratios)
+        self._counts_here.clear()
+        self._pending_rows = []
 
     def gate(self, frame: WeighedFrame, motion: Motion, new_keyframe: bool) -> Gated:
-        """Gate the bearings of a frame: innovations, and which of them fit.
+        """Gate the bearings of a frame: innovations, and which of them are accepted.
 
         Parameters
         ----------
         frame : WeighedFrame
             The bearings.
         motion : Motion
-            The last one before them.
+            The motion that led to the frame.
         new_keyframe : bool
-            Whether the newest keyframe is after it, not before.
+            Whether the newest keyframe is at the end of it, not at its start.
         """
         since = Motion.identity() if new_keyframe else motion
         rows, eye, by_head = self._rows(frame, since)
@@ -204,26 +204,26 @@ class Map:
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
         )
-        accepted &= self.smoother.stands[index] > FALSE_ALARM  # who walks fits nowhere for long
+        accepted &= self.smoother.p_static[index] > FALSE_ALARM  # who walks has no place
         names = [frame.names[i] for i in known.tolist()]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
-        denies = not new_keyframe and denies_motion(seen.only(accepted), motion, heading)
+        denies = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
         return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, denies)
 
-    def take_back(self) -> None:
-        """Take back the frame that was gated last, of which nothing was made yet."""
+    def drop_frame(self) -> None:
+        """Drop the frame that was gated last, before an update with it."""
         self.smoother.frames.drop_newest()
 
     def inflate(self, gated: Gated) -> bool:
-        """Inflate the noise of bearings between keyframes by that of the way; tell if it holds.
+        """Inflate bearings between keyframes by the odometry noise; return whether they are useful.
 
-        Where it does not, the way is so uncertain that the bearings are of no use.
+        They are not where odometry since the keyframe is too uncertain.
         """
         if gated.new_keyframe:
             return True
-        arguments = gated.motion, len(self._between) + 1, gated.prediction, self.state
+        arguments = gated.motion, len(self._pending_rows) + 1, gated.prediction, self.state
         widened = inflate_by_odometry(gated.rows, *arguments)
         if widened is None:
             self._counts.reject(Rejection.VAGUE_ODOMETRY, len(gated.frame.names))
@@ -232,93 +232,93 @@ class Map:
         return True
 
     def update(self, gated: Gated, refused: list[str]) -> bool:
-        """Update the map by what fits; return whether there is a new solution.
+        """Update the map by accepted bearings; return whether there is a new solution.
 
         Parameters
         ----------
         gated : Gated
-            Of a frame.
+            The gated frame.
         refused : list of str
-            Landmarks that are not where the map says; they start anew.
+            Landmarks that are not where they were mapped; they are reinitialised.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When nothing can be made of the map any more.
+            When the map has become singular.
         """
-        if self.solved and gated.new_keyframe:  # that of the solution itself takes long enough
+        if self.solved and gated.new_keyframe:  # the keyframe that is solved takes long enough
             self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
-        kept = self._keep(gated.frame, rows, gated.directions, gated.fits)
+        kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         changed = self.landmarks.reinitialise(refused) or fixed
-        rests = gated.motion.path == 0.0 and bool(kept.any())  # and looks again
+        rests = gated.motion.path == 0.0 and bool(kept.any())  # and sees more
         due = gated.new_keyframe or changed or rests
         if due:
             self._correct(None if changed else self._effective(prediction, rows, kept))
         if fixed and not self.landmarks.mapped:
-            self.landmarks.expected = {}  # the next look may tell
+            self.landmarks.expected = {}  # wait for the next frame
         return due
 
     def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:
-        """Let the robot be where a motion leads from the newest keyframe, and saw a frame there.
+        """Reset the pose to a motion from the newest keyframe, and add the frame seen there.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When nothing can be made of the map any more.
+            When the map has become singular.
         """
-        self._move_on(frame.t, motion, ALIKE)
+        self._add_keyframe(frame.t, motion, NO_TAIL)
         rows, eye, _ = self._rows(frame, Motion.identity())
-        self._keep(frame, rows, eye[2] + frame.bearings, {})
+        self._add_sightings(frame, rows, eye[2] + frame.bearings, {})
         self._correct(None)
 
     def revert_to(self, keyframe: int) -> None:
-        """Let the map be what it was at a keyframe: what entered or moved since did not.
+        """Revert the landmarks to those of a keyframe, undoing later initialisations and moves.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When nothing can be made of the map any more.
+            When the map has become singular.
         """
         self.landmarks.revert_to(keyframe)
-        self._between = []
+        self._pending_rows = []
         self._correct(None)
 
     def adopt(self, whole: Smoother) -> None:
-        """Take what the whole of a drive says, of the same landmarks."""
+        """Adopt the solution of the whole drive, for the same landmarks."""
         self.smoother = self.landmarks.smoother = whole
-        self._unlearnt = False
+        self._unlearnt_solution = False
 
     def _rows(
         self, frame: WeighedFrame, motion: Motion
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a frame after a motion since the newest keyframe as rows, and its camera."""
+        """Return a frame as rows of the table of sightings, with its camera's pose and Jacobian."""
         newest, camera = self.smoother.newest, self.camera(motion)
         rows = sighting_rows(newest, self.smoother.frames.add(newest, camera), frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        return rows, *self.state.after(camera)
+        return rows, *self.state.pose_after(camera)
 
-    def _keep(
+    def _add_sightings(
         self,
         frame: WeighedFrame,
         rows: np.ndarray,
         directions: np.ndarray,
         fits: Mapping[str, bool],
     ) -> np.ndarray:
-        """Put what was not rejected of a frame into the window; return which (m,), bool."""
+        """Add accepted sightings to the window, others to candidates; return which, (m,) bool."""
         t, names, stands = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
         rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
         for i, name in enumerate(names):
-            taken = self._taken[name] = self._taken.get(name, 0) + 1
-            if taken > MOST_PER_KEYFRAME:
+            taken = self._counts_here[name] = self._counts_here.get(name, 0) + 1
+            if taken > MAX_PER_KEYFRAME:
                 stands += 1
                 continue
             self._last_seen[name] = t
             if not fits.get(name, True):
                 self._counts.reject(Rejection.OUTSIDE_GATE)
-                self.landmarks.set_aside(t, name, rows[i])
+                self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
         self._counts.reject(Rejection.STANDING, stands)
@@ -327,31 +327,31 @@ class Map:
             self.smoother.frames.drop_newest()
         mine = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
-        self.landmarks.keep(t, fitting, mine, directions[kept])
-        self._between.append(mine[mine[:, LANDMARK] >= 0])
+        self.landmarks.add_accepted(t, fitting, mine, directions[kept])
+        self._pending_rows.append(mine[mine[:, LANDMARK] >= 0])
         return kept
 
     def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:
-        """Return what was kept of a prediction, with the deviations by which it counts."""
+        """Return the accepted part of a prediction, with effective standard deviations."""
         mapped = rows[:, LANDMARK] >= 0
         rows = rows[mapped & kept]
         more = self.smoother.effective_sigmas(rows) ** 2 - rows[:, SIGMA] ** 2
         return seen.only(kept[mapped]).widened(more)
 
     def _correct(self, seen: Prediction | None) -> None:
-        """Correct pose and map: by the newest sightings alone, or the whole window when due."""
-        started = self.landmarks.initialise()
-        if started:
+        """Update the state: by an EKF step with the newest sightings, or by the whole window."""
+        initialised = self.landmarks.initialise()
+        if initialised:
             self.registration.hold_expected()
-        quick = not (started or self._due) and seen is not None
-        if quick and seen is not None and self._take(self.state.update(seen)):
-            self.solved = False
-        else:
+        due = initialised or self._solve_due
+        if seen is None or due or not self._apply_if_linear(self.state.update(seen)):
             self._solve()
-        self._between = []
+        else:
+            self.solved = False
+        self._pending_rows = []
 
-    def _take(self, updated: Marginal) -> bool:
-        """Believe a quick correction if it is near enough to linear; return whether it is."""
+    def _apply_if_linear(self, updated: Marginal) -> bool:
+        """Accept an EKF update if it is near enough to linear; return whether it was."""
         if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
             return False
         turned = abs(updated.mean[2] - self.state.mean[2])
@@ -362,24 +362,24 @@ class Map:
         return True
 
     def _solve(self) -> None:
-        """Correct the whole window, take out what does not fit, and learn from what is left."""
+        """Solve the whole window, remove inconsistent landmarks, and learn from the residuals."""
         self.busy, smoother = True, self.smoother
         if self.landmarks.mapped:
-            self._learner.fit_robot_to_scene(smoother)
+            self._learner.scale_noise_prior(smoother)
         smoother.solve()
-        if smoother.settled:
+        if smoother.converged:
             self.registration.judge()
-        misfits = self.landmarks.drop_misfits(smoother.residuals()) if smoother.settled else 0
+        misfits = self.landmarks.drop_misfits(smoother.residuals()) if smoother.converged else 0
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self.solved = self._unlearnt = True
+        self.solved = self._unlearnt_solution = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        if len(smoother.stamps) < self._settings.window:  # short yet: this takes no time
+        if len(smoother.stamps) < self._settings.window:  # quick enough
             self.learn()
 
     def _marginalise_old(self) -> None:
-        """Close the oldest keyframes that are not needed any more."""
+        """Marginalise the oldest keyframes that are not needed any more."""
         settings, smoother = self._settings, self.smoother
         kept = len(smoother.stamps)
         spare = kept - settings.window
@@ -390,4 +390,4 @@ class Map:
         count = max(min(spare, needed - smoother.first), kept - settings.longest_window)
         if count > 0:
             smoother.marginalise(count)
-            self.landmarks.drop_rows_before(smoother.first)
+            self.landmarks.drop_candidates_before(smoother.first)

@@ -2,9 +2,9 @@
 
 A sum of Gaussians in range, as of Sola et al. (2005); Civera et al. (2008) use inverse depth.
 
-A robot that drives straight at a landmark never learns how far it is, and yet knows where it would
-stand: home sees that ray under some directions and not under others, which may be enough to tell
-that the landmark was moved.
+A robot that drives straight at a landmark never observes its range, but does know the ray on which
+it is. Home sees the ray under some bearings and not under others, which may be enough to tell that
+the landmark moved.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.tunables import INLIER_GATE, MAJORITY, MIN_SIGHTINGS
 
-NEAREST, FARTHEST, DISTANCES = 0.1, 30.0, 24
-"""Distances tried, against the median distance of what is mapped; every ratio as probable."""
+MIN_RATIO, MAX_RATIO, DISTANCES = 0.1, 30.0, 24
+"""Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
+"""
 STEPS = 2
 
 
 @dataclass(frozen=True)
 class RangeMixture:
-    """Range mixture: k Gaussians along a ray, in the odometry frame."""
+    """k Gaussians along a ray, in the odometry frame."""
 
     places: np.ndarray
     """(k, 2) [m]"""
@@ -41,14 +42,14 @@ def range_mixture(
     covariance: np.ndarray,
     scale: float,
 ) -> RangeMixture | None:
-    """Return where a landmark may stand; None when its sight lines do not agree on a ray.
+    """Return the range mixture of a landmark; None when its sight lines agree on no ray.
 
     Parameters
     ----------
     cameras : ndarray, shape (m, 3)
         Poses of the camera, the newest last: x [m], y [m], heading of its axis [rad].
     bearings, sigmas : ndarray, shape (m,)
-        Measured from the axis, and their standard deviations [rad].
+        Measured from the axis, and standard deviations [rad].
     covariance : ndarray, shape (3, 3)
         Of the newest pose.
     scale : float
@@ -56,15 +57,15 @@ def range_mixture(
     """
     if len(bearings) < MIN_SIGHTINGS or not (math.isfinite(scale) and scale > 0):
         return None
-    ratio = (FARTHEST / NEAREST) ** (1.0 / (DISTANCES - 1))
-    distances = scale * NEAREST * ratio ** np.arange(DISTANCES)
+    ratio = (MAX_RATIO / MIN_RATIO) ** (1.0 / (DISTANCES - 1))
+    distances = scale * MIN_RATIO * ratio ** np.arange(DISTANCES)
     lines = cameras[:, 2] + bearings
     directions = np.full(DISTANCES, lines[-1])
     for _ in range(STEPS):
-        off, lever = _off(cameras, lines, distances, directions)
+        off, lever = _residuals(cameras, lines, distances, directions)
         weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (INLIER_GATE * sigmas))) ** 2
         directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)
-    share = np.abs(_off(cameras, lines, distances, directions)[0]) / (INLIER_GATE * sigmas)
+    share = np.abs(_residuals(cameras, lines, distances, directions)[0]) / (INLIER_GATE * sigmas)
     if (share < 1.0).mean(axis=1).max() < MAJORITY:
         return None
     cost = 0.5 * INLIER_GATE**2 * MIN_SIGHTINGS * np.minimum(share**2, 1.0).mean(axis=1)
@@ -76,16 +77,16 @@ def range_mixture(
     return RangeMixture(
         places=cameras[-1, :2] + distances[:, None] * along,
         covariances=covariance[:2, :2]
-        + apart * _squared(distances[:, None] * along)
-        + swing * _squared(distances[:, None] * across),
+        + apart * _outer(distances[:, None] * along)
+        + swing * _outer(distances[:, None] * across),
         weights=weights / weights.sum(),
     )
 
 
-def _off(
+def _residuals(
     cameras: np.ndarray, lines: np.ndarray, distances: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return each line's angle off each place (k, m), and that by the place's direction."""
+    """Return residuals of lines by place (k, m), and their derivative by its direction."""
     x, y = distances * np.cos(directions), distances * np.sin(directions)
     dx = x[:, None] + cameras[-1, 0] - cameras[:, 0]
     dy = y[:, None] + cameras[-1, 1] - cameras[:, 1]
@@ -93,6 +94,6 @@ def _off(
     return wrap(lines - np.arctan2(dy, dx)), (dx * x[:, None] + dy * y[:, None]) / square
 
 
-def _squared(vectors: np.ndarray) -> np.ndarray:
+def _outer(vectors: np.ndarray) -> np.ndarray:
     """Return the outer products of vectors (k, 2) with themselves, shape (k, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])

@@ -1,7 +1,7 @@
-"""Sightings by keyframe: bearings in one table, and where the camera was at each stamp in another.
+"""Table of sightings, and table of frames: where the camera was at each stamp.
 
-The camera's pose at a stamp is that of its keyframe, and what odometry and mount add, linear in the
-calibration; all sightings of a stamp share it.
+The camera's pose at a stamp is its keyframe's pose, composed with odometry and extrinsics, linear
+in the calibration; all sightings of a stamp share it.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from homeward.localizer.motion.preintegration import NC, Motion
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME = range(8)
 COLUMNS = 8
 """Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
-bearing [rad], its standard deviation [rad] with and without what the way from the keyframe adds,
-the time since the last sighting of the landmark [s] (infinite: it is the first), and when [s]."""
+bearing [rad], its standard deviation [rad] with and without the odometry noise since the keyframe,
+the time since the landmark's last sighting [s] (infinite for the first), and the stamp [s]."""
 
 
 class Frames:
-    """Where the camera was at each stamp, from its keyframe; f frames with consecutive numbers."""
+    """Table of frames: the camera relative to its keyframe at f stamps, numbered consecutively."""
 
     def __init__(self) -> None:
         self.first = 0
-        """Number of the oldest one."""
+        """Number of the oldest frame."""
         self.keyframes = np.zeros(0, int)
-        """(f,): numbers of their keyframes."""
+        """(f,): numbers of the keyframes."""
         self.free = np.zeros((0, 3))
-        """(f, 3): the camera in its keyframe's frame, were the calibration zero ..."""
+        """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
         self.jacobians = np.zeros((0, 3, NC))
-        """(f, 3, 8): ... and the derivative by it."""
+        """(f, 3, 8): ... and its Jacobian by the calibration."""
 
     @property
     def next(self) -> int:
-        """Number of the one that comes next."""
+        """Number of the next frame."""
         return self.first + len(self.keyframes)
 
     def add(self, keyframe: int, camera: Motion) -> int:
-        """Add a frame, whose camera is a motion away from its keyframe; return its number."""
+        """Add a frame, `camera` being the motion from its keyframe; return its number."""
         number = self.next
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
         self.free = np.concatenate([self.free, camera.uncalibrated[None]])
@@ -48,7 +48,7 @@ class Frames:
         return number
 
     def drop_newest(self) -> None:
-        """Take the newest one out again."""
+        """Drop the newest frame."""
         self.keyframes, self.free = self.keyframes[:-1], self.free[:-1]
         self.jacobians = self.jacobians[:-1]
 
@@ -60,7 +60,7 @@ class Frames:
         return some
 
     def take_before(self, keyframe: int) -> Frames:
-        """Take out and return the frames of keyframes before a number."""
+        """Remove and return the frames of keyframes before a number."""
         old, count = Frames(), int((self.keyframes < keyframe).sum())
         old.first = self.first
         old.keyframes, self.keyframes = self.keyframes[:count], self.keyframes[count:]
@@ -71,7 +71,7 @@ class Frames:
 
     @staticmethod
     def joined(parts: list[Frames]) -> Frames:
-        """Return what follows one after the other as one."""
+        """Return consecutive tables as one."""
         whole = Frames()
         whole.first = parts[0].first
         whole.keyframes = np.concatenate([p.keyframes for p in parts])
@@ -85,22 +85,22 @@ class Frames:
         Parameters
         ----------
         poses : ndarray, shape (f, 3) or (3,)
-            Of the frames' keyframes.
+            Poses of the keyframes.
         calibration : ndarray, shape (8,)
-            As it is believed to be.
+            The present estimate.
 
         Returns
         -------
         eyes : ndarray, shape (f, 3)
         by_head : ndarray, shape (f, 3, 11)
-            By keyframe's pose and calibration.
+            Jacobian by keyframe's pose and calibration.
         """
         eyes, by_pose, by_camera = composition(poses, self.free + self.jacobians @ calibration)
         return eyes, np.concatenate([by_pose, by_camera @ self.jacobians], axis=2)
 
 
 def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray:
-    """Return rows of the table for the sightings of one stamp, their landmarks still open (-1).
+    """Return rows of the table for one frame, with landmarks still open (-1).
 
     Parameters
     ----------
@@ -121,13 +121,16 @@ def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray
 
 
 def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:
-    """Return the deviations by which rows (m, COLUMNS) count beside those before, (m,) [rad]."""
+    """Return effective standard deviations of rows (m, COLUMNS), (m,) [rad].
+
+    They are larger where errors are correlated with those of earlier sightings.
+    """
     excess = correlated.excess(rows[:, GAP])
     return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + rows[:, OWN] ** 2 * excess))
 
 
 def scale_noise(rows: np.ndarray, factor: float) -> None:
-    """Let the bearings' own deviations be so many times as large, in rows (m, COLUMNS)."""
+    """Scale the measurement noise in rows (m, COLUMNS); that of odometry stays."""
     added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
     rows[:, OWN] *= factor
     rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
@@ -136,23 +139,23 @@ def scale_noise(rows: np.ndarray, factor: float) -> None:
 def bearing_residuals(
     bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return measured minus expected bearings and the Jacobian of the expected ones.
+    """Return residuals of bearings, and the Jacobian of the expected ones.
 
     Parameters
     ----------
     bearings : ndarray, shape (m,)
         Measured from the camera's axis [rad].
     eyes, by_head : ndarray, shape (m, 3), (m, 3, 11), or (3,), (3, 11)
-        The camera then, and its Jacobian; see `Frames.eyes`.
+        The camera's pose and its Jacobian; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
         Of the landmarks [m].
 
     Returns
     -------
     residual : ndarray, shape (m,)
-        [rad], wrapped.
+        Measured minus expected [rad], wrapped.
     jacobian : ndarray, shape (m, 13)
-        By keyframe's pose, calibration and landmark.
+        Jacobian by keyframe's pose, calibration and landmark.
     """
     seen = sight(eyes, positions)
     by_eye = np.empty((len(bearings), 1, 3))

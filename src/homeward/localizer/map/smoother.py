@@ -1,12 +1,13 @@
-"""Fixed-lag smoother: the last keyframes, the calibration and the landmarks, in the odometry frame.
+"""Fixed-lag smoother: recent keyframes, calibration and landmarks, in the odometry frame.
 
-The state is one Gaussian on the newest pose, the calibration and the landmarks. The poses of the
-last keyframes stay open to correction beside it; when some leave, what they say is kept as a
-Gaussian on the pose after them, the calibration and the landmarks (a Schur complement). Between two
-solutions the state is moved on and corrected by itself, as in a Kalman filter.
+The state is one Gaussian on the newest pose, the calibration and the landmarks. Between solutions
+it is propagated and updated as in an EKF. The poses of the last keyframes, the window, stay open
+beside it; from time to time all are solved together by Gauss-Newton. Poses that leave the window
+are marginalised (Schur complement) into a Gaussian prior on the pose after them, the calibration
+and the landmarks.
 
-Home is not in here: a home bearing may turn out to be wrong, and nothing that may have to be taken
-back is marginalised.
+Home is not part of it: a home bearing may turn out to be wrong, and nothing that may have to be
+undone is marginalised.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from homeward.localizer.map.sightings import (
 )
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.map.triangulation import FAR
+from homeward.localizer.map.triangulation import INFINITY_RATIO
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     MOUNT,
@@ -56,19 +57,19 @@ from homeward.localizer.motion.preintegration import (
 from homeward.localizer.tunables import LINEAR_RANGE
 
 STEPS = 5
-"""Gauss-Newton steps at most."""
-ALIKE = np.ones(2)
-"""Variances of most motions over those of all where no tail is known of, of shift and turn [1]."""
-SURE = 1e-6
-"""Nothing of the odometry's calibration is known better than this."""
-NO_GAIN = 1e-4
-"""So far below zero a slip in bends is as good as none [m]."""
-SETTLED = 2e-2
-"""Smaller steps [distance, rad] end it; the rest goes as its square."""
+"""Largest number of Gauss-Newton steps."""
+NO_TAIL = np.ones(2)
+"""Ratios of inlier variances of shift and turn where motions have no heavy tail [1]."""
+MIN_SIGMA = 1e-6
+"""Smallest prior standard deviation of the odometry's calibration."""
+MAX_GAIN_M = 1e-4
+"""Negative slip that is negligible [m]."""
+CONVERGED = 2e-2
+"""Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
 
 
 class Closed(NamedTuple):
-    """Closed keyframes, for the whole of a drive."""
+    """Marginalised keyframes, kept for smoothing the whole drive."""
 
     poses: np.ndarray
     stamps: list[float]
@@ -78,20 +79,20 @@ class Closed(NamedTuple):
 
 
 class Smoother:
-    """The map: keyframes, calibration and landmarks, and what ties them together.
+    """Keyframes, calibration and landmarks, and the factors between them.
 
     Parameters
     ----------
     odometry_sigmas : ndarray, shape (5,)
-        Of the odometry's calibration a priori, around zero.
+        Prior standard deviations of the odometry's calibration, around zero.
     drift : ndarray, shape (8,)
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
-        Of the camera's on the robot, around zero.
+        Prior standard deviations of the extrinsics, around zero.
     lasting : CorrelatedErrors
-        What lasts in the errors of bearings, as believed now.
+        Present model of time-correlated bearing errors.
     t : float
-        Of the first keyframe, the origin [s].
+        Time of the first keyframe, the origin [s].
     """
 
     def __init__(
@@ -103,50 +104,50 @@ class Smoother:
         t: float,
     ) -> None:
         self.first = 0
-        """Number of the oldest keyframe that is still open."""
+        """Number of the oldest keyframe in the window."""
         self.stamps = [t]
-        """Times of the open keyframes [s]."""
+        """Times of the keyframes in the window [s]."""
         self.ids = np.zeros(0, int)
-        """(n,): of the landmarks in the state, ascending; none is given twice."""
-        self.stands = np.zeros(0)
-        """(n,): probability of each to stand, by which what is seen of it counts [1]."""
+        """(n,): ids of the landmarks in the state, ascending; none is reused."""
+        self.p_static = np.zeros(0)
+        """(n,): probability of each to be static, the weight of its sightings [1]."""
         self.sightings = np.zeros((0, COLUMNS))
-        """Those of landmarks in the state from open keyframes."""
+        """Sightings of landmarks in the state from keyframes in the window."""
         self.frames = Frames()
         self.turn_variances: list[float] = []
-        """Of the motion into each open keyframe but the oldest [rad^2]."""
+        """Variance of turn of the motion into each keyframe but the oldest [rad^2]."""
         self.shift_variances: list[float] = []
-        """The same of its length [m^2]."""
-        self.settled = True
-        """Whether the last `solve` came to rest."""
+        """The same of shift [m^2]."""
+        self.converged = True
+        """Whether the last `solve` converged."""
         self.mount_sigmas = mount_sigmas
-        """What is believed beforehand may change; so it is never marginalised ..."""
-        self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), SURE)
-        """... neither of the mount nor of the slip in bends [m] ..."""
-        self.known = SurveyFactors.none()
-        """... and neither is what is known of landmarks."""
+        """Priors that may change are never marginalised: of the extrinsics ..."""
+        self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_SIGMA)
+        """... of slip in bends [m] ..."""
+        self.survey = SurveyFactors.none()
+        """... and the survey of landmarks."""
         self._older = np.zeros((0, 3))
-        """(w - 1, 3), poses of the open keyframes but the newest."""
+        """(w - 1, 3): poses of the keyframes in the window but the newest."""
         self._steps = np.zeros((0, STEP))
-        """(w - 1, STEP): the motions from keyframe to keyframe."""
+        """(w - 1, STEP): the motions between them."""
         self._next_id = 0
         self._closed: list[Closed] | None = None
         self._drift, self._correlated = drift, correlated
-        of_odometry = 1.0 / np.maximum(odometry_sigmas, SURE) ** 2
+        of_odometry = 1.0 / np.maximum(odometry_sigmas, MIN_SIGMA) ** 2
         of_odometry[TURN_SLIP] = 0.0
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._first_information = np.diag(information)
         self._prior = Prior(self._first_information)
         self.state = Marginal(np.zeros(HEAD), np.zeros((HEAD, HEAD)))
-        """What is known of the newest pose, the calibration and the landmarks."""
+        """The Gaussian on newest pose, calibration and landmarks."""
         self.solve()
 
     def keep_closed(self) -> None:
-        """Keep closed keyframes too, for `whole`; memory then grows with the drive."""
+        """Keep marginalised keyframes for `whole`; memory then grows with the drive."""
         self._closed = []
 
     def whole(self) -> Smoother:
-        """Return one in which every keyframe since `keep_closed` is open, not yet solved."""
+        """Return a smoother with all keyframes since `keep_closed` in its window, unsolved."""
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
@@ -158,26 +159,26 @@ class Smoother:
         whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
-        whole.ids, whole.state, whole.known = self.ids, self.state, self.known
-        whole.stands = self.stands
-        information = np.eye(self.state.mean.size) * (FAR * self.state.scale) ** -2
+        whole.ids, whole.state, whole.survey = self.ids, self.state, self.survey
+        whole.p_static = self.p_static
+        information = np.eye(self.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
         return whole
 
     @property
     def poses(self) -> np.ndarray:
-        """(w, 3), of the open keyframes in the odometry frame."""
+        """(w, 3): poses of the keyframes in the window, in the odometry frame."""
         return np.concatenate([self._older, self.state.mean[None, :3]])
 
     @property
     def calibration(self) -> np.ndarray:
-        """(8,), of odometry and camera."""
+        """(8,): calibration of odometry and camera."""
         return self.state.calibration
 
     @property
     def positions(self) -> np.ndarray:
-        """(n, 2), of the landmarks in the odometry frame [m]."""
+        """(n, 2): positions of the landmarks in the odometry frame [m]."""
         return self.state.positions
 
     @property
@@ -186,7 +187,7 @@ class Smoother:
         return self.first + len(self._older)
 
     def index(self, ids: np.ndarray) -> np.ndarray:
-        """Return which landmarks of the state have these ids, shape (m,)."""
+        """Return the indices in the state of landmarks with these ids, shape (m,)."""
         return np.asarray(self.ids.searchsorted(ids))
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,58 +198,58 @@ class Smoother:
         eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
-    def add_keyframe(self, t: float, motion: Motion, core: np.ndarray = ALIKE) -> None:
-        """Add a keyframe at `t` [s], reached from the last one by `motion`; the state moves on.
+    def add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray = NO_TAIL) -> None:
+        """Add a keyframe at `t` [s], reached by `motion` from the last one; propagate the state.
 
-        Of most motions the variances of shift and turn are but so many times, `core` (2,), as large
-        as its own; how far this one is off all the same its weight says.
+        The factor has the variances of inlier motions, `inlier_ratios` (2,) of those of shift and
+        turn; its robust weight then decides how far this one is an outlier.
         """
         self._older = self.poses
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
         step = step_row(motion)
-        scale_steps(step, core)
+        scale_steps(step, inlier_ratios)
         self._steps = np.concatenate([self._steps, step])
         self.state = self.state.propagate(motion)
 
     def add_landmark(self, position: np.ndarray) -> int:
-        """Add a landmark at `position` [m], shape (2,), so far without sightings; return its id."""
-        unknown = FAR * float(np.hypot(*(self.poses[:, :2] - position).T).max())
+        """Add a landmark at `position` [m], shape (2,), without sightings yet; return its id."""
+        unknown = INFINITY_RATIO * float(np.hypot(*(self.poses[:, :2] - position).T).max())
         self._prior.add_landmark(position, unknown)
         self.state = self.state.with_landmark(position, unknown)
         self.ids = np.append(self.ids, self._next_id)
-        self.stands = np.append(self.stands, 1.0)
+        self.p_static = np.append(self.p_static, 1.0)
         self._next_id += 1
         return self._next_id - 1
 
     def add_sightings(self, rows: np.ndarray) -> None:
-        """Add rows of the table of sightings, shape (m, COLUMNS), of open keyframes."""
+        """Add rows of the table of sightings, shape (m, COLUMNS), of keyframes in the window."""
         self.sightings = np.concatenate([self.sightings, rows])
 
     def scale_noise(self, factor: float) -> None:
-        """Let the bearings' own deviations be so many times as large, of all that are open."""
+        """Scale the measurement noise of all sightings in the window."""
         for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
             scale_noise(rows, factor)
 
     def scale_odometry(self, factors: np.ndarray) -> None:
-        """Let variances of shift and turn be so many times as large, (2, 2): of most, of all."""
+        """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
         for steps in (self._steps, *(part.steps for part in self._closed or [])):
             scale_steps(steps, factors[0])
         self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
         self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
     def odometry_errors(self) -> OdometryErrors:
-        """Return what is left of the motions between open keyframes, linearised."""
+        """Return the residuals of the motions between keyframes in the window, linearised."""
         return odometry_errors(self.poses, self.calibration, self._steps)
 
     def drop_landmark(self, number: int) -> None:
-        """Take the landmark of an id out: what is known of the others stays."""
+        """Marginalise the landmark of an id: the information on the others is kept."""
         index = int(self.index(np.array(number)))
-        self._prior.drop_landmark(index, self._head_and_map())
+        self._prior.drop_landmark(index, self._linearisation_point())
         self.state = self.state.without_landmark(index)
-        self.ids, self.stands = np.delete(self.ids, index), np.delete(self.stands, index)
-        self.known = self.known.among(self.ids)
+        self.ids, self.p_static = np.delete(self.ids, index), np.delete(self.p_static, index)
+        self.survey = self.survey.among(self.ids)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
     def predict(self, rows: np.ndarray) -> Prediction:
@@ -257,7 +258,7 @@ class Smoother:
         return self.state.predict_bearings(*seen, self.cameras(rows), self.index(rows[:, LANDMARK]))
 
     def solve(self) -> None:
-        """Correct everything that is open, and so what is known of the newest pose and the map.
+        """Solve the whole window by Gauss-Newton.
 
         Raises
         ------
@@ -268,22 +269,23 @@ class Smoother:
             poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
-            held, small = self._gains, self._move(poses, common, covariance) < SETTLED
+            constrained = self._slip_is_negative
+            small = self._move(poses, common, covariance) < CONVERGED
             slip = float(self.calibration[TURN_SLIP])
-            self.settled = small and (slip <= 0.0 if held else slip > -NO_GAIN)
-            if self.settled:
+            self.converged = small and (slip <= 0.0 if constrained else slip > -MAX_GAIN_M)
+            if self.converged:
                 break
 
-    def without_known(self, size: float) -> Marginal:
-        """Return the state by all but what is known of landmarks, each within `size` [m]."""
-        equations = self._measured(self._weighed(self.sightings))
+    def without_survey(self, size: float) -> Marginal:
+        """Return the state without the survey; each landmark has a prior of `size` [m] instead."""
+        equations = self._equations_without_survey(self._weighed(self.sightings))
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0
         poses, common, covariance = eliminate(equations).solve()
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self) -> list[Marginal]:
-        """Return what is known of each open pose, as the state is of the newest, after `solve`."""
+        """Return the state at each pose in the window, after `solve`."""
         own, by_common, common = marginals(self.linearised()[0])
         found = []
         for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
@@ -293,7 +295,7 @@ class Smoother:
         return found
 
     def marginalise(self, count: int) -> None:
-        """Marginalise the oldest `count` poses: what they say about everything else is kept."""
+        """Marginalise the oldest `count` poses into the prior."""
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
@@ -309,39 +311,42 @@ class Smoother:
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
-        self._prior.replace(left, self._head_and_map(), drift)
+        self._prior.replace(left, self._linearisation_point(), drift)
 
     def residuals(self) -> np.ndarray:
-        """Return measured minus expected bearing of each sighting, shape (m,) [rad]."""
+        """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
         rows = self.sightings
         seen = sight(self.cameras(rows)[0], self.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
-        """Return the deviations by which rows count (m,), less of what may walk [rad]."""
-        stands = self.stands[self.index(rows[:, LANDMARK])]
+        """Return the effective standard deviations of rows (m,) [rad].
+
+        They are larger for correlated sightings, and for landmarks that may walk.
+        """
+        stands = self.p_static[self.index(rows[:, LANDMARK])]
         return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(stands))
 
     def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
-        """Return all that is known, and what is seen of it, around what is believed now."""
+        """Return the normal equations and the weighted sightings at the present estimate."""
         seen = self._weighed(self.sightings)
-        equations = self._measured(seen)
-        self.known.add_to(equations, self.positions, self.ids)
+        equations = self._equations_without_survey(seen)
+        self.survey.add_to(equations, self.positions, self.ids)
         return equations, seen
 
     def _weighed(self, rows: np.ndarray) -> WeighedSightings:
-        """Return rows of the table, linearised and weighed."""
+        """Return rows of the table as factors, linearised and weighted."""
         pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
         seen = bearing_residuals(rows[:, BEARING], *self.cameras(rows), self.positions[landmark])
         sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
         return weigh_sightings(*seen, *sigmas, pose, landmark)
 
-    def _head_and_map(self) -> np.ndarray:
-        """Return oldest pose, calibration and landmarks in one vector."""
+    def _linearisation_point(self) -> np.ndarray:
+        """Return oldest pose, calibration and landmarks as one vector."""
         return np.concatenate([self.poses[0], self.state.mean[3:]])
 
     def _move(self, poses: np.ndarray, common: np.ndarray, covariance: np.ndarray) -> float:
-        """Apply a step, no longer than the linearisation can be trusted; return its size."""
+        """Apply a step, limited to the linear range; return its full size."""
         landmarks = common[NC:].reshape(-1, 2)
         turn = float(np.abs(poses[:, 2]).max())
         share = float((np.hypot(*landmarks.T) / self.state.reach).max(initial=0.0))
@@ -354,30 +359,29 @@ class Smoother:
         return float(size)
 
     def _normal_equations(self, w: int, seen: WeighedSightings) -> NormalEquations:
-        """Return what the oldest w poses and sightings from them say, and the prior.
+        """Return the normal equations of the oldest w poses, sightings from them, and the prior.
 
-        They are linearised where poses, calibration and landmarks are believed to be. What is
-        believed of the camera's mount beforehand is not among it.
+        The priors on extrinsics and slip are not among them, since they may change.
         """
         equations = NormalEquations.zeros(w, NC + self.positions.size)
-        self._prior.add_to(equations, self._head_and_map())
+        self._prior.add_to(equations, self._linearisation_point())
         add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
         add_sightings(equations, seen)
         return equations
 
     @property
-    def _gains(self) -> bool:
-        """Whether wheels would gain way in bends, which they cannot: rubbing, they lose it."""
+    def _slip_is_negative(self) -> bool:
+        """Whether slip is negative, so that wheels would gain way in bends, which is impossible."""
         return bool(self.calibration[TURN_SLIP] < 0.0)
 
-    def _measured(self, seen: WeighedSightings) -> NormalEquations:
-        """Return everything but what is known of landmarks."""
+    def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
+        """Return the normal equations of everything but the survey."""
         equations = self._normal_equations(len(self.poses), seen)
         at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
         information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information
         equations.common_slope[at] -= information * self.calibration[at]
-        if self._gains:
-            equations.common[TURN_SLIP, TURN_SLIP] += NO_GAIN**-2.0
-            equations.common_slope[TURN_SLIP] -= NO_GAIN**-2.0 * self.calibration[TURN_SLIP]
+        if self._slip_is_negative:
+            equations.common[TURN_SLIP, TURN_SLIP] += MAX_GAIN_M**-2.0
+            equations.common_slope[TURN_SLIP] -= MAX_GAIN_M**-2.0 * self.calibration[TURN_SLIP]
         return equations

@@ -1,4 +1,4 @@
-"""Filter state: one Gaussian on the newest pose and the map, propagated and updated (EKF)."""
+"""EKF state: a Gaussian on newest pose, calibration and landmarks, propagated and updated."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import GATE, SAME_PLACE
 
 HEAD = 3 + NC
-"""The Gaussian begins with the newest pose and the calibration."""
+"""Length of the state before the landmarks: newest pose and calibration."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Sightings from the newest pose against what a `Marginal` says of them."""
+    """Predicted bearings from the newest pose: innovations and their covariance."""
 
     residual: np.ndarray
-    """(m,): measured minus expected [rad]."""
+    """(m,): innovations, measured minus expected [rad]."""
     jacobian: np.ndarray
-    """(m, 13): of the expected bearings, as of `bearing_residuals`."""
+    """(m, 13): Jacobian of the expected bearings; see `bearing_residuals`."""
     correlated: np.ndarray
-    """(m, 3 + 8 + 2 n): covariance of the expected bearings with everything."""
+    """(m, 3 + 8 + 2 n): cross-covariance of the expected bearings with the state."""
     innovation_covariance: np.ndarray
-    """(m, m): covariance of the residuals."""
+    """(m, m): innovation covariance."""
 
     def only(self, keep: np.ndarray) -> Prediction:
-        """Return some of them, marked in `keep`, shape (m,), bool."""
+        """Return a subset, given by a mask (m,)."""
         (kept,) = keep.nonzero()
         if kept.size == keep.size:
             return self
@@ -45,7 +45,7 @@ class Prediction:
         )
 
     def widened(self, variances: np.ndarray) -> Prediction:
-        """Return it with so much more variance in each bearing, shape (m,) [rad^2]."""
+        """Return it with variances (m,) [rad^2] added."""
         covariance = self.innovation_covariance.copy()
         covariance.flat[:: len(covariance) + 1] += variances
         return Prediction(self.residual, self.jacobian, self.correlated, covariance)
@@ -53,7 +53,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Marginal:
-    """The Gaussian on the newest pose, the calibration and the landmarks."""
+    """Gaussian on newest pose, calibration and n landmarks."""
 
     mean: np.ndarray
     """(3 + 8 + 2 n,)"""
@@ -62,27 +62,27 @@ class Marginal:
 
     @property
     def calibration(self) -> np.ndarray:
-        """Of odometry and camera, shape (8,)."""
+        """(8,): calibration of odometry and camera."""
         return self.mean[3:HEAD]
 
     @property
     def calibration_variances(self) -> np.ndarray:
-        """(8,): of each part of the calibration."""
+        """(8,): its variances."""
         return self.covariance.diagonal()[3:HEAD]
 
     @property
     def positions(self) -> np.ndarray:
-        """(n, 2), of the landmarks in the odometry frame [m]."""
+        """(n, 2): positions of the landmarks in the odometry frame [m]."""
         return self.mean[HEAD:].reshape(-1, 2)
 
     @cached_property
     def distances(self) -> np.ndarray:
-        """(n,), of the landmarks from the newest pose [m]."""
+        """(n,): distances of the landmarks from the newest pose [m]."""
         return np.asarray(np.hypot(*(self.positions - self.mean[:2]).T))
 
     @cached_property
     def scale(self) -> float:
-        """Median distance of the landmarks [m]: what is small is small against it; or infinite."""
+        """Median distance of the landmarks, the unit of length of tests [m]; infinite if none."""
         return float(median(self.distances.tolist() or [math.inf]))
 
     @property
@@ -90,7 +90,7 @@ class Marginal:
         """(n,): distances, bounded below by `SAME_PLACE` for landmarks next to the robot [m]."""
         return self.distances + SAME_PLACE * self.scale
 
-    def after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
         moved = motion.uncalibrated + motion.jacobian @ self.calibration
         by_head = np.empty((3, HEAD))
@@ -99,9 +99,9 @@ class Marginal:
         return there, by_head
 
     def propagate(self, motion: Motion) -> Marginal:
-        """Propagate: move the newest pose on by a motion."""
+        """EKF prediction: propagate the newest pose by a motion."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        mean[:3], by_head = self.after(motion)
+        mean[:3], by_head = self.pose_after(motion)
         turn = rotation(self.mean[2])
         covariance[:3] = by_head @ self.covariance[:HEAD]
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
@@ -122,9 +122,9 @@ class Marginal:
         bearings, sigmas : ndarray, shape (m,)
             Measured from the camera's axis, and their standard deviations [rad].
         cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11), or (3,) and (3, 11)
-            The camera's poses by that of the newest keyframe; see `Frames.eyes`, `after`.
+            The camera's poses and Jacobians; see `Frames.eyes`, `pose_after`.
         index : ndarray, shape (m,), int
-            Which landmarks were seen.
+            Indices of the landmarks.
         """
         at = HEAD + 2 * index
         residual, jacobian = bearing_residuals(bearings, *cameras, self.positions[index])
@@ -139,12 +139,12 @@ class Marginal:
         return Prediction(residual, jacobian, correlated, innovation_covariance)
 
     def update(self, seen: Prediction) -> Marginal:
-        """Update: return it corrected by sightings, those far off at less weight.
+        """EKF update by sightings, with a redescending M-estimator against large innovations.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When `seen` has no spread.
+            When the innovation covariance is singular.
         """
         if not seen.residual.size:
             return self
@@ -155,17 +155,17 @@ class Marginal:
         )
         _, gain, failed = lapack.dposv(innovation_covariance, seen.correlated)
         if failed:
-            raise np.linalg.LinAlgError("the sightings have no spread")
+            raise np.linalg.LinAlgError("the innovation covariance is singular")
         covariance = self.covariance - seen.correlated.T @ gain
         return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
 
     @staticmethod
     def columns(index: np.ndarray) -> np.ndarray:
-        """Return where the coordinates of landmarks (k,) are in the state, (k, 2)."""
+        """Return the indices of the coordinates of landmarks (k,) in the state, (k, 2)."""
         return np.asarray(HEAD + 2 * index[:, None] + np.arange(2))
 
     def places(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where landmarks (k,) stand, (k, 2) [m], and the covariances of that, (k, 2, 2)."""
+        """Return positions of landmarks (k,), (k, 2) [m], and their covariances, (k, 2, 2)."""
         columns = self.columns(index)
         return self.mean[columns], self.covariance[columns[:, :, None], columns[:, None, :]]
 

@@ -1,4 +1,4 @@
-"""Robust triangulation: a landmark's position from sight lines of which some may be wrong."""
+"""Robust triangulation: a landmark's position from sight lines with outliers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from homeward.localizer.tunables import (
     SAME_PLACE,
 )
 
-FEWEST = 3
-"""Sightings that must agree."""
-MOST_LINES = 24
-"""So many sight lines, spread over all, are intersected in pairs."""
-FAR = 100.0
-"""A place so many times as far stands for one at infinity [1]."""
+MIN_LINES = 3
+"""Smallest number of lines that agree."""
+MAX_LINES = 24
+"""Lines, evenly spread, that are intersected in pairs."""
+INFINITY_RATIO = 100.0
+"""Distance that stands for infinity, over the distances at hand [1]."""
 STEPS = 6
 
 
@@ -29,18 +29,18 @@ def triangulate(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the position on which most sight lines agree, and which of them do.
 
-    All pairs out of at most `MOST_LINES` lines are intersected, the point with the smallest robust
-    cost is refined by Gauss-Newton. A wrong line crosses nearly parallel right ones close to the
-    robot and makes a place all alone; so where lines may be wrong, no single one may decide.
+    Pairs of at most `MAX_LINES` lines are intersected; the point of least truncated squares is
+    refined by Gauss-Newton on its inliers. An outlier crosses nearly parallel lines close to the
+    robot and makes a position by itself; so where there may be outliers, no single line may decide.
 
     Parameters
     ----------
     cameras : ndarray, shape (m, 3)
         Poses of the camera: x [m], y [m], heading of its axis [rad].
     bearings, sigmas : ndarray, shape (m,)
-        Measured from the axis, and their standard deviations [rad].
+        Measured from the axis, and standard deviations [rad].
     parallax : float
-        Angle that must lie between two of the lines that agree [rad].
+        Smallest angle between two of the lines that agree [rad].
 
     Returns
     -------
@@ -49,31 +49,31 @@ def triangulate(
     agree : ndarray, shape (m,), bool
         None instead of both when the lines do not (yet) tell.
     """
-    if len(bearings) < FEWEST:
+    if len(bearings) < MIN_LINES:
         return None
     lines = cameras[:, 2] + bearings
     if not _spread(lines, np.ones(lines.size, bool), parallax):
         return None
-    chosen = np.unique(np.linspace(0, lines.size - 1, MOST_LINES).astype(int))
+    chosen = np.unique(np.linspace(0, lines.size - 1, MAX_LINES).astype(int))
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
     if not len(points):
         return None
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
     for _ in range(STEPS):
-        if agree.sum() < FEWEST:
+        if agree.sum() < MIN_LINES:
             return None
         position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
         agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
-    enough = agree.sum() >= max(FEWEST, MAJORITY * lines.size)
+    enough = agree.sum() >= max(MIN_LINES, MAJORITY * lines.size)
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
     if not position_sigma(np.linalg.inv(information)) < LINEAR_RANGE * distance:
         return None
-    none_wrong = agree.all() and not _is_beside(position, cameras)
+    none_wrong = agree.all() and not _is_next_to_camera(position, cameras)
     if not none_wrong:
-        far = FAR * (distance + np.hypot(*np.ptp(cameras[:, :2], axis=0)))
+        far = INFINITY_RATIO * (distance + np.hypot(*np.ptp(cameras[:, :2], axis=0)))
         ends = cameras[chosen, :2] + far * _along(lines[chosen])
         middle = cameras[agree, :2].mean(axis=0)
         rivals = _rivals(np.concatenate([points, ends]), position, middle)
@@ -89,20 +89,20 @@ def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
     return bool(np.ptp(around) >= parallax) if around.size else False
 
 
-def _is_beside(position: np.ndarray, cameras: np.ndarray) -> bool:
-    """Return whether a camera is so near to a place that its line fits whatever it measured."""
+def _is_next_to_camera(position: np.ndarray, cameras: np.ndarray) -> bool:
+    """Return whether a camera is so near to a position that its line fits any bearing."""
     apart = np.hypot(*np.ptp(cameras[:, :2], axis=0))
     return bool(np.hypot(*(cameras[:, :2] - position).T).min() < SAME_PLACE * apart)
 
 
 def _rivals(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Return those of points (k, 2) that are another place, seen from `eye`, than `position`."""
+    """Return the points (k, 2) that are, from `eye`, at another place than `position`."""
     off, distance = np.hypot(*(points - position).T), np.hypot(*(points - eye).T)
     return np.asarray(points[off > RIVAL_DISTANCE * distance])
 
 
 def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:
-    """Return where pairs of sight lines meet in front of both, shape (k, 2)."""
+    """Return intersections of pairs of sight lines in front of both cameras, shape (k, 2)."""
     i, j = np.triu_indices(lines.size, 1)
     sine = np.sin(lines[j] - lines[i])
     good = np.abs(sine) > np.sin(min(least, 1.5))
@@ -123,13 +123,13 @@ def _along(lines: np.ndarray) -> np.ndarray:
 def _costs(
     points: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
 ) -> np.ndarray:
-    """Return how many of the lines each point leaves unexplained, shape (k,); some in part."""
+    """Return the truncated squared residuals of each point, (k,): lines not explained."""
     residuals = _residuals(points, cameras, lines)
     return np.asarray(np.minimum((residuals / (INLIER_GATE * sigmas)) ** 2, 1.0).sum(axis=1))
 
 
 def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Return each line's angle off each point, shape (k, m) [rad]."""
+    """Return residuals of lines by point, shape (k, m) [rad]."""
     dx = points[:, 0, None] - cameras[None, :, 0]
     dy = points[:, 1, None] - cameras[None, :, 1]
     return np.asarray(wrap(lines - np.arctan2(dy, dx)))

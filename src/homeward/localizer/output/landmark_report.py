@@ -57,7 +57,7 @@ class LandmarkReport:
         unjudged = 1.0 if math.isfinite(moved_at) else math.nan
         reasons = [unjudged if judged is None else judged, surveyed]
         if judged is not None and mapped is not None:
-            reasons.extend(self.known.walking([mapped]).tolist())
+            reasons.extend(self.known.walking_probabilities([mapped]).tolist())
         probability = max((p for p in reasons if math.isfinite(p)), default=math.nan)
         x, y, deviation = place
         return LandmarkEstimate(

@@ -45,7 +45,7 @@ class Learner:
         self._slip_sigma = slip_sigma
         self._learnt_at = self._odometry_learnt_at = 0
 
-    def fit_robot_to_scene(self, smoother: Smoother) -> None:
+    def scale_noise_prior(self, smoother: Smoother) -> None:
         """Expect of odometry what is usual of a robot that is no larger than its scene.
 
         One k times as large that drives k times as far errs and slips k times as far, and so has k
@@ -70,20 +70,20 @@ class Learner:
         if wider != 1.0:
             smoother.scale_noise(wider)
             landmarks.scale_noise(wider)
-        if smoother.settled:
+        if smoother.converged:
             judge_walking(smoother, [*landmarks.mapped.values(), *landmarks.former.values()])
         since = newest - self._odometry_learnt_at
-        if since >= LEARNS_EVERY and smoother.settled and landmarks.mapped:
+        if since >= LEARNS_EVERY and smoother.converged and landmarks.mapped:
             self._odometry_learnt_at = newest
             left, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
 
-    def opens_mount(self, smoother: Smoother) -> bool:
+    def frees_extrinsics(self, smoother: Smoother) -> bool:
         """Let the camera be anywhere on the robot if bearings deny its place; return whether so.
 
         They do so once, and need a solution then.
         """
-        now, sound = smoother.state, smoother.settled and self._noise.confirmed
+        now, sound = smoother.state, smoother.converged and self._noise.confirmed
         calibration = now.calibration, now.calibration_variances
         if not (sound and self._extrinsics.test(*calibration, now.scale)):
             return False

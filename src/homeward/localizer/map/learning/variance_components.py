@@ -60,7 +60,7 @@ class BearingErrors(NamedTuple):
             return 1.0
         signs = rng.choice([-1.0, 1.0], clear.shape) * clear
         pulled = self.jacobian * signs[:, None]
-        slope, common = left.no_gradient()
+        slope, common = left.zero_gradient()
         np.add.at(slope, self.pose, pulled[:, :3])
         common[:NC] = pulled[:, 3 : 3 + NC].sum(axis=0)
         np.add.at(common[NC:].reshape(-1, 2), self.landmark, pulled[:, 3 + NC :])
@@ -134,7 +134,7 @@ def _pulled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what poses, and what they share, take up of errors (k, i, 1) of motions."""
     pulled = (by_state.transpose(0, 2, 1) @ errors)[:, :, 0]
-    slope, common = left.no_gradient()
+    slope, common = left.zero_gradient()
     slope[:-1] += pulled[:, :3]
     slope[1:] += pulled[:, 3:6]
     common[:NC] = pulled[:, 6:].sum(axis=0)

@@ -97,14 +97,14 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     numpy.linalg.LinAlgError
         When the normal equations are singular.
     """
-    open_since, surveyed = smoother.first, set(smoother.known.ids.tolist())
+    open_since, surveyed = smoother.first, set(smoother.survey.ids.tolist())
     judged = [m for m in landmarks if m.first >= open_since and m.number not in surveyed]
     took = smoother.stamps[-1] - smoother.stamps[0]
     if not judged or not took > 0.0:
         return
     path = float(np.hypot(*np.diff(smoother.poses[:, :2], axis=0).T).sum())
     at = smoother.index(np.array([m.number for m in judged]))
-    smoother.stands[at] = 1.0  # while they are judged
+    smoother.p_static[at] = 1.0  # while they are judged
     begun = np.full(len(smoother.ids), np.inf)
     everything, seen = smoother.linearised()
     t = smoother.sightings[:, TIME]
@@ -113,8 +113,8 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     found = walks(everything, seen, speed * (t - begun[seen.landmark]), at)
     probabilities, moments = judge_together(found)
     for landmark, moment in zip(judged, moments, strict=True):
-        landmark.astray = moment
-    smoother.stands[at] = np.maximum(1.0 - probabilities, FALSE_ALARM)
+        landmark.walk_moment = moment
+    smoother.p_static[at] = np.maximum(1.0 - probabilities, FALSE_ALARM)
 
 
 def judge_together(found: Walks) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ class Registration:
     @property
     def knows_home(self) -> bool:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
-        judged = self._smoother.known.ids.size and self.survey.used
+        judged = self._smoother.survey.ids.size and self.survey.used
         return self.survey.known.surveyed_from_home and bool(judged)
 
     def measured(self) -> Marginal:
@@ -50,13 +50,13 @@ class Registration:
         """
         if not self.survey.known.tells:
             return self._smoother.state
-        return self._smoother.without_known(self.survey.size)
+        return self._smoother.without_survey(self.survey.size)
 
     def from_home(self, state: Marginal) -> Marginal:
         """Return a state in home's frame, if that is known; else as it is."""
         if not self.knows_home:
             return state
-        return in_survey_frame(state, self._smoother.known, self._smoother.ids)
+        return in_survey_frame(state, self._smoother.survey, self._smoother.ids)
 
     def stayed(self, state: Marginal) -> np.ndarray:
         """Return the places in a state of the landmarks that fix that frame, and stayed, (k, 2)."""
@@ -77,23 +77,23 @@ class Registration:
         """
         mapped, smoother = self._landmarks.mapped, self._smoother
         names = [n for n in self._landmarks.expected if n in mapped]
-        if len(names) >= MIN_BEARINGS and not smoother.known.ids.size:
+        if len(names) >= MIN_BEARINGS and not smoother.survey.ids.size:
             order = sorted(names, key=lambda n: mapped[n].number)
             numbers = {n: mapped[n].number for n in order}
-            smoother.known = self.survey.factors(order, [], numbers)
+            smoother.survey = self.survey.factors(order, [], numbers)
 
     def judge(self) -> None:
         """Let what is known of landmarks count as far as the solved map without it agrees."""
         if not self.survey.known.tells:
             return
-        smoother, before = self._smoother, self._smoother.known
+        smoother, before = self._smoother, self._smoother.survey
         came = {**self._landmarks.mapped, **self._landmarks.former}  # where they stood first
         numbers = {name: landmark.number for name, landmark in came.items()}
         try:
             now = self.survey.judge(self.measured(), numbers, smoother.ids)
         except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now
             return
-        smoother.known = now
+        smoother.survey = now
         if now.ids.size >= MIN_BEARINGS:
             datum = now.datum(smoother.positions, smoother.index(now.ids))
             self.expect(datum.pose, set(self.survey.places))
