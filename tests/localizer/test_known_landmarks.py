@@ -25,8 +25,8 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
-    apart_along,
     columns,
+    distance_and_jacobian,
     in_survey_frame,
 )
 from homeward.localizer.map.survey.survey import Survey
@@ -202,7 +202,7 @@ def test_one_known_distance_fixes_the_scale_within_its_sigma():
         assert sigma < 0.5 * SCALE
         mapped = rig.localizer.chart.map
         index = mapped.landmarks.index([mapped.landmarks.mapped[n] for n in ("L0", "L5")])
-        found, along = apart_along(mapped.state.positions[index])
+        found, along = distance_and_jacobian(mapped.state.positions[index])
         here = 3 + columns(index)
         deviation = math.sqrt(along @ mapped.state.covariance[np.ix_(here, here)] @ along)
         assert deviation < 1.01 * SIGMA
@@ -265,7 +265,7 @@ def test_of_a_survey_of_another_hall_with_many_landmarks_nothing_is_used(seed):
     variances = np.concatenate([np.full(HEAD, 1e-4), np.full(here.size, 0.3**2)])
     mapped = Marginal(np.concatenate([np.zeros(HEAD), here.ravel()]), np.diag(variances))
     survey = Survey(KnownLandmarks(landmarks=told), LocalizerSettings())
-    survey.judge(mapped, {name: i for i, name in enumerate(told)}, np.arange(len(told)))
+    survey.evaluate(mapped, {name: i for i, name in enumerate(told)}, np.arange(len(told)))
     assert not survey.used
     assert sum(p > 0.5 for p in survey.wrong.values()) > 40
 

@@ -13,12 +13,12 @@ def test_a_map_of_which_nothing_can_be_learnt_is_given_up(monkeypatch):
     rig.drive(25.0)  # the window is full: what a solution tells is learnt at the look after it
     asked = []
 
-    def judge_walking(*_):
+    def update_walking(*_):
         asked.append(rig.t)
         if len(asked) == 1:
             raise np.linalg.LinAlgError("singular")
 
-    monkeypatch.setattr(learner, "judge_walking", judge_walking)
+    monkeypatch.setattr(learner, "update_walking", update_walking)
     answer = rig.drive(15.0)
     assert len(asked) > 1
     assert rig.localizer.counts.rejected[Rejection.MAP_RESET] == 1

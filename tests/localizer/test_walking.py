@@ -13,7 +13,7 @@ from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings
 from homeward.localizer.map.learning.walking import (
     Walks,
-    judge_together,
+    walking_probabilities,
     walks,
 )
 from homeward.localizer.motion.preintegration import NC
@@ -53,7 +53,7 @@ def judged(velocity, turns, pose_sigma=1e-6):
     for _ in range(50):
         e, seen = linearised(np.arctan2(d[:, 1], d[:, 0]), eyes, at, pose_sigma)
         at += 0.5 * eliminate(e).solve()[1][NC:]
-    return walks(e, seen, SPEED * t, np.array([0])).given(np.array([False])), at
+    return walks(e, seen, SPEED * t, np.array([0])).conditional_on(np.array([False])), at
 
 
 def test_one_that_keeps_its_way_is_told_from_one_that_stands_once_the_robot_turns():
@@ -99,7 +99,7 @@ def test_the_evidence_is_that_of_the_two_models():
     standing = np.eye(m) + dense @ dense.T
     velocities = [SPEED * (since * (landmark == k))[:, None] * jacobian[:, -2:] for k in range(n)]
     for others in product([False, True], repeat=n):
-        log_factor, moment = found.given(np.array(others))
+        log_factor, moment = found.conditional_on(np.array(others))
         for k, velocity in enumerate(velocities):
             walk = [v for i, v in enumerate(velocities) if others[i] and i != k]
             known = standing + sum((v @ v.T for v in walk), np.zeros((m, m)))
@@ -150,9 +150,9 @@ def apart(*log_factors):
 
 
 def test_where_many_walk_one_of_whom_nothing_is_known_is_doubted_too():
-    nothing = judge_together(apart(*[0.0] * 12))[0]
-    stands = judge_together(apart(*[-8.0] * 11, 0.0))[0]
-    crowd = judge_together(apart(*[20.0] * 6, *[-8.0] * 5, 0.0))[0]
+    nothing = walking_probabilities(apart(*[0.0] * 12))[0]
+    stands = walking_probabilities(apart(*[-8.0] * 11, 0.0))[0]
+    crowd = walking_probabilities(apart(*[20.0] * 6, *[-8.0] * 5, 0.0))[0]
     assert np.allclose(nothing, nothing[0])
     assert nothing[0] < 0.1
     assert stands[-1] < 2.0 * WALKING_PRIOR
@@ -167,9 +167,9 @@ def test_one_that_is_pulled_along_by_a_walker_stands():
     information = np.kron(np.array([[20.0, coupling], [coupling, 20.0]]), np.eye(2))
     velocity = np.array([4.0, 0.0, 0.0, 0.0])
     found = Walks(information, information @ velocity, np.zeros((2, 2, 4)))
-    alone = found.given(np.array([False, False]))[0]
+    alone = found.conditional_on(np.array([False, False]))[0]
     assert alone.min() > 10.0  # each for itself seems to walk
-    probabilities = judge_together(found)[0]
+    probabilities = walking_probabilities(found)[0]
     assert probabilities[0] > 0.999
     assert probabilities[1] < 0.1
 
@@ -181,7 +181,7 @@ def test_any_evidence_comes_to_a_verdict():
         half = rng.normal(size=(2 * n, 2 * n)) * rng.uniform(0.1, 3.0)
         information = np.eye(2 * n) + half @ half.T
         found = Walks(information, 10.0 * rng.normal(size=2 * n), np.zeros((n, 2, 2 * n)))
-        probabilities, moments = judge_together(found)
+        probabilities, moments = walking_probabilities(found)
         assert np.all((probabilities >= 0.0) & (probabilities <= 1.0))
         assert np.isfinite(moments).all()
 
@@ -189,7 +189,7 @@ def test_any_evidence_comes_to_a_verdict():
 def test_evidence_that_is_no_number_is_an_error():
     found = Walks(np.eye(4), np.array([math.nan, 0.0, 0.0, 0.0]), np.zeros((2, 2, 4)))
     with pytest.raises(np.linalg.LinAlgError):
-        judge_together(found)
+        walking_probabilities(found)
 
 
 def test_a_place_that_may_be_wrong_counts_by_the_information_of_either_case():
@@ -205,6 +205,6 @@ def test_a_place_that_may_be_wrong_counts_by_the_information_of_either_case():
 def test_sight_lines_from_one_place_say_nothing():
     t, place = np.zeros(8), PLACE.copy()
     e, seen = linearised(np.full(8, 0.3), np.zeros((8, 2)), place, 1e-6)
-    log_factor, moment = walks(e, seen, SPEED * t, np.array([0])).given(np.array([False]))
+    log_factor, moment = walks(e, seen, SPEED * t, np.array([0])).conditional_on(np.array([False]))
     assert np.isfinite(moment).all()
     assert np.allclose(log_factor, 0.0)

@@ -188,7 +188,7 @@ class Chart:
             self.map.landmarks,
             self.home.names,
             hypotheses,
-            self.map.registration.from_home(self.map.state),
+            self.map.registration.in_home_frame(self.map.state),
             self.map.registration.survey,
         ).landmarks()
 

@@ -234,7 +234,7 @@ class Localizer:
             When that is too little.
         """
         chart = self.chart
-        state, mapped = chart.map.registration.measured(), chart.map.landmarks.mapped
+        state, mapped = chart.map.registration.without_survey(), chart.map.landmarks.mapped
         index = chart.map.landmarks.index(mapped.values())
         at = state.columns(index).ravel()
         mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]

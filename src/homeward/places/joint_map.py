@@ -16,7 +16,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose, position_sigma
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
-from homeward.localizer.map.survey.factors import align, turned
+from homeward.localizer.map.survey.factors import align, rotated
 
 DATUM = 3
 """Unknowns of a rigid motion."""
@@ -196,7 +196,7 @@ def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarra
     mine, order = place.only(names, ()).loose(), visit.columns(place.only(names).names)
     there, own = visit.mean[order].reshape(-1, 2), visit.covariance[np.ix_(order, order)]
     turn = rotation(align(there, mine.positions, mine.covariance).pose[2])[:2, :2]
-    return align(there, mine.positions, mine.covariance + turned(own, turn.T)).pose
+    return align(there, mine.positions, mine.covariance + rotated(own, turn.T)).pose
 
 
 def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:

@@ -13,7 +13,7 @@ from homeward.frames import Pose
 from homeward.localizer.geometry import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey.evidence import MOST_JUDGED, wrong_probabilities
+from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.tunables import INLIER_GATE, MIN_SIGHTINGS, SAME_PLACE, VERIFYING_BEARINGS
 from homeward.places.evidence import evidence, require_new
@@ -250,7 +250,7 @@ def _judged(place: Place, told: Told) -> dict[str, float]:
     """Return the probability that landmarks of both stand elsewhere than the place has them."""
     before, stays, found = place.aged(told.when), place.stays(told.when), dict[str, float]()
     common = [n for n in before.names if n in told.map.names]
-    groups = max(1, -(-len(common) // MOST_JUDGED))
+    groups = max(1, -(-len(common) // MAX_TESTED))
     for some in (common[i::groups] for i in range(groups)):
         if len(some) < 2:
             continue
@@ -262,7 +262,7 @@ def _judged(place: Place, told: Told) -> dict[str, float]:
         covariance[HEAD:, HEAD:] = theirs.covariance[np.ix_(order, order)]
         free = Marginal(np.concatenate([np.zeros(HEAD), theirs.mean[order]]), covariance)
         prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
-        wrong = wrong_probabilities(factors, free, np.arange(n // 2), prior, before.size)
+        wrong = outlier_probabilities(factors, free, np.arange(n // 2), prior, before.size)
         found |= dict(zip(mine.names, wrong.tolist(), strict=True))
     return found
 

@@ -80,7 +80,7 @@ class HomeObservation:
     ) -> HomeProblem:
         """Return what is known of landmarks of home, `index` (q,) of a state of the map.
 
-        Each walks with probability `walks` (q,), its offset then having `walk_moment` (q, 2, 2) [m^2].
+        Each walks with a probability `walks` (q,), its offset then being `walk_moment` (q, 2, 2).
         """
         columns = np.empty(4 + 2 * index.size, int)
         columns[:4] = 0, 1, 2, 3 + CAMERA_YAW

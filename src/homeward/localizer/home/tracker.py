@@ -91,12 +91,12 @@ class HomeTracker:
 
         It is in the odometry frame; where the map has a survey in home's frame, in that.
         """
-        state = known.registration.from_home(state)
+        state = known.registration.in_home_frame(state)
         places = known.places_for_home(self.names)
         problem = self.observation.problem(self.names, *places, state, self._noise)
         if not known.registration.knows_home:
             return problem
-        return problem.at_origin(known.registration.stayed(state))
+        return problem.at_origin(known.registration.static_places(state))
 
     def conclude(self, known: Map, state: Marginal) -> bool:
         """Find home anew by what a whole drive says; return whether it is found.

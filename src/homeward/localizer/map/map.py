@@ -342,7 +342,7 @@ class Map:
         """Update the state: by an EKF step with the newest sightings, or by the whole window."""
         initialised = self.landmarks.initialise()
         if initialised:
-            self.registration.hold_expected()
+            self.registration.fix_expected()
         due = initialised or self._solve_due
         if seen is None or due or not self._apply_if_linear(self.state.update(seen)):
             self._solve()
@@ -368,7 +368,7 @@ class Map:
             self._learner.scale_noise_prior(smoother)
         smoother.solve()
         if smoother.converged:
-            self.registration.judge()
+            self.registration.evaluate()
         misfits = self.landmarks.drop_misfits(smoother.residuals()) if smoother.converged else 0
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)

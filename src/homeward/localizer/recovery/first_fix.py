@@ -110,6 +110,6 @@ class FirstFix:
         by_chance = min(2.0 * INLIER_GATE * float(np.median(sigmas)) / AHEAD, 1.0)
         others = len(self._seen) - MIN_BEARINGS
         tail = bdtrc(len(names) - MIN_BEARINGS - 1, others, by_chance)
-        stay = np.mean([self._survey.stays(n) for n in self._seen])
+        stay = np.mean([self._survey.p_stayed(n) for n in self._seen])
         no_rival = bdtr(len(names) - 2, len(self._seen), stay)
         return names, math.comb(len(self._seen), MIN_BEARINGS) * float(tail * no_rival)

@@ -1,1 +1,1 @@
-"""What a solution of the map tells of noise, of the camera's place, and of who may walk."""
+"""Learning from solutions of the map: noise, extrinsics, and which landmarks may walk."""

@@ -1,4 +1,4 @@
-"""Learning from the map: noise of bearings and odometry, the camera's place, and who may walk."""
+"""Adaptive noise and extrinsics, and walking landmarks, by the residuals of a solved map."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.elimination import eliminate
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.variance_components import BearingErrors, Misfit, misfit
-from homeward.localizer.map.learning.walking import judge_walking
+from homeward.localizer.map.learning.walking import update_walking
 from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.tunables import USUAL_DISTANCE_M
 
-LEARNS_EVERY = 10
-"""Keyframes from which the odometry's noise is learnt at once."""
+ODOMETRY_EVERY = 10
+"""Keyframes between two updates of the odometry noise."""
 
 
 class Learner:
-    """Learns from what solutions of a map leave of bearings and motions.
+    """Learns from the residuals of bearings and motions in solutions of a map.
 
     Parameters
     ----------
     noise : BearingNoise
-        Of bearings.
+        Noise of bearings.
     process_noise : ProcessNoise
-        Of motions.
+        Noise of motions.
     extrinsics : Extrinsics
-        What is believed of the camera's place on the robot.
+        Prior on the camera's pose on the robot.
     slip_sigma : float
-        Of slip in bends, as is usual of robots in a room [m].
+        Prior standard deviation of slip in bends, of robots in a room [m].
     """
 
     def __init__(
@@ -43,20 +43,20 @@ class Learner:
     ) -> None:
         self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
         self._slip_sigma = slip_sigma
-        self._learnt_at = self._odometry_learnt_at = 0
+        self._updated_at = self._odometry_updated_at = 0
 
     def scale_noise_prior(self, smoother: Smoother) -> None:
-        """Expect of odometry what is usual of a robot that is no larger than its scene.
+        """Scale the prior of the odometry noise to the scene: robots are no larger than it.
 
-        One k times as large that drives k times as far errs and slips k times as far, and so has k
-        times the variance per metre. In a hall it may be as small as in a room.
+        A robot k times as large that drives k times as far errs and slips k times as far, so its
+        variance per metre is k times as large. In a hall the robot may be as small as in a room.
         """
         share = min(1.0, smoother.state.scale / USUAL_DISTANCE_M)
         smoother.scale_odometry(self._process_noise.scale_prior(share))
         smoother.slip_sigma = share * self._slip_sigma
 
     def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
-        """Learn from the last solution: bearings' noise, then who walks by that, then odometry's.
+        """Update the noise of bearings, then the walking landmarks, then the noise of odometry.
 
         Raises
         ------
@@ -65,34 +65,34 @@ class Learner:
         """
         newest, residuals = smoother.newest, smoother.residuals()
         own, total, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T
-        since, self._learnt_at = newest - self._learnt_at, newest
-        wider = self._noise.update(residuals, own, total, gaps, numbers, since)
-        if wider != 1.0:
-            smoother.scale_noise(wider)
-            landmarks.scale_noise(wider)
+        since, self._updated_at = newest - self._updated_at, newest
+        factor = self._noise.update(residuals, own, total, gaps, numbers, since)
+        if factor != 1.0:
+            smoother.scale_noise(factor)
+            landmarks.scale_noise(factor)
         if smoother.converged:
-            judge_walking(smoother, [*landmarks.mapped.values(), *landmarks.former.values()])
-        since = newest - self._odometry_learnt_at
-        if since >= LEARNS_EVERY and smoother.converged and landmarks.mapped:
-            self._odometry_learnt_at = newest
+            update_walking(smoother, [*landmarks.mapped.values(), *landmarks.former.values()])
+        since = newest - self._odometry_updated_at
+        if since >= ODOMETRY_EVERY and smoother.converged and landmarks.mapped:
+            self._odometry_updated_at = newest
             left, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
 
     def frees_extrinsics(self, smoother: Smoother) -> bool:
-        """Let the camera be anywhere on the robot if bearings deny its place; return whether so.
+        """Free the extrinsics if the bearings contradict the assumed ones; return whether so.
 
-        They do so once, and need a solution then.
+        That happens once, and requires another solution.
         """
-        now, sound = smoother.state, smoother.converged and self._noise.confirmed
+        now, reliable = smoother.state, smoother.converged and self._noise.confirmed
         calibration = now.calibration, now.calibration_variances
-        if not (sound and self._extrinsics.test(*calibration, now.scale)):
+        if not (reliable and self._extrinsics.test(*calibration, now.scale)):
             return False
         smoother.mount_sigmas = self._extrinsics.sigmas
         return True
 
 
 def _odometry_misfit(smoother: Smoother) -> Misfit:
-    """Compare what the last solution left of motions with what it was expected to leave."""
+    """Compare the residuals of motions in the last solution with their expectation."""
     everything, seen = smoother.linearised()
     rows = smoother.sightings
     sigma, effective = rows[:, SIGMA], smoother.effective_sigmas(rows)

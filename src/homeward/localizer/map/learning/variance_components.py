@@ -1,13 +1,12 @@
-"""Variance components of odometry: how far its noise is from what is believed (Foerstner 1979).
+"""Variance component estimation of odometry noise (Helmert 1907, Foerstner 1979).
 
-What the solved map leaves of a motion is smaller than the motion's error by as much as poses
-followed it: the expected square of it, over the variance that is believed, is not the number of
-motions but their redundancy, a trace, which is estimated with random signs (Hutchinson 1990).
+Residuals of motions are smaller than the errors, since poses follow them: the expected sum of their
+squares, over the assumed variance, is not the number of motions but their redundancy. That is a
+trace, estimated with random signs (Hutchinson 1990).
 
-A part of that redundancy stands for errors of bearings, to which poses that believe them give way.
-Where bearings are better than is believed of them (as where nobody tells their noise) that part
-leaves less, and odometry would pass for better than it is. So the variance of bearings is a
-component, too, by which that part is weighed (Helmert 1907).
+Part of the redundancy is due to bearing errors, to which the poses give way. Where bearings are
+better than assumed (as where their noise is not given) that part is smaller, and odometry would
+seem better than it is. So the variance of bearings is a component, too, and weights that part.
 """
 
 from __future__ import annotations
@@ -24,34 +23,34 @@ from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import GATE
 
 CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)
-"""Quantiles of the squared Mahalanobis error of a motion."""
+"""Quantiles of the squared Mahalanobis distance of a motion."""
 PARTS = (slice(0, 2), slice(2, 3))
-"""Of a motion: the way along and across, and the turn."""
+"""Components of a motion: shift along and across, and turn."""
 
 
 class BearingErrors(NamedTuple):
-    """What a solved map leaves of m bearings."""
+    """Residuals of m bearings in a solved map."""
 
     error: np.ndarray
-    """(m,): over the deviation of a single one [1]."""
+    """(m,): normalised by the standard deviation of a single bearing [1]."""
     jacobian: np.ndarray
-    """(m, 13): of `bearing_residuals`, over the deviations by which they count beside others."""
+    """(m, 13): Jacobian of `bearing_residuals`, normalised by effective standard deviations."""
     pose: np.ndarray
-    """(m,), int: from which pose each was made."""
+    """(m,), int: the pose from which each was made."""
     landmark: np.ndarray
-    """(m,), int: of which landmark."""
+    """(m,), int: its landmark."""
     own: np.ndarray
-    """(m,): how much of their variance is their own, not that of the way from the keyframe [1]."""
+    """(m,): share of their own noise in their variance, beside that of odometry [1]."""
 
-    def by_step(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
-        """Return the change, (m,) [1], by a step of poses (w, 3) and of what they share."""
+    def change(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
+        """Return the change (m,) [1] by a step of poses (w, 3) and shared unknowns."""
         by_pose, by_common, by_place = np.split(self.jacobian, [3, 3 + NC], axis=1)
         places = shared[NC:].reshape(-1, 2)[self.landmark]
         turned = (by_pose * poses[self.pose]).sum(axis=1) + (by_place * places).sum(axis=1)
         return np.asarray(turned + by_common @ shared[:NC])
 
-    def variance(self, left: Elimination, rng: np.random.Generator) -> float:
-        """Return their variance over that which is believed, 1 at most: worse ones are doubted.
+    def variance(self, eliminated: Elimination, rng: np.random.Generator) -> float:
+        """Return their variance over the assumed one, 1 at most: larger ones are handled elsewhere.
 
         Parameters are those of `misfit`.
         """
@@ -60,82 +59,82 @@ class BearingErrors(NamedTuple):
             return 1.0
         signs = rng.choice([-1.0, 1.0], clear.shape) * clear
         pulled = self.jacobian * signs[:, None]
-        slope, common = left.zero_gradient()
+        slope, common = eliminated.zero_gradient()
         np.add.at(slope, self.pose, pulled[:, :3])
         common[:NC] = pulled[:, 3 : 3 + NC].sum(axis=0)
         np.add.at(common[NC:].reshape(-1, 2), self.landmark, pulled[:, 3 + NC :])
-        free = (signs - self.by_step(*left.step(slope, common)))[clear]
+        free = (signs - self.change(*eliminated.step(slope, common)))[clear]
         redundancy, own = float(signs[clear] @ free), float(free @ free)
         squares = float(np.minimum(self.error[clear] ** 2, GATE**2).sum())
         return min(max((squares - (redundancy - own)) / own, 0.0), 1.0)
 
 
 class Misfit(NamedTuple):
-    """What a solved map leaves of motions, shift and turn apart, each (2, 2).
+    """Residuals of motions in a solved map, for shift and turn, each (2, 2).
 
-    By their weights in the first row; in the second all alike, but for what is absurd.
+    In the first row with robust weights; in the second unweighted, but bounded by the gate.
     """
 
     squares: np.ndarray
-    """Sums of their squares over the variances that are believed."""
+    """Sums of squared residuals over the assumed variances."""
     redundancies: np.ndarray
-    """What these are expected to be."""
+    """Their expectations."""
 
 
 def misfit(
-    left: Elimination,
+    eliminated: Elimination,
     steps: OdometryErrors,
     seen: BearingErrors,
     rng: np.random.Generator,
 ) -> Misfit:
-    """Compare what is left of motions with what is expected to be left.
+    """Compare the residuals of motions with their expectation.
 
     Parameters
     ----------
     left : Elimination
-        Of everything, around the solution.
+        Elimination of all normal equations, at the solution.
     steps : OdometryErrors
         The motions between all its poses.
     seen : BearingErrors
         The bearings.
     rng : numpy.random.Generator
-        For the signs.
+        Source of the signs.
     """
     covariance = np.linalg.inv(steps.information)
     squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))
-    weight, better = steps.weight[:, None, None], 1.0 - seen.variance(left, rng)
+    weight, overestimated = steps.weight[:, None, None], 1.0 - seen.variance(eliminated, rng)
     for i, part in enumerate(PARTS):
         root = np.linalg.cholesky(np.linalg.inv(covariance[:, part, part]))
         root = root.transpose(0, 2, 1) * np.sqrt(weight)
         square = (root @ steps.error[:, part, None]) ** 2
         by_state = root @ steps.jacobian[:, part]
         signs = rng.choice([-1.0, 1.0], square.shape)
-        poses, shared = _pulled(left, by_state, signs)
+        poses, shared = _absorbed(eliminated, by_state, signs)
         calibration = np.tile(shared[:NC], (len(signs), 1))
         step = np.concatenate([poses[:-1], poses[1:], calibration], axis=1)
         free = signs * (signs - by_state @ step[:, :, None])
-        by_bearings = (seen.own * seen.by_step(poses, shared) ** 2).sum() / max(free.sum(), 1e-9)
-        free *= 1.0 - better * min(float(by_bearings), 1.0)
+        by_bearings = (seen.own * seen.change(poses, shared) ** 2).sum() / max(free.sum(), 1e-9)
+        free *= 1.0 - overestimated * min(float(by_bearings), 1.0)
         squares[:, i] = (weight * square).sum(), np.minimum(square / weight, GATE**2).sum()
         redundancies[:, i] = (weight * free).sum(), free.sum()
-    redundancies[0] *= _kept(redundancies[1].sum() / steps.error.size)
+    redundancies[0] *= _robust_share(redundancies[1].sum() / steps.error.size)
     return Misfit(squares, redundancies)
 
 
-def _kept(redundancy: float) -> float:
-    """Return the share that weights leave of the squares of Gaussian motions, so redundant [1]."""
+def _robust_share(redundancy: float) -> float:
+    """Return the share of the squares of Gaussian motions that robust weights leave [1]."""
     left = max(redundancy, 1e-3) * CHI_SQUARES
     weight = cauchy_weights(left)
     return float((weight**2 * left).mean() / (weight.mean() * left.mean()))
 
 
-def _pulled(
-    left: Elimination, by_state: np.ndarray, errors: np.ndarray
+def _absorbed(
+    eliminated: Elimination, by_state: np.ndarray, errors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what poses, and what they share, take up of errors (k, i, 1) of motions."""
+    """Return the steps of poses and shared unknowns that absorb errors (k, i, 1) of motions."""
     pulled = (by_state.transpose(0, 2, 1) @ errors)[:, :, 0]
-    slope, common = left.zero_gradient()
+    slope, common = eliminated.zero_gradient()
     slope[:-1] += pulled[:, :3]
     slope[1:] += pulled[:, 3:6]
     common[:NC] = pulled[:, 6:].sum(axis=0)
-    return left.step(slope, common)
+    return eliminated.step(slope, common)

@@ -1,11 +1,10 @@
-"""Landmarks that may walk: a steady walk as the alternative to standing, by its Bayes factor.
+"""Moving landmarks: constant velocity against standing still, by the Bayes factor.
 
-People, carts and doors move while they are looked at. One that keeps its way is seen from a robot
-that keeps its own as one that stands elsewhere, and fits; only what bends in its sight lines tells
-the two apart, as the robot turns. How far they do is a matter of information, and is computed: for
-each landmark the evidence of a constant velocity against none, others walking or not, and by how
-much its place is off if it walks. How large a share of all walks nobody knows; it is integrated
-out, as of those that were moved (`homeward.localizer.home.evidence`).
+People, carts and doors move while they are observed. From a robot of constant velocity, a landmark
+of constant velocity looks like a static one elsewhere; only turns of the robot tell them apart. How
+far they do is computed: for each landmark the evidence of a constant velocity against none, given
+which others walk, and the offset of its position if it walks. The share of walking landmarks is
+unknown, and integrated out, as that of moved ones (`homeward.localizer.home.evidence`).
 """
 
 from __future__ import annotations
@@ -26,43 +25,43 @@ from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20
-"""Shares of walking landmarks over which is integrated."""
-ROUNDING = 1e-6
-"""A set is not more probable for so small a gain of its log posterior."""
+"""Shares of walking landmarks, for the integral over it."""
+MIN_GAIN = 1e-6
+"""Smallest gain of log posterior that counts, above rounding."""
 
 
 class Walks(NamedTuple):
-    """What sight lines say of velocities of n landmarks, all together, over a walk's usual one."""
+    """Joint information on the velocities of n landmarks, in units of a typical walk."""
 
     information: np.ndarray
-    """(2 n, 2 n): that of who walks a priori is in it."""
+    """(2 n, 2 n): including the prior of walking landmarks."""
     slope: np.ndarray
-    """(2 n,)"""
+    """(2 n,): its product with the estimate."""
     lever: np.ndarray
-    """(n, 2, 2 n): by how much each seems to stand elsewhere for all velocities [m]."""
+    """(n, 2, 2 n): Jacobian of the positions by all velocities [m]."""
 
-    def given(self, walking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weigh walking against standing of each, it being known which others walk (n,), bool.
+    def conditional_on(self, walking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compare walking with standing still for each, given which others walk, (n,) bool.
 
         Returns
         -------
         log_factor : ndarray, shape (n,)
-            Log evidence of a walk against that of standing.
+            Log Bayes factor of walking against standing still.
         moment : ndarray, shape (n, 2, 2)
-            Second moment of how far each was at first, if it walks, from where it seems to stand
+            Second moment of the initial offset of each from its estimated position, if it walks
             [m^2].
         """
         n, known = walking.size, np.repeat(walking, 2)
         inverse = np.linalg.inv(self.information[known][:, known])
         k = len(inverse)
-        gain = (self.information[:, known] @ inverse).reshape(n, 2, k)  # of all, by those who walk
+        gain = (self.information[:, known] @ inverse).reshape(n, 2, k)  # of all by these
         by_all = self.information[known].reshape(k, n, 2).transpose(1, 0, 2)
-        information = _own(self.information) - gain @ by_all
+        information = _diagonal_blocks(self.information) - gain @ by_all
         slope = self.slope.reshape(n, 2, 1) - gain @ self.slope[known, None]
-        lever = _own(self.lever) - self.lever[:, :, known] @ gain.transpose(0, 2, 1)
+        lever = _diagonal_blocks(self.lever) - self.lever[:, :, known] @ gain.transpose(0, 2, 1)
 
         own = inverse.reshape(k, k // 2, 2).transpose(1, 0, 2)
-        information[walking] = np.linalg.inv(_own(inverse))
+        information[walking] = np.linalg.inv(_diagonal_blocks(inverse))
         slope[walking] = information[walking] @ (inverse @ self.slope[known]).reshape(-1, 2, 1)
         lever[walking] = self.lever[walking][:, :, known] @ own @ information[walking]
 
@@ -73,17 +72,17 @@ class Walks(NamedTuple):
         return log_factor, lever @ moment @ lever.transpose(0, 2, 1)
 
 
-def _own(matrix: np.ndarray) -> np.ndarray:
-    """Return the blocks (n, 2, 2) on the diagonal of a matrix, (2 n, 2 n) or (n, 2, 2 n)."""
+def _diagonal_blocks(matrix: np.ndarray) -> np.ndarray:
+    """Return the diagonal blocks (n, 2, 2) of a matrix, (2 n, 2 n) or (n, 2, 2 n)."""
     each = np.arange(matrix.shape[-1] // 2)
     return matrix.reshape(each.size, 2, each.size, 2)[each, :, each]
 
 
-def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
-    """Judge which landmarks may walk, after a solution; what is seen of these counts for less.
+def update_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
+    """Update the probabilities of landmarks to be static, after a solution.
 
-    A walk is thought to be about as fast as the robot's own. Where sightings of a landmark are
-    closed already, it is what it was found to be before; where it was surveyed, it stands.
+    A typical walk is as fast as the robot. Landmarks whose first sightings have been marginalised
+    keep their probability; surveyed ones are static.
 
     Parameters
     ----------
@@ -98,55 +97,56 @@ def judge_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
         When the normal equations are singular.
     """
     open_since, surveyed = smoother.first, set(smoother.survey.ids.tolist())
-    judged = [m for m in landmarks if m.first >= open_since and m.number not in surveyed]
-    took = smoother.stamps[-1] - smoother.stamps[0]
-    if not judged or not took > 0.0:
+    tested = [m for m in landmarks if m.first >= open_since and m.number not in surveyed]
+    duration = smoother.stamps[-1] - smoother.stamps[0]
+    if not tested or not duration > 0.0:
         return
     path = float(np.hypot(*np.diff(smoother.poses[:, :2], axis=0).T).sum())
-    at = smoother.index(np.array([m.number for m in judged]))
-    smoother.p_static[at] = 1.0  # while they are judged
-    begun = np.full(len(smoother.ids), np.inf)
+    at = smoother.index(np.array([m.number for m in tested]))
+    smoother.p_static[at] = 1.0  # during the test
+    first_seen = np.full(len(smoother.ids), np.inf)
     everything, seen = smoother.linearised()
     t = smoother.sightings[:, TIME]
-    np.minimum.at(begun, seen.landmark, t)
-    speed = path / took / math.sqrt(2.0)
-    found = walks(everything, seen, speed * (t - begun[seen.landmark]), at)
-    probabilities, moments = judge_together(found)
-    for landmark, moment in zip(judged, moments, strict=True):
+    np.minimum.at(first_seen, seen.landmark, t)
+    speed = path / duration / math.sqrt(2.0)
+    found = walks(everything, seen, speed * (t - first_seen[seen.landmark]), at)
+    probabilities, moments = walking_probabilities(found)
+    for landmark, moment in zip(tested, moments, strict=True):
         landmark.walk_moment = moment
     smoother.p_static[at] = np.maximum(1.0 - probabilities, FALSE_ALARM)
 
 
-def judge_together(found: Walks) -> tuple[np.ndarray, np.ndarray]:
-    """Return how probable each of n landmarks is to walk (n,), and the moments of `Walks.given`.
+def walking_probabilities(found: Walks) -> tuple[np.ndarray, np.ndarray]:
+    """Return the probability of each of n landmarks to walk (n,), and its second moments.
 
-    One that walks pulls the map along, so that those that stand seem to walk until that is known.
-    So a set of those that walk is looked for that no change of one makes more probable, by
-    coordinate ascent from none, and each is judged with the others as that set has them.
+    A walking landmark drags the map along, so that static ones seem to walk until it is known. So
+    the most probable set of walking ones is sought by coordinate ascent from the empty set, until
+    no single change improves it; each landmark is then evaluated given the others in that set. The
+    moments are those of `Walks.conditional_on`.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        When nothing can be said.
+        When the evidence is not finite.
     """
     walking, log_prior = np.zeros(len(found.lever), bool), log_prior_of_walkers(len(found.lever))
     while True:
-        log_factor, moments = found.given(walking)
+        log_factor, moments = found.conditional_on(walking)
         others = np.count_nonzero(walking) - walking
         log_odds = log_factor + log_prior[others + 1] - log_prior[others]
         if not np.isfinite(log_odds).all():
             raise np.linalg.LinAlgError("no evidence of walks")
         gain = np.where(walking, -log_odds, log_odds)
         best = int(gain.argmax())
-        if gain[best] < ROUNDING:
+        if gain[best] < MIN_GAIN:
             return np.asarray(expit(log_odds)), moments
         walking[best] = not walking[best]
 
 
 def log_prior_of_walkers(n: int) -> np.ndarray:
-    """Return the log prior (n + 1,) of a set of 0, 1, ... n walkers among n landmarks.
+    """Return the log prior (n + 1,) of a set of 0, 1, ... n walking landmarks among n.
 
-    As a rule each walks with a probability that is known; among people any share may.
+    As a rule each walks with a known probability; in a crowd any share may.
     """
     share = np.append(SHARES, WALKING_PRIOR)[:, None]
     prior = np.append(np.full(SHARES.size, UPHEAVAL / SHARES.size), 1.0 - UPHEAVAL)[:, None]
@@ -156,22 +156,22 @@ def log_prior_of_walkers(n: int) -> np.ndarray:
 
 
 def walks(
-    everything: NormalEquations, seen: WeighedSightings, gone: np.ndarray, which: np.ndarray
+    everything: NormalEquations, seen: WeighedSightings, displacement: np.ndarray, which: np.ndarray
 ) -> Walks:
-    """Weigh constant velocities of some landmarks, all others standing.
+    """Return the information on constant velocities of some landmarks, the others being static.
 
-    Poses, calibration and all places are unknown beside them. Were they taken for known, their
-    errors would pass for walks.
+    Poses, calibration and positions are unknown beside them; were they taken as known, their errors
+    would be mistaken for walks.
 
     Parameters
     ----------
     everything : NormalEquations
-        All that is known of them, if all stand, around the solution.
+        Those of all unknowns, if all landmarks are static, at the solution.
     seen : WeighedSightings
         The sightings among it.
-    gone : ndarray, shape (m,)
-        How far each component of a walk has usually gone since the landmark's first sighting, one
-        standard deviation, when each was made [m].
+    displacement : ndarray, shape (m,)
+        Standard deviation of each component of a walk at each sighting, since the landmark's
+        first one [m].
     which : ndarray, shape (k,), int
         Landmarks that may walk.
 
@@ -185,11 +185,11 @@ def walks(
     number[which] = np.arange(k)
     of = number[seen.landmark]
     mine = WeighedSightings(*(part[of >= 0] for part in (*seen[:3], of)))
-    by_velocity = gone[of >= 0, None] * mine.jacobian[:, 3 + NC :]
+    by_velocity = displacement[of >= 0, None] * mine.jacobian[:, 3 + NC :]
     columns = np.concatenate([by_velocity, mine.residual[:, None]], axis=1)
     own = sum_by(mine.landmark, by_velocity, columns, k)
     coupled = _couplings(mine, by_velocity, len(everything.own), which, n)
-    pulled, settled = _taken_up(everything, coupled)
+    pulled, settled = _absorbed(everything, coupled)
     information, each = np.eye(2 * k) - coupled.T @ pulled, np.arange(k)
     information.reshape(k, 2, k, 2)[each, :, each] += own[:, :, :2]
     slope = own[:, :, 2].ravel() - coupled.T @ settled
@@ -199,7 +199,7 @@ def walks(
 def _couplings(
     mine: WeighedSightings, by_velocity: np.ndarray, w: int, which: np.ndarray, n: int
 ) -> np.ndarray:
-    """Return the Hessian of w poses, calibration and n places with k velocities, (3 w + a, 2 k)."""
+    """Return the Hessian (3 w + a, 2 k) of w poses, calibration and n positions by k velocities."""
     k, by_pose, by_common = which.size, mine.jacobian[:, :3], mine.jacobian[:, 3:]
     poses = sum_by_pair(mine, by_pose, by_velocity, w, k).reshape(3 * w, 2 * k)
     own = sum_by(mine.landmark, by_common, by_velocity, k)
@@ -209,10 +209,10 @@ def _couplings(
     return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * k)])
 
 
-def _taken_up(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how poses and what they share give way: to velocities (3 w + a, 2 k), as they are."""
-    left, poses = eliminate(everything), 3 * len(everything.own)
-    by_velocity = left.step(coupled[:poses].reshape(-1, 3, coupled.shape[1]), coupled[poses:])
-    settled = left.step(everything.slope, everything.common_slope)
+def _absorbed(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps of poses and shared unknowns for velocities (3 w + a, 2 k), and for none."""
+    eliminated, poses = eliminate(everything), 3 * len(everything.own)
+    by_velocity = eliminated.step(coupled[:poses].reshape(-1, 3, coupled.shape[1]), coupled[poses:])
+    settled = eliminated.step(everything.slope, everything.common_slope)
     pulled = np.concatenate([by_velocity[0].reshape(poses, -1), by_velocity[1]])
     return pulled, np.concatenate([settled[0].ravel(), settled[1]])

@@ -1,1 +1,1 @@
-"""Known landmarks: what of a survey agrees with the map, and where its frame lies there."""
+"""Known landmarks: which of a survey agree with the map, and the pose of its frame there."""

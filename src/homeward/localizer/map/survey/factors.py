@@ -1,8 +1,8 @@
-"""Survey factors: surveyed places and known distances of landmarks, on the map's landmarks.
+"""Survey factors: surveyed positions and known distances of landmarks.
 
-A survey in a frame of its own is a rigid body whose pose in the map, the datum, is not known: for
-given landmarks it follows by weighted least squares (Procrustes; a 2-D Helmert transformation
-without scale), and is eliminated.
+A survey in its own frame is a rigid body whose pose in the map, the datum, is unknown: for given
+landmarks it follows by weighted least squares (Procrustes; a 2-D Helmert transformation without
+scale), and is eliminated.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC
 
 ONE_PLACE = 1e-6
-"""Information on the heading of a survey whose landmarks all stand in one place [1 / rad^2]."""
+"""Information on the heading of a survey whose landmarks all coincide [1 / rad^2]."""
 STEPS = 3
-"""Gauss-Newton steps of an alignment from where uncorrelated coordinates would lead."""
+"""Gauss-Newton steps of an alignment, from the solution for uncorrelated coordinates."""
 
 
 class Datum(NamedTuple):
-    """Where a survey lies in the map, by k landmarks; it is linear in their places."""
+    """Datum: pose of a survey in the map by k landmarks, linear in their positions."""
 
     pose: np.ndarray
-    """(3,): of its frame."""
+    """(3,): pose of its frame."""
     residual: np.ndarray
-    """(k, 2): of the landmarks' places, mapped less surveyed [m]."""
+    """(k, 2): residuals of the landmarks, mapped less surveyed [m]."""
     by_pose: np.ndarray
-    """(2 k, 3): derivative of the surveyed places by the pose."""
+    """(2 k, 3): Jacobian of the surveyed positions by the pose."""
     by_places: np.ndarray
-    """(3, 2 k): derivative of the pose by the mapped places."""
+    """(3, 2 k): Jacobian of the pose by the mapped positions."""
     covariance: np.ndarray
-    """(3, 3): of the pose, were these exact."""
+    """(3, 3): covariance of the pose for exact mapped positions."""
     information: np.ndarray
-    """(2 k, 2 k): on the mapped places, the datum being free."""
+    """(2 k, 2 k): information on the mapped positions, the datum being eliminated."""
 
 
 def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> Datum:
-    """Align a survey with the map: the rigid motion that fits best.
+    """Align a survey with the map by the rigid motion that fits best.
 
-    It is in closed form, were the coordinates independent; then Gauss-Newton with all they are.
+    In closed form for independent coordinates, then by Gauss-Newton with their full covariance.
 
     Parameters
     ----------
     mapped, surveyed : ndarray, shape (k, 2)
-        Of the same landmarks, two at least, in the map and in the frame of the survey [m].
+        Positions of the same landmarks, at least two, in the map and in the survey's frame [m].
     covariance : ndarray, shape (2 k, 2 k)
-        Of the surveyed coordinates, in the frame of the survey [m^2].
+        Of the surveyed coordinates, in the survey's frame [m^2].
     """
     weight = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
     p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
@@ -65,7 +65,7 @@ def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> D
         rotate = rotation(pose[2])[:2, :2]
         out = surveyed @ rotate.T
         by_pose, residual = lever(out)[:, :2].reshape(-1, 3), mapped - pose[:2] - out
-        information = turned(weights, rotate)
+        information = rotated(weights, rotate)
         weighted = information @ by_pose
         of_pose = np.linalg.inv(by_pose.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
         by_places = of_pose @ weighted.T
@@ -73,8 +73,8 @@ def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> D
     return Datum(pose, residual, by_pose, by_places, of_pose, information - weighted @ by_places)
 
 
-def turned(matrix: np.ndarray, rotate: np.ndarray) -> np.ndarray:
-    """Return a matrix (2 k, 2 k) on places in a frame that is turned."""
+def rotated(matrix: np.ndarray, rotate: np.ndarray) -> np.ndarray:
+    """Return a matrix (2 k, 2 k) on positions, in a rotated frame."""
     k = len(matrix) // 2
     blocks = np.einsum(
         "ab,ibjc,dc->iajd", rotate, matrix.reshape(k, 2, k, 2), rotate, optimize=True
@@ -84,23 +84,23 @@ def turned(matrix: np.ndarray, rotate: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SurveyFactors:
-    """What is taken for right of what is known: of k surveyed landmarks, and of m distances."""
+    """Inliers of the survey: positions of k landmarks, and m distances."""
 
     ids: np.ndarray
-    """(k,): of the landmarks in the smoother; none, or two at least."""
+    """(k,): ids of the landmarks in the smoother; none, or at least two."""
     places: np.ndarray
-    """(k, 2): in the frame of the survey [m]."""
+    """(k, 2): positions in the frame of the survey [m]."""
     covariance: np.ndarray
-    """(2 k, 2 k): of all their coordinates [m^2]"""
+    """(2 k, 2 k): covariance of their coordinates [m^2]."""
     pairs: np.ndarray
-    """(m, 2): ids of those whose distance is known."""
+    """(m, 2): ids of the landmarks whose distance is known."""
     distances: np.ndarray
     """(m,) [m]"""
     distance_sigmas: np.ndarray
     """(m,) [m]"""
 
     def datum(self, positions: np.ndarray, index: np.ndarray) -> Datum:
-        """Return the datum by places (n, 2) of a state, those of the ids at `index` (k,)."""
+        """Return the datum by positions (n, 2) of a state, those of `ids` at `index` (k,)."""
         return align(positions[index], self.places, self.covariance)
 
     def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> None:
@@ -121,12 +121,12 @@ class SurveyFactors:
         for pair, distance, sigma in zip(
             np.searchsorted(ids, self.pairs), self.distances, self.distance_sigmas, strict=True
         ):
-            at, (apart, along) = columns(pair), apart_along(positions[pair])
+            at, (apart, along) = columns(pair), distance_and_jacobian(positions[pair])
             e.common[np.ix_(at, at)] += np.outer(along, along) / sigma**2
             e.common_slope[at] += along * (distance - apart) / sigma**2
 
     def among(self, ids: np.ndarray) -> SurveyFactors:
-        """Return those of landmarks that are still in the smoother."""
+        """Return the factors of landmarks that are still in the smoother."""
         k, m = np.isin(self.ids, ids), np.isin(self.pairs, ids).all(axis=1)
         k &= k.sum() >= 2
         coordinates = np.repeat(k, 2)
@@ -135,21 +135,21 @@ class SurveyFactors:
 
     @staticmethod
     def none() -> SurveyFactors:
-        """Return nothing known."""
+        """Return no factors."""
         nothing, two = np.zeros(0), np.zeros((0, 2))
         none = nothing.astype(int), two, np.zeros((0, 0))
         return SurveyFactors(*none, two.astype(int), nothing, nothing)
 
 
 def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) -> Marginal:
-    """Return a state of the map in the frame of the survey, the datum's uncertainty included.
+    """Return a state of the map in the frame of the survey, with the uncertainty of the datum.
 
     Parameters
     ----------
     state : Marginal
         In the odometry frame.
     factors : SurveyFactors
-        Of two surveyed landmarks at least.
+        With at least two surveyed landmarks.
     ids : ndarray, shape (n,)
         Of the state's landmarks, ascending.
     """
@@ -174,12 +174,12 @@ def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) ->
 
 
 def columns(index: np.ndarray) -> np.ndarray:
-    """Return where landmarks (k,) are among the shared unknowns, (2 k,)."""
+    """Return the indices of landmarks (k,) among the shared unknowns, (2 k,)."""
     return np.asarray((NC + 2 * index[:, None] + np.arange(2)).ravel())
 
 
-def apart_along(two: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the distance of two places (2, 2), and its derivative by them, (4,)."""
+def distance_and_jacobian(two: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the distance of two positions (2, 2), and its Jacobian by them, (4,)."""
     off = two[1] - two[0]
     apart = max(math.hypot(*off.tolist()), 1e-6)
     return apart, np.concatenate([-off, off]) / apart

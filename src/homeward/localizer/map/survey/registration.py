@@ -1,4 +1,4 @@
-"""Registration of a survey with the map: what of it agrees, and where its frame lies."""
+"""Registration of a survey with the map: its inliers, and the pose of its frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Registration:
     survey : Survey
         What is known of landmarks beforehand.
     landmarks : Landmarks
-        Of the map.
+        Landmarks of the map.
     """
 
     def __init__(self, survey: Survey, landmarks: Landmarks) -> None:
@@ -31,17 +31,17 @@ class Registration:
 
     @property
     def _smoother(self) -> Smoother:
-        """The map's, as it is now."""
+        """The smoother of the map."""
         return self._landmarks.smoother
 
     @property
     def knows_home(self) -> bool:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
-        judged = self._smoother.survey.ids.size and self.survey.used
-        return self.survey.known.surveyed_from_home and bool(judged)
+        evaluated = self._smoother.survey.ids.size and self.survey.used
+        return self.survey.known.surveyed_from_home and bool(evaluated)
 
-    def measured(self) -> Marginal:
-        """Return the state by what was seen alone, not by what is known of landmarks.
+    def without_survey(self) -> Marginal:
+        """Return the state by this drive's measurements alone, without the survey.
 
         Raises
         ------
@@ -52,28 +52,28 @@ class Registration:
             return self._smoother.state
         return self._smoother.without_survey(self.survey.size)
 
-    def from_home(self, state: Marginal) -> Marginal:
-        """Return a state in home's frame, if that is known; else as it is."""
+    def in_home_frame(self, state: Marginal) -> Marginal:
+        """Return a state in home's frame if that is known, else unchanged."""
         if not self.knows_home:
             return state
         return in_survey_frame(state, self._smoother.survey, self._smoother.ids)
 
-    def stayed(self, state: Marginal) -> np.ndarray:
-        """Return the places in a state of the landmarks that fix that frame, and stayed, (k, 2)."""
+    def static_places(self, state: Marginal) -> np.ndarray:
+        """Return positions in a state of the surveyed inliers that did not move, (k, 2)."""
         known = self._landmarks
         stayed = [n for n in self.survey.used if n in known.mapped and n not in known.former]
         return np.asarray(state.positions[known.index(known.mapped[n] for n in stayed)])
 
     def expect(self, datum: np.ndarray, names: Collection[str]) -> None:
-        """Expect surveyed landmarks where they are by the pose of the survey's frame, (3,)."""
+        """Set expected positions of surveyed landmarks by the pose of the survey's frame, (3,)."""
         places = {n: p for n, p in self.survey.places.items() if n in names}
         there = compose(datum, np.array([(*p, 0.0) for p in places.values()]))[:, :2]
         self._landmarks.expect(dict(zip(places, there, strict=True)))
 
-    def hold_expected(self) -> None:
-        """Let surveyed landmarks that entered where they were expected hold the map for now.
+    def fix_expected(self) -> None:
+        """Let surveyed landmarks initialised where expected determine the map for now.
 
-        One look along each sight line alone would leave them anywhere on it.
+        A single sighting would leave each of them anywhere on its sight line.
         """
         mapped, smoother = self._landmarks.mapped, self._smoother
         names = [n for n in self._landmarks.expected if n in mapped]
@@ -82,16 +82,16 @@ class Registration:
             numbers = {n: mapped[n].number for n in order}
             smoother.survey = self.survey.factors(order, [], numbers)
 
-    def judge(self) -> None:
-        """Let what is known of landmarks count as far as the solved map without it agrees."""
+    def evaluate(self) -> None:
+        """Update the inliers of the survey by the solved map without it."""
         if not self.survey.known.tells:
             return
         smoother, before = self._smoother, self._smoother.survey
-        came = {**self._landmarks.mapped, **self._landmarks.former}  # where they stood first
+        came = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
         numbers = {name: landmark.number for name, landmark in came.items()}
         try:
-            now = self.survey.judge(self.measured(), numbers, smoother.ids)
-        except np.linalg.LinAlgError:  # too vague to judge by; what was right is so for now
+            now = self.survey.evaluate(self.without_survey(), numbers, smoother.ids)
+        except np.linalg.LinAlgError:  # too uncertain for a test: keep the present inliers
             return
         smoother.survey = now
         if now.ids.size >= MIN_BEARINGS:

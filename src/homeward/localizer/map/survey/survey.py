@@ -1,4 +1,4 @@
-"""Survey of landmarks: what is known of them beforehand, and what of it is right."""
+"""Survey of landmarks: prior knowledge of positions and distances, and its inliers."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import MOST_JUDGED, wrong_probabilities
+from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
 
 
 class Survey:
-    """What is known of landmarks beforehand, and what of it agrees with the map.
+    """Prior knowledge of landmarks, and which of it agrees with the map.
 
     Parameters
     ----------
     known : KnownLandmarks
-        As the user told it.
+        As given by the user.
     settings : LocalizerSettings
-        Of which `moved_prior` is the probability that one of it is wrong, and `sure` that which
-        one of it needs to be used.
+        `moved_prior` is the prior probability of an outlier, `sure` the posterior probability
+        that an inlier needs.
     """
 
     def __init__(self, known: KnownLandmarks, settings: LocalizerSettings) -> None:
@@ -34,45 +34,47 @@ class Survey:
         self._covariance = known.joint_covariance
         places = np.array([(s.x, s.y) for s in known.landmarks.values()]).reshape(-1, 2)
         if known.frame == "own" and places.size:
-            places = places - places.mean(axis=0)  # the map asks nothing of a grid's coordinates
+            places = places - places.mean(axis=0)  # large grid coordinates would cost precision
         self.places = dict(zip(known.landmarks, places, strict=True))
-        """By landmark, (2,) in the frame of the survey [m]."""
+        """Positions by landmark, (2,) in the frame of the survey [m]."""
         apart = [d.distance for d in known.distances]
         self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
-        """About how large the site is [m]."""
+        """Size of the site [m]."""
         self.wrong: dict[str, float] = {}
-        """Probability that a landmark stands elsewhere than the survey says, if judged ..."""
+        """Probability that a landmark is not where the survey says, if tested ..."""
         self.wrong_distances: dict[int, float] = {}
-        """... and that a distance, by its place in the list, is wrong."""
+        """... and that a distance, by its index in the list, is wrong."""
         self.used: list[str] = []
-        """The surveyed landmarks that are taken for right."""
+        """Inliers among the surveyed landmarks."""
 
-    def judge(self, free: Marginal, numbers: Mapping[str, int], ids: np.ndarray) -> SurveyFactors:
-        """Judge what is known by the map without it; return what is right for sure.
+    def evaluate(
+        self, free: Marginal, numbers: Mapping[str, int], ids: np.ndarray
+    ) -> SurveyFactors:
+        """Test the survey against the map without it; return the factors of certain inliers.
 
         Parameters
         ----------
         free : Marginal
             The map without it.
         numbers : mapping of str to int
-            Ids of the mapped landmarks by name, where they stood first.
+            Ids of the mapped landmarks by name, at their first positions.
         ids : ndarray, shape (n,)
-            All of the map, ascending.
+            All ids of the map, ascending.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When the map is too vague to judge by; then nothing is changed.
+            When the map is too uncertain for a test; then nothing is changed.
         """
-        names = [n for n in self.places if n in numbers][:MOST_JUDGED]  # those that came first
+        names = [n for n in self.places if n in numbers][:MAX_TESTED]  # the oldest ones
         names = names if len(names) >= 2 else []
         pairs = [i for i, d in enumerate(self.known.distances) if {*d.between} <= {*numbers}]
         if not names and not pairs:
             self.wrong, self.wrong_distances, self.used = {}, {}, []
             return SurveyFactors.none()
         factors, k = self.factors(names, pairs, numbers), len(names)
-        prior = [1.0 - self.stays(n) for n in names] + [self._prior] * len(pairs)
-        wrong = wrong_probabilities(factors, free, ids, np.array(prior), self.size)
+        prior = [1.0 - self.p_stayed(n) for n in names] + [self._prior] * len(pairs)
+        wrong = outlier_probabilities(factors, free, ids, np.array(prior), self.size)
         self.wrong = dict(zip(names, wrong[:k].tolist(), strict=True))
         self.wrong_distances = dict(zip(pairs, wrong[k:].tolist(), strict=True))
         used = [n for n in names if self.wrong[n] <= 1.0 - self._sure]
@@ -83,7 +85,7 @@ class Survey:
     def factors(
         self, names: list[str], pairs: list[int], numbers: Mapping[str, int]
     ) -> SurveyFactors:
-        """Return the factors of surveyed landmarks, and of distances by their place in the list."""
+        """Return the factors of surveyed landmarks, and of distances by their index in the list."""
         known, apart = self.known, [self.known.distances[i] for i in pairs]
         return SurveyFactors(
             np.array([numbers[n] for n in names], int),
@@ -94,18 +96,18 @@ class Survey:
             np.array([d.sigma or known.sigma for d in apart]),
         )
 
-    def stays(self, name: str) -> float:
-        """Return how probable it is beforehand that a landmark stands where it was surveyed."""
+    def p_stayed(self, name: str) -> float:
+        """Return the prior probability that a landmark is still where it was surveyed."""
         told = self.known.landmarks[name].stays
         return 1.0 - self._prior if told is None else told
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
-        """Return the covariance of the surveyed coordinates of some, (2 k, 2 k) [m^2]."""
+        """Return the covariance of surveyed coordinates, (2 k, 2 k) [m^2]."""
         at = np.array([[2 * self._index[n], 2 * self._index[n] + 1] for n in names], int).ravel()
         return np.asarray(self._covariance[np.ix_(at, at)])
 
     def notes(self, state: Marginal) -> tuple[str, ...]:
-        """Return what the user must know of it, the map being in a state; sentences."""
+        """Return notes for the user, the map being in `state`."""
         speed, sigma = state.calibration[SPEED_SCALE], state.calibration_variances[SPEED_SCALE]
         words = [f"By the known landmarks, speeds are {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f}"]
         words[0] += " times what odometry says."
