@@ -75,10 +75,10 @@ def test_most_bearings_off_are_a_kidnapping_and_some_are_not():
 def test_one_landmark_that_is_off_is_at_fault_and_not_the_robot():
     monitor = Monitor(origin_given=False)
     assert {seen(monitor, 1, names=["L0"]) for _ in range(20)} <= {Health.OK, Health.SLIPPED}
-    assert monitor.at_fault(["L0"]) == []  # nothing else tells where the robot is
+    assert monitor.moved_landmarks(["L0"]) == []  # nothing else tells where the robot is
     for _ in range(3):
         seen(monitor, 1)
-    assert monitor.at_fault(["L0"]) == ["L0"]
+    assert monitor.moved_landmarks(["L0"]) == ["L0"]
 
 
 def test_large_innovations_that_pass_the_gate_may_be_a_slip():

@@ -199,7 +199,9 @@ class Chart:
             return
         state = self.map.state
         eye, _ = state.pose_after(self.map.camera(motion))
-        found = self._first_fix.look(seen, eye, state.propagate(motion).covariance.diagonal()[:3])
+        found = self._first_fix.add_frame(
+            seen, eye, state.propagate(motion).covariance.diagonal()[:3]
+        )
         if found is not None:
             known.expect(*found)
             self._last_accepted = seen.t
@@ -245,7 +247,7 @@ class Chart:
         """Update the map by what fits; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
-        refused = self.monitor.at_fault(self.map.landmarks.update_rejections(gated.fits))
+        refused = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
         try:
             changed = self.map.update(gated, refused)
             carried = carried_since(self.map.landmarks) if changed else None

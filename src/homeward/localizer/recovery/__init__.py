@@ -1,1 +1,1 @@
-"""Whether the robot is where the map says, and where it is if not."""
+"""Failure detection and recovery: kidnapping, slip, lost odometry; relocalisation in the map."""

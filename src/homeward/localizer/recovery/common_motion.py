@@ -1,8 +1,8 @@
-"""Common-motion test: landmarks that all moved by one rigid motion say that the robot was carried.
+"""Common-motion test: landmarks that moved by one rigid motion mean that the robot was carried.
 
-Where several landmarks moved by one rigid motion, and hardly anything that was seen before is still
-where it was, the odometry frame itself moved: the robot was lifted and put down where little of its
-map was in sight. What was mapped since is not in one frame with what was mapped before.
+If several landmarks moved by one rigid motion, and hardly anything seen before is still in place,
+the odometry frame itself moved: the robot was lifted and put down where little of its map was in
+sight. Then landmarks mapped before and after are not in one frame.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from homeward.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.tunables import INLIER_GATE, SAME_PLACE
 
-FEWEST = 3
-"""So many landmarks must have moved together: two always do, but for the distance between them."""
+MIN_TOGETHER = 3
+"""Landmarks that must have moved together: two always do, but for their distance."""
 
 
 @dataclass(frozen=True)
 class Displaced:
-    """Where k landmarks stood and where they stand now."""
+    """Positions of k landmarks before and after they moved."""
 
     before: np.ndarray
     """(k, 2) [m]"""
     now: np.ndarray
     """(k, 2) [m]"""
     variance: np.ndarray
-    """(k,): of one coordinate of both together, the larger [m^2]."""
+    """(k,): variance of a coordinate of the difference, the larger one [m^2]."""
     last: np.ndarray
-    """(k,): the last keyframe from which they were seen where they stood."""
+    """(k,): last keyframe that saw them at the old position."""
     first: np.ndarray
-    """(k,): the first one from which they were seen where they stand now."""
+    """(k,): first keyframe that saw them at the new position."""
 
 
 def carried_since(landmarks: Landmarks) -> int | None:
-    """Return the keyframe after which the robot was carried, by landmarks that seem to move.
+    """Return the keyframe after which the robot was carried, None if it was not.
 
-    None where it was not.
+    The evidence is in landmarks that were declared moved.
     """
     mapped, former = landmarks.mapped, landmarks.former
     pairs = [(was, mapped[n]) for n, was in former.items() if n in mapped]
-    if len(pairs) < FEWEST:
+    if len(pairs) < MIN_TOGETHER:
         return None
     before, covariance = landmarks.places(was for was, _ in pairs)
     now, more = landmarks.places(is_ for _, is_ in pairs)
@@ -61,30 +61,30 @@ def carried_since(landmarks: Landmarks) -> int | None:
 
 
 def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> int | None:
-    """Return the keyframe after which the robot was carried, or None where it was not.
+    """Return the keyframe after which the robot was carried, or None if it was not.
 
     Parameters
     ----------
     displaced : Displaced
-        Landmarks that moved, for all that is known.
+        Landmarks that were declared moved.
     entered, last : ndarray, shape (m,)
-        Keyframes at which those that did not move entered the map, and last fitted it.
+        Keyframes at which the others were initialised, and at which they last fitted.
     """
     together = moved_together(displaced)
-    if together.sum() < FEWEST:
+    if together.sum() < MIN_TOGETHER:
         return None
     moved_last, moved_first = displaced.last[together], displaced.first[together]
     best, when = 0, None
     for k in sorted(set(moved_last.tolist())):
         moved = int(((moved_last <= k) & (moved_first >= k)).sum())
         stayed = int(((entered <= k) & (last > k)).sum())
-        if moved >= FEWEST and moved - stayed > best:
+        if moved >= MIN_TOGETHER and moved - stayed > best:
             best, when = moved - stayed, k
     return when
 
 
 def moved_together(displaced: Displaced) -> np.ndarray:
-    """Return which landmarks moved by one rigid motion, the most that did, shape (k,), bool."""
+    """Return the largest set of landmarks that moved by one rigid motion, shape (k,), bool."""
     before, now = displaced.before, displaced.now
     most = np.zeros(len(before), bool)
     reach = SAME_PLACE * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
@@ -94,7 +94,7 @@ def moved_together(displaced: Displaced) -> np.ndarray:
         c, s = np.cos(turn), np.sin(turn)
         middle = 0.5 * (before[i] + before[j])
         there = (before - middle) @ np.array([[c, s], [-s, c]]) + 0.5 * (now[i] + now[j])
-        # The two that tell the motion err, too, the more so the nearer they are to each other.
+        # The two that define the motion err, too, all the more the closer they are.
         lever = np.hypot(*(before - middle).T) / max(float(np.hypot(*a)), 1e-9)
         pair = displaced.variance[i] + displaced.variance[j]
         sigma = np.sqrt(displaced.variance + pair * (0.25 + lever**2))

@@ -1,7 +1,7 @@
-"""Detectors of a kidnapping, of a slip, of a scene that changed and of lost odometry.
+"""Detectors of kidnapping, slip, scene change and lost odometry.
 
-A robot may be lifted, pushed or slip, and its odometry may drop out. Then its map still stands, but
-the robot is not where the map has it.
+A robot may be lifted, pushed or slip, and its odometry may drop out. Then the map is still right,
+but the robot is not where the map has it.
 """
 
 from __future__ import annotations
@@ -35,40 +35,40 @@ class KidnapDetector:
         self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT_SIGHTINGS)
 
     def clear(self) -> None:
-        """Forget what was seen."""
+        """Forget all sightings."""
         self._recent.clear()
 
     def was_kidnapped(self, innovations: list[Innovation]) -> bool:
-        """Return whether hardly anything fits the map any more, these innovations included."""
+        """Return whether hardly any recent bearing fits the map, these innovations included."""
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
-        # As few fit from anywhere, by chance.
+        # By chance, as many fit from anywhere.
         few = RECENT_SIGHTINGS - len(wrong) < MIN_BEARINGS
         return len(self._recent) == RECENT_SIGHTINGS and few and len(set(wrong)) >= 2
 
     @property
-    def fitting(self) -> float:
-        """Share of the last sightings that fit [1]; NaN while too little was seen."""
+    def fit_share(self) -> float:
+        """Share of the recent sightings that fit [1]; NaN while there are too few."""
         full = len(self._recent) == RECENT_SIGHTINGS
         return sum(fits for _, fits in self._recent) / RECENT_SIGHTINGS if full else math.nan
 
     def others_fit(self, names: list[str]) -> bool:
-        """Return whether the last sightings of all landmarks but these fitted."""
+        """Return whether recent sightings of all landmarks but these fitted."""
         others = [fits for name, fits in self._recent if name not in names]
         return bool(others) and sum(others) >= MAJORITY * len(others)
 
 
 class SlipDetector:
-    """Slip detector: too many large innovations, and a pose from which far more bearings fit.
+    """Slip detector: many large innovations, and a pose from which far more bearings would fit.
 
-    The gate bears with odometry that is worse than its noise says; so a robot that was carried a
-    little way may go on unawares, and bend its map. Where too much is off, another place is looked
-    for from which nearly all would fit.
+    The gate allows for odometry that is worse than its noise, so a small displacement may go
+    unnoticed and distort the map. If too many innovations are large, a pose is sought from which
+    nearly all bearings fit.
     """
 
     def __init__(self) -> None:
         self.search: Search | None = None
-        """For that place; None where the robot is where it was thought to be."""
+        """Search for that pose; None where there is no suspicion."""
         self._fits: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
 
     def clear(self) -> None:
@@ -77,14 +77,14 @@ class SlipDetector:
         self._fits.clear()
 
     def suspects(self, innovations: list[Innovation], motion: Motion) -> bool:
-        """Return whether the robot may have been shoved.
+        """Return whether the robot may have been displaced.
 
         Parameters
         ----------
         innovations : list of Innovation
-            What it saw ...
+            Innovations of a frame ...
         motion : Motion
-            ... so much after the newest keyframe.
+            ... and the motion to it from the newest keyframe.
         """
         fits = [abs(i.value) <= INLIER_GATE * i.sigma for i in innovations]
         if self.search is None:
@@ -96,23 +96,23 @@ class SlipDetector:
         if not holds or sum(self._fits) >= MAJORITY * len(self._fits):
             self.clear()
             return False
-        self.search.fewest = sum(self._fits) + VERIFYING_BEARINGS
+        self.search.min_inliers = sum(self._fits) + VERIFYING_BEARINGS
         return True
 
 
 class SceneChangeDetector:
-    """Scene-change detector: all that is in sight was replaced at once.
+    """Scene-change detector: everything in sight was replaced at once.
 
-    Bearings that do not fit the map tell that the robot was lifted. Where most are of landmarks
-    that are not mapped yet, little contradicts the map, and odometry knows nothing of the way. But
-    a robot that hardly moved does not lose everything out of sight and see as much else instead.
+    A kidnapped robot shows in bearings that do not fit the map. If most are of landmarks not mapped
+    yet, little contradicts the map, and odometry did not notice. But a robot that hardly moved does
+    not lose everything out of sight and see as much else instead.
     """
 
     def __init__(self) -> None:
         self._seen: frozenset[str] = frozenset()
-        """What was in sight when enough of it last fitted the map ..."""
+        """Landmarks in sight when enough of them last fitted the map ..."""
         self._from = np.zeros(3)
-        """... and from where, (3,), in the odometry frame."""
+        """... and the robot's pose then, (3,), in the odometry frame."""
 
     def has_changed(
         self,
@@ -121,18 +121,18 @@ class SceneChangeDetector:
         place: np.ndarray,
         landmarks: np.ndarray,
     ) -> bool:
-        """Return whether what was in sight before is gone, and as much else has come.
+        """Return whether all landmarks in sight have been replaced by others.
 
         Parameters
         ----------
         names : collection of str
             All landmarks in sight.
         innovations : collection of Innovation
-            Of those that are mapped.
+            Those of mapped landmarks.
         place : ndarray, shape (3,)
-            Where odometry has the robot, in the odometry frame.
+            The robot's pose by odometry, in the odometry frame.
         landmarks : ndarray, shape (n, 2)
-            Where those of the map stand in it [m].
+            Positions of the map's landmarks there [m].
         """
         fitting = sum(i.accepted for i in innovations)
         if fitting >= CHECKED:
@@ -149,14 +149,14 @@ class SceneChangeDetector:
 
 
 def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
-    """Return whether the odometry is lost: its covariance is too large to predict bearings with.
+    """Return whether odometry is lost: its covariance is too large to predict bearings with.
 
     Parameters
     ----------
     motion : Motion
         Since the newest keyframe.
     marginal : Marginal
-        What is known of that keyframe's pose and of the landmarks.
+        The state at that keyframe.
     """
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
     return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > MAX_MOTION_SIGMA**2)

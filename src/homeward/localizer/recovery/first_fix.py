@@ -1,4 +1,4 @@
-"""First fix in a survey: where it lies in a map that has just begun, by looks along a short way."""
+"""First fix in a survey: its pose in a map that has just begun, by frames along a short path."""
 
 from __future__ import annotations
 
@@ -15,49 +15,50 @@ from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.tunables import FALSE_ALARM, INLIER_GATE, MIN_BEARINGS, VERIFYING_BEARINGS
 
-AHEAD = math.pi
-"""Landmarks are seen in about so wide a view [rad]."""
+VIEW_ANGLE = math.pi
+"""Width of the sector in which landmarks are seen [rad]."""
 PATIENCE = 4
-"""After each so many looks in vain, one more look is waited for: trying takes milliseconds."""
-KEPT = 2
-"""The last so many sightings of each landmark are kept: the newest, and one to check it."""
+"""After each so many failed trials, one more frame is skipped: a trial takes milliseconds."""
+KEPT_PER_LANDMARK = 2
+"""Sightings kept per landmark: the newest, and one to check it."""
 
 
 class FirstFix:
-    """First fix: looks at surveyed landmarks, until they tell where the survey lies.
+    """First fix: collects frames of surveyed landmarks until they determine the survey's pose.
 
     Parameters
     ----------
     survey : Survey
-        Of landmarks, some of which may stand elsewhere.
+        Surveyed landmarks, some of which may have moved.
     """
 
     def __init__(self, survey: Survey) -> None:
         self._survey = survey
         self._tries, self._wait = 0, 0
         self._seen: dict[str, deque[tuple[np.ndarray, float, float, np.ndarray]]] = {}
-        """Of each landmark: the camera's pose, bearing and deviation, and the pose's variances."""
+        """By landmark: camera's pose, bearing, standard deviation, and variances of the robot's
+        pose."""
 
-    def look(
+    def add_frame(
         self, frame: WeighedFrame, eye: np.ndarray, variances: np.ndarray
     ) -> tuple[np.ndarray, list[str]] | None:
-        """Take a look; return the pose of the survey's frame in the map, and whose bearings fit.
+        """Add a frame; return the survey's pose in the map and the inliers, once they are found.
 
         Parameters
         ----------
         frame : WeighedFrame
             What was seen.
         eye, variances : ndarray, shape (3,)
-            The camera's pose in the map, and how uncertain the robot's is there by now.
+            The camera's pose in the map, and the variances of the robot's pose there.
 
         Returns
         -------
         tuple of ndarray, shape (3,), and list of str, or None
-            None where the looks do not tell yet.
+            None while the frames do not determine it.
         """
         for name, bearing, sigma in zip(frame.names, frame.bearings, frame.sigmas, strict=True):
             if name in self._survey.places:
-                kept = self._seen.setdefault(name, deque(maxlen=KEPT))
+                kept = self._seen.setdefault(name, deque(maxlen=KEPT_PER_LANDMARK))
                 kept.append((eye, float(bearing), float(sigma), variances))
         self._wait -= 1
         if len(self._seen) < VERIFYING_BEARINGS or self._wait > 0:
@@ -74,7 +75,7 @@ class FirstFix:
         return between(found[0], np.zeros(3)), names
 
     def _lines(self, now: np.ndarray) -> SightLines:
-        """Return the sight lines, those of a while ago less certain by what odometry gathered."""
+        """Return the sight lines; older ones are inflated by the odometry noise since."""
         rows = [(i, *row) for i, kept in enumerate(self._seen.values()) for row in kept]
         numbers, eyes, bearings, sigmas, then = map(np.array, zip(*rows, strict=True))
         gathered = np.maximum(now - then, 0.0) / (*2 * [(0.5 * self._survey.size) ** 2], 1.0)
@@ -91,11 +92,11 @@ class FirstFix:
         )
 
     def _agreeing(self, origin: np.ndarray, lines: SightLines) -> tuple[list[str], float]:
-        """Return the landmarks all of whose lines agree, and how probable it is to be wrong.
+        """Return the landmarks all of whose lines agree, and the probability of a false alarm.
 
-        It is wrong if as many agree by chance with one of the triples, each of which fits some
-        place always (a contrario: Desolneux, Moisan and Morel), while so many have moved that the
-        right place is no rival to it.
+        An a contrario test (Desolneux, Moisan and Morel): the expected number of poses, one by each
+        triple of landmarks, with which as many others agree by chance. It is multiplied by the
+        probability that so many landmarks moved that the right pose is no rival.
         """
         seen = sight(compose(origin, lines.cameras), lines.positions)
         variances = np.einsum("mi,mij,mj->m", seen.by_place, lines.covariances, seen.by_place)
@@ -107,7 +108,7 @@ class FirstFix:
         names = [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
         if len(names) < VERIFYING_BEARINGS:
             return names, 1.0
-        by_chance = min(2.0 * INLIER_GATE * float(np.median(sigmas)) / AHEAD, 1.0)
+        by_chance = min(2.0 * INLIER_GATE * float(np.median(sigmas)) / VIEW_ANGLE, 1.0)
         others = len(self._seen) - MIN_BEARINGS
         tail = bdtrc(len(names) - MIN_BEARINGS - 1, others, by_chance)
         stay = np.mean([self._survey.p_stayed(n) for n in self._seen])

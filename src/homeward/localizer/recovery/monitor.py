@@ -1,7 +1,7 @@
-"""Monitor: whether the robot is where the map says, and where else it may be looked for.
+"""Monitor of one map: whether the robot is where the map has it, by all detectors.
 
-It owns all detectors. They are asked in the order in which their evidence comes: the odometry,
-before anything is predicted with it; the innovations; the landmarks that seem to have moved.
+They run in the order in which their evidence becomes available: odometry, before it predicts
+anything; the innovations; landmarks that seem to have moved.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from homeward.reasons import Reason
 
 
 class Health(Enum):
-    """Whether the robot is where the map says, and how it shows that it is not."""
+    """Whether the robot is where the map has it, and if not, how that was detected."""
 
     OK = auto()
     """It is."""
     NO_MAP = auto()
-    """Nothing is mapped, and the way from the origin is not known any more."""
+    """Nothing is mapped, and the motion since the origin is unknown."""
     SLIPPED = auto()
-    """It may be elsewhere nearby: too many innovations are large."""
+    """It may have slipped to nearby: too many innovations are large."""
     ODOMETRY_LOST = auto()
-    """It is lost from now on: odometry was gone for too long ..."""
+    """Lost from now on: odometry dropped out for too long ..."""
     KIDNAPPED = auto()
     """... or hardly any bearing fits the map ..."""
     SCENE_CHANGED = auto()
     """... or all that is in sight was replaced at once ..."""
     CARRIED = auto()
-    """... or its landmarks moved together, which means that it was moved."""
+    """... or landmarks moved together, which means that the robot was carried."""
     LOST = auto()
-    """It was lost before, and is not found yet."""
+    """Lost before, and not relocalised yet."""
 
 
 class Monitor:
@@ -51,7 +51,7 @@ class Monitor:
     Parameters
     ----------
     origin_given : bool
-        Whether something besides the way from there holds the map's origin.
+        Whether a start prior determines the map's origin, not only odometry.
     """
 
     def __init__(self, origin_given: bool) -> None:
@@ -62,16 +62,16 @@ class Monitor:
             SceneChangeDetector(),
         )
         self._since: float | None = None
-        """Since when the robot is lost [s] ..."""
-        self._why = Health.LOST
-        """... how that showed ..."""
+        """Since when the robot has been lost [s] ..."""
+        self._cause = Health.LOST
+        """... how that was detected ..."""
         self._search = Search()
-        """... and the search for it."""
-        self._found: list[tuple[float, float]] = []
-        """From when until when it was lost before [s]."""
+        """... and the relocalisation search."""
+        self._past: list[tuple[float, float]] = []
+        """Earlier intervals in which it was lost [s]."""
 
     def assess_odometry(self, motion: Motion, known: Map) -> Health:
-        """Return whether bearings can be predicted from where the map has the robot.
+        """Assess odometry: whether bearings can be predicted from where the map has the robot.
 
         Parameters
         ----------
@@ -81,17 +81,17 @@ class Monitor:
             The map.
         """
         marginal = known.state
-        gone = not self.is_lost and odometry_lost(motion, marginal)
-        # All that is mapped from an unknown origin would be as vague as that, and nothing linear.
+        dropped_out = not self.is_lost and odometry_lost(motion, marginal)
+        # All that is mapped from an uncertain origin would be as uncertain, and nothing linear.
         no_origin = not self._origin_given and marginal.covariance[2, 2] > MAX_MOTION_SIGMA**2
-        if not known.landmarks.mapped and (gone or no_origin):
+        if not known.landmarks.mapped and (dropped_out or no_origin):
             return Health.NO_MAP
         if self.is_lost and motion.covariance[2, 2] <= LINEAR_RANGE**2:
             return Health.LOST
-        return Health.ODOMETRY_LOST if gone or self.is_lost else Health.OK
+        return Health.ODOMETRY_LOST if dropped_out or self.is_lost else Health.OK
 
     def assess_innovations(self, gated: Gated, known: Map) -> Health:
-        """Return whether what is seen is what the map says.
+        """Assess the innovations: whether the bearings fit the map.
 
         Parameters
         ----------
@@ -109,57 +109,57 @@ class Monitor:
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 
-    def at_fault(self, refused: list[str]) -> list[str]:
-        """Return which of these landmarks are not where the map says, the robot being there."""
+    def moved_landmarks(self, refused: list[str]) -> list[str]:
+        """Return which of these landmarks moved, the robot being where the map has it."""
         return refused if refused and self._kidnap.others_fit(refused) else []
 
     def begin_search(self, t: float, why: Health) -> None:
-        """Let the robot be lost from `t` [s] on, or be looked for anew if it is lost already."""
+        """Declare the robot lost from `t` [s] on, or restart the search if it is lost already."""
         if self._since is None:
-            self._since, self._why = t, why
+            self._since, self._cause = t, why
         self._search = Search()
         self._kidnap.clear()
         self._slip.clear()
 
     def end_search(self, t: float) -> None:
-        """Let the robot be where the map says from `t` [s] on."""
+        """Declare the robot relocalised at `t` [s]."""
         if self._since is not None:
-            self._found.append((self._since, t))
+            self._past.append((self._since, t))
         self._since = None
         self._kidnap.clear()
         self._slip.clear()
 
     def add_keyframe(self, motion: Motion) -> None:
-        """Let there be another keyframe, reached by a motion."""
+        """Register a new keyframe, reached by a motion."""
         if self._slip.search is not None:
             self._slip.search.add_keyframe(motion)
 
     @property
     def search(self) -> Search:
-        """Where the robot is looked for, be it lost or suspected to have slipped."""
+        """The relocalisation search, whether the robot is lost or is suspected to have slipped."""
         return self._slip.search or self._search
 
     @property
     def is_lost(self) -> bool:
-        """Whether the robot does not know where in its map it is."""
+        """Whether the robot is lost in its map."""
         return self._since is not None
 
     @property
     def reason(self) -> Reason:
-        """Why a lost robot has no pose."""
-        return Reason.SCENE_CHANGED if self._why is Health.SCENE_CHANGED else Reason.LOST
+        """The reason why a lost robot has no pose."""
+        return Reason.SCENE_CHANGED if self._cause is Health.SCENE_CHANGED else Reason.LOST
 
     @property
     def spells_lost(self) -> list[tuple[float, float]]:
-        """From when until when the robot was lost [s]; it may be still."""
-        return self._found if self._since is None else [*self._found, (self._since, math.inf)]
+        """Intervals in which the robot was lost [s]; the last may be open."""
+        return self._past if self._since is None else [*self._past, (self._since, math.inf)]
 
     @property
     def fits_badly(self) -> bool:
-        """Whether too little fits of what was seen lately, or the robot is lost."""
-        return self.is_lost or self._kidnap.fitting < MAJORITY
+        """Whether too few recent sightings fit, or the robot is lost."""
+        return self.is_lost or self._kidnap.fit_share < MAJORITY
 
     @property
     def fits_well(self) -> bool:
-        """Whether all but one fit of what was seen lately."""
-        return not self.is_lost and self._kidnap.fitting >= 1.0 - 1.0 / RECENT_SIGHTINGS
+        """Whether all recent sightings but one fit."""
+        return not self.is_lost and self._kidnap.fit_share >= 1.0 - 1.0 / RECENT_SIGHTINGS

@@ -1,8 +1,8 @@
-"""Relocalisation: the pose of a lost robot in its own map, by resection along a short way.
+"""Relocalisation: the pose of a lost robot in its map, by resection along a short path.
 
-Unlike home's bearings these come from several places, which odometry ties together. For a fixed
-heading every sight line is a line for the position too, and two of them meet in one point; so the
-headings are gone through, pairs of lines are intersected, and the best poses are refined.
+Unlike home bearings, these come from several poses connected by odometry. For a given heading every
+sight line is a line for the position too, and two of them intersect in one point. So headings are
+scanned, pairs of lines intersected, and the best poses refined.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ from homeward.localizer.tunables import (
 )
 
 HEADINGS = 120
-MOST_PAIRS = 40
+MAX_PAIRS = 40
 STEPS = 8
-TRIED = 6
-"""Poses that are refined."""
+MAX_CANDIDATES = 6
+"""Poses that are refined by Gauss-Newton."""
 
 
 @dataclass(frozen=True)
 class SightLines:
-    """What a lost robot saw of landmarks in the map. Arrays of m rows, the newest last."""
+    """Sight lines of a lost robot to landmarks of the map. Arrays of m rows, the newest last."""
 
     cameras: np.ndarray
-    """(m, 3): poses of the camera in the frame of the place where the robot was lost."""
+    """(m, 3): camera's poses in the frame in which the search began."""
     bearings: np.ndarray
     """[rad]"""
     sigmas: np.ndarray
     """[rad]"""
     names: np.ndarray
-    """Which landmark (int)."""
+    """Landmark of each (int)."""
     positions: np.ndarray
-    """(m, 2): of the landmarks in the map [m]."""
+    """(m, 2): positions of the landmarks in the map [m]."""
     covariances: np.ndarray
     """(m, 2, 2)"""
 
 
-def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return where the robot was lost, in the map, and the covariance of that.
+def relocalise(lines: SightLines, min_inliers: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pose in the map where the search began, and its covariance.
 
     Parameters
     ----------
     lines : SightLines
-        What it saw since.
-    fewest : int, optional
-        So many lines must agree at least.
+        Its sight lines since then.
+    min_inliers : int, optional
+        Smallest number of inliers.
 
     Returns
     -------
     pose : ndarray, shape (3,)
         x [m], y [m], heading [rad].
     covariance : ndarray, shape (3, 3)
-        None instead of both when the lines do not tell, or tell two places.
+        None instead of both if the pose is undetermined or ambiguous.
     """
     if len(lines.names) < VERIFYING_BEARINGS or np.unique(lines.names).size < MIN_BEARINGS:
         return None
@@ -71,13 +71,12 @@ def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarr
         refined = _refine(start, lines)
         if refined is None:
             continue
-        apart = SAME_PLACE * float(_distances(refined[1][None], lines)[0])
-        if not any(_same(refined[1], f[1], apart) for f in found):
+        within = SAME_PLACE * float(_distances(refined[1][None], lines)[0])
+        if not any(_same(refined[1], f[1], within) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < max(
-        VERIFYING_BEARINGS, RELOCALISED_SHARE * len(lines.names), fewest
-    ):
+    enough = max(VERIFYING_BEARINGS, RELOCALISED_SHARE * len(lines.names), min_inliers)
+    if not found or found[0][0] < enough:
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
@@ -87,10 +86,10 @@ def relocalise(lines: SightLines, fewest: int = 0) -> tuple[np.ndarray, np.ndarr
 
 
 def _candidates(lines: SightLines) -> np.ndarray:
-    """Return the most promising poses, shape (k, 3), all different."""
+    """Return the best distinct poses, shape (k, 3), by truncated residuals."""
     i, j = np.triu_indices(len(lines.names), 1)
     other = lines.names[i] != lines.names[j]
-    i, j = i[other][-MOST_PAIRS:], j[other][-MOST_PAIRS:]
+    i, j = i[other][-MAX_PAIRS:], j[other][-MAX_PAIRS:]
     heading = np.arange(HEADINGS)[:, None] * TWO_PI / HEADINGS
     c, s = np.cos(heading), np.sin(heading)
     dx, dy = lines.cameras[:, 0], lines.cameras[:, 1]
@@ -111,23 +110,23 @@ def _candidates(lines: SightLines) -> np.ndarray:
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
-    for pose, apart in zip(best, (SAME_PLACE * _distances(best, lines)).tolist(), strict=True):
-        if not any(_same(pose, p, apart) for p in chosen):
+    for pose, within in zip(best, (SAME_PLACE * _distances(best, lines)).tolist(), strict=True):
+        if not any(_same(pose, p, within) for p in chosen):
             chosen.append(pose)
-        if len(chosen) == TRIED:
+        if len(chosen) == MAX_CANDIDATES:
             break
     return np.array(chosen)
 
 
 def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (k, m), how a bearing changes with its landmark's place, and the cameras."""
+    """Return residuals (k, m), their Jacobian by the landmarks' positions, and the cameras."""
     eyes = compose(poses[:, None], lines.cameras)
     seen = sight(eyes, lines.positions)
     return np.asarray(wrap(lines.bearings - seen.bearing)), seen.by_place, eyes
 
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
-    """Return how many lines agree, the refined pose and its covariance."""
+    """Refine a pose by robust Gauss-Newton; return the number of inliers, pose, covariance."""
     pose, longest = start.copy(), LINEAR_RANGE * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
@@ -149,12 +148,12 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
 
 
 def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
-    """Return the median distance of the landmarks seen from each pose, shape (k,) [m]."""
+    """Return the median distance of the landmarks from each pose, shape (k,) [m]."""
     off = lines.positions - poses[:, None, :2]
     return np.asarray(np.median(np.hypot(off[:, :, 0], off[:, :, 1]), axis=1))
 
 
-def _same(a: np.ndarray, b: np.ndarray, apart: float) -> bool:
-    """Return whether two poses, so far apart at most [m], are the same answer."""
-    near = np.hypot(a[0] - b[0], a[1] - b[1]) < apart
+def _same(a: np.ndarray, b: np.ndarray, within: float) -> bool:
+    """Return whether two poses, within `within` [m], are the same solution."""
+    near = np.hypot(a[0] - b[0], a[1] - b[1]) < within
     return bool(near and abs(wrap(a[2] - b[2])) < LINEAR_RANGE)

@@ -1,4 +1,4 @@
-"""Relocalisation search: the last bearings, tied together by odometry, and the pose they tell."""
+"""Relocalisation search: recent bearings, connected by odometry, and the pose that they give."""
 
 from __future__ import annotations
 
@@ -14,40 +14,37 @@ from homeward.localizer.tunables import RECENT_SIGHTINGS
 
 
 class Search:
-    """Relocalisation search: where in the map the robot is, by what it saw since the search began.
+    """Relocalisation search in the map, by bearings since the search began.
 
     Parameters
     ----------
     begin : Motion
-        From the newest keyframe to where the search begins; none where that is unknown.
+        From the newest keyframe to the start of the search; None if unknown.
     """
 
     def __init__(self, begin: Motion | None = None) -> None:
-        self.fewest = 0
-        """So many sightings must agree on a pose at the fewest."""
+        self.min_inliers = 0
+        """Smallest number of inliers of a pose."""
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
         self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT_SIGHTINGS)
 
     def motion_since(self, motion: Motion) -> Motion:
-        """Return the motion since the search began, from that since the newest keyframe."""
+        """Return the motion since the search began, by that since the newest keyframe."""
         return self._to_newest.compose(motion)
 
     def add_keyframe(self, motion: Motion) -> None:
-        """Let there be another keyframe, reached by a motion."""
+        """Register a new keyframe, reached by a motion."""
         self._to_newest = self.motion_since(motion)
 
     def add_bearings(self, frame: WeighedFrame, camera: Motion, landmarks: Landmarks) -> None:
-        """Keep bearings of mapped landmarks, the camera being a motion away from where it began."""
+        """Add bearings of mapped landmarks; `camera` is the motion from the start of the search."""
         each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
         self._seen.extend((*seen, camera) for seen in each if seen[0] in landmarks.mapped)
 
     def find(
         self, landmarks: Landmarks, calibration: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return where the search began, in the map, (3,), and the covariance of that, (3, 3).
-
-        None instead of both when the sightings do not tell.
-        """
+        """Return the pose in the map where the search began, (3,), and its covariance, (3, 3)."""
         known = [seen for seen in self._seen if seen[0] in landmarks.mapped]
         if not known:
             return None
@@ -62,13 +59,14 @@ class Search:
             positions=positions,
             covariances=covariances,
         )
-        return relocalise(lines, self.fewest)
+        return relocalise(lines, self.min_inliers)
 
 
 def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
-    """Pose reset: return the motion from a keyframe to where the robot was found, in the map both.
+    """Pose reset: return the motion from a keyframe's pose to the relocalised one, in one map.
 
-    The landmarks' errors are in that pose too, so its covariance is doubled.
+    The latter contains the errors of landmarks that will be used again, so its covariance is
+    doubled.
     """
     nothing = np.zeros((3, NC))
     back = Motion(last, np.zeros((3, 3)), nothing).inverse()
