@@ -76,9 +76,9 @@ def test_the_unit_of_length_does_not_matter(times):
 def test_a_step_that_was_cut_short_is_not_rest():
     known, near = divided(sigma=2.0)
     begun = fit(known, np.array(FAR), near, 1)
-    assert known.length(begun.step) == pytest.approx(1.0)
-    assert not begun.settled
-    assert fit(known, np.array(FAR) / 2, near, 60).settled
+    assert known.step_length(begun.step) == pytest.approx(1.0)
+    assert not begun.converged
+    assert fit(known, np.array(FAR) / 2, near, 60).converged
 
 
 def test_doubt_is_a_covariance_where_next_to_nothing_is_known_too():

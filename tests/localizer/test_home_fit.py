@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.localizer.home.evidence import log_labels, log_odds, log_outlier, moved_share
-from homeward.localizer.home.gauss_newton import SETTLED, fit, solved
+from homeward.localizer.home.evidence import log_odds, log_outlier, log_set_prior, moved_share
+from homeward.localizer.home.gauss_newton import CONVERGED, fit, solved
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
@@ -47,17 +47,17 @@ def test_a_fit_is_the_posterior_of_home_and_map_together(prior, inliers):
     problem, inliers = a_home(np.random.default_rng(4), prior=prior), np.array(inliers, bool)
     linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
     found = solved(linear, inliers)
-    whole = np.concatenate([linear.by_home, linear.by_known], axis=1)
+    whole = np.concatenate([linear.by_home, linear.by_state], axis=1)
     before = np.zeros((len(whole[0]), len(whole[0])))
-    before[:3, :3], before[3:, 3:] = problem.before, np.linalg.inv(problem.covariance)
+    before[:3, :3], before[3:, 3:] = problem.initial_information, np.linalg.inv(problem.covariance)
     weighed = whole[inliers].T / problem.sigmas[inliers] ** 2
     covariance = np.linalg.inv(before + weighed @ whole[inliers])
-    slope = weighed @ linear.residual[inliers] + before[:, :3] @ problem.off_prior(linear.at)
+    slope = weighed @ linear.residual[inliers] + before[:, :3] @ problem.prior_offset(linear.at)
     step = covariance @ slope
-    assert problem.length(step[:3]) < 1.0
+    assert problem.step_length(step[:3]) < 1.0
     assert found.step == pytest.approx(step[:3], rel=1e-6, abs=1e-9)
-    assert found.known - problem.mean == pytest.approx(step[3:], rel=1e-6, abs=1e-9)
-    assert found.pose == pytest.approx(found.known[:3])
+    assert found.state - problem.mean == pytest.approx(step[3:], rel=1e-6, abs=1e-9)
+    assert found.pose == pytest.approx(found.state[:3])
     assert np.linalg.inv(found.information) == pytest.approx(covariance[:3, :3], rel=1e-6)
     follows = -found.by_home
     assert follows @ np.linalg.inv(found.information) == pytest.approx(
@@ -81,9 +81,9 @@ def test_each_bearing_is_predicted_by_all_others(prior):
     for i in range(6):
         others = inliers & (np.arange(6) != i)
         rest = solved(linear, others)
-        jacobian = np.concatenate([linear.by_home, linear.by_known], axis=1)
+        jacobian = np.concatenate([linear.by_home, linear.by_state], axis=1)
         expected = linear.by_home[i] @ rest.step
-        expected += jacobian[i, 3:] @ (rest.known - problem.mean)
+        expected += jacobian[i, 3:] @ (rest.state - problem.mean)
         assert innovation[i] == pytest.approx(wrap(linear.residual[i] - expected), rel=1e-6)
         assert variance[i] == pytest.approx(rest.innovations[1][i], rel=1e-6)
     share = np.where(inliers, moved_share(4, 1, 0.1), moved_share(5, 0, 0.1))
@@ -93,7 +93,7 @@ def test_each_bearing_is_predicted_by_all_others(prior):
 def test_where_many_were_found_wrong_another_one_is_no_wonder():
     wrong = np.arange(13)
     sets = np.array([math.comb(12, w) for w in wrong])
-    assert sets @ np.exp(log_labels(12 - wrong, wrong, 0.1)) == pytest.approx(1.0)
+    assert sets @ np.exp(log_set_prior(12 - wrong, wrong, 0.1)) == pytest.approx(1.0)
     assert moved_share(11, 0, 0.1) == pytest.approx(0.1, abs=0.01)
     assert moved_share(4, 7, 0.1) == pytest.approx(8.0 / 13.0, abs=0.01)
     assert moved_share(0, 0, 0.1) == pytest.approx(0.9 * 0.1 + 0.1 * 0.5)
@@ -104,15 +104,15 @@ def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are()
     linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
     inliers = np.array([1, 0, 1, 1, 0, 1], bool)
     found = solved(linear, inliers)
-    by_home, off = linear.by_home[inliers], problem.off_prior(linear.at)
+    by_home, off = linear.by_home[inliers], problem.prior_offset(linear.at)
     spread = linear.residual_covariance[inliers][:, inliers]
-    spread = spread + by_home @ np.linalg.inv(problem.before) @ by_home.T
+    spread = spread + by_home @ np.linalg.inv(problem.initial_information) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
     wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
     believed = math.log(1.0 - NOISE_SCALE_PRIOR)
     labels = believed + math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
     # All sets share the prior's normalisation.
-    shared = 0.5 * np.linalg.slogdet(problem.before / (2.0 * np.pi))[1]
+    shared = 0.5 * np.linalg.slogdet(problem.initial_information / (2.0 * np.pi))[1]
     assert found.log_evidence + shared == pytest.approx(density + wrong + labels, rel=1e-9)
 
 
@@ -136,8 +136,8 @@ def test_home_is_iterated_to(prior):
     problem = a_home(np.random.default_rng(6), prior=prior)
     inliers = np.array([1, 1, 1, 0, 1, 1], bool)
     one, many = (fit(problem, np.array([0.4, -0.3, 0.3]), inliers, steps) for steps in (1, 20))
-    assert problem.length(many.step) < SETTLED < problem.length(one.step)
-    again = linearised(problem, many.home, many.known)
+    assert problem.step_length(many.step) < CONVERGED < problem.step_length(one.step)
+    again = linearised(problem, many.home, many.state)
     assert solved(again, inliers).step == pytest.approx(np.zeros(3), abs=1e-4)
     assert (fit(problem, np.zeros(3), np.zeros(6, bool)) is None) == (prior is None)
 

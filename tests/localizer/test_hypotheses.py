@@ -209,8 +209,8 @@ def on_a_circle(seed):
 @pytest.mark.parametrize("seed", [0, 2, 7])
 def test_a_home_that_wanders_does_not_compete_however_well_it_fits(seed):
     found = search(on_a_circle(seed))
-    assert all(f.settled for f in found.fits)
-    assert not any(f.settled for f in found.unconverged)
+    assert all(f.converged for f in found.fits)
+    assert not any(f.converged for f in found.unconverged)
     assert found.max_log_evidence > found.best.log_evidence + 1.0
     assert found.unconverged_probability > 0.5  # and so the pose is not fixed
 

@@ -1,1 +1,1 @@
-"""Home in the map: resection from home bearings of which some are wrong."""
+"""Home: resection in the map, and which home bearings are inliers."""

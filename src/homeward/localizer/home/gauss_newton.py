@@ -12,20 +12,20 @@ from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linear
 from homeward.localizer.home.problem import HomeProblem
 
 STEPS = 6
-"""Most homes come to rest after three or four; one that has not by then wanders."""
-SETTLED = 1e-4
-"""A step of home smaller than this ends the iteration [of the longest one]."""
+"""Most fits converge in three or four steps; one that has not by then does not."""
+CONVERGED = 1e-4
+"""Smallest step that continues the iteration [of the longest step]."""
 
 
 def fit(
     problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int = STEPS
 ) -> HomeFit | None:
-    """Fit home to a set of right home bearings; None when they do not fix it.
+    """Fit home to a set of inlier home bearings; None when they do not determine it.
 
     Parameters
     ----------
     problem : HomeProblem
-        What is known.
+        The resection problem.
     home : ndarray, shape (3,)
         Where to start.
     inliers : ndarray, shape (q,), bool
@@ -33,19 +33,19 @@ def fit(
     steps : int
         Gauss-Newton steps at most.
     """
-    if np.count_nonzero(inliers) < problem.fewest:
+    if np.count_nonzero(inliers) < problem.min_inliers:
         return None
-    known, now = problem.mean, None
+    state, now = problem.mean, None
     for _ in range(steps):
-        now = solved(linearised(problem, home, known), inliers)
-        if now is None or problem.length(now.step) < SETTLED:
+        now = solved(linearised(problem, home, state), inliers)
+        if now is None or problem.step_length(now.step) < CONVERGED:
             break
-        home, known = now.home, now.known
-    return now if now is not None and problem.is_near(now.home) else None
+        home, state = now.home, now.state
+    return now if now is not None and problem.is_plausible(now.home) else None
 
 
 def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
-    """Return a fit after what is known has changed by next to nothing, linearised as before."""
+    """Return a fit after a negligible change of the map, with the old linearisation."""
     problem = problem.with_noise(fit.problem.noise_scale)
     return solved(fit.linear.propagated(problem), fit.inliers, fit.inflation)
 
@@ -53,26 +53,26 @@ def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
 def solved(
     linear: Linear, inliers: np.ndarray, inflation: np.ndarray | None = None
 ) -> HomeFit | None:
-    """Return home where everything is linear; None when the set does not fix it.
+    """Solve the linearised problem; None when the set does not determine home.
 
     Parameters
     ----------
     linear : Linear
         The home bearings.
     inliers : ndarray, shape (q,), bool
-        The set of right ones.
+        The set of inliers.
     inflation : ndarray, shape (3, 3), optional
-        See `HomeFit.inflation`; worked out when asked for unless it is known.
+        See `HomeFit.inflation`; evaluated lazily unless given.
     """
     problem, of_set = linear.problem, whitened(linear, inliers)
     if of_set is None:
         return None
-    information = problem.before + of_set.products[HOME, HOME]
+    information = problem.initial_information + of_set.products[HOME, HOME]
     slope = of_set.products[HOME, RESIDUAL]
     if problem.prior is not None:
-        slope = slope + problem.before @ problem.off_prior(linear.at)
+        slope = slope + problem.initial_information @ problem.prior_offset(linear.at)
     _, step, failed = dposv(information, slope)
     if failed or not math.isfinite(step @ step):
         return None
-    step = step / max(1.0, problem.length(step))
+    step = step / max(1.0, problem.step_length(step))
     return HomeFit(linear, inliers, step, of_set, information, inflation)

@@ -1,8 +1,8 @@
-"""Multiple-hypothesis outlier rejection: a local search over sets of inlier home bearings.
+"""Multiple-hypothesis outlier rejection: local search over sets of inlier home bearings.
 
-Sets come from poses made of triples of landmarks and, once there is a fit, from its neighbours. A
-set is improved by single flips, each chosen by the odds of one bearing given the others, which are
-exact for the linearised problem; pairs are tried too while q is small.
+Seeds come from poses by triples of landmarks, later from the hypotheses so far. A set is improved
+by single flips, chosen by the odds of one bearing given the others, which are exact for the
+linearised problem; pairs of flips are tried too while q is small.
 """
 
 from __future__ import annotations
@@ -28,66 +28,66 @@ from homeward.localizer.home.resection import (
 from homeward.localizer.tunables import IMPROBABLE, MIN_BEARINGS, NOISE_SCALES
 
 Seed = tuple[np.ndarray, np.ndarray, float]
-"""A home, shape (3,), and a set of inlier home bearings, shape (q,), to search from; and so many
-times noisier than they were said to be these are supposed to be [1]."""
+"""Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and the noise
+scale assumed for them [1]."""
 Key = tuple[float, bytes]
-"""Of a fit: that noise, and the set."""
-MOST_SEEDS = 8
-"""Different sets that a local search starts from."""
-MOST_FLIPS = 12
-"""Flips at most from one start."""
-PAIRS_UP_TO = 10
-"""Pairs of landmarks are flipped together when home saw no more than this."""
+"""Key of a fit: noise scale and set."""
+MAX_SEEDS = 8
+"""Different sets from which a local search starts."""
+MAX_FLIPS = 12
+"""Largest number of flips from one seed."""
+MAX_FOR_PAIRS = 10
+"""Pairs are flipped if home saw no more landmarks than this."""
 UNDECIDED = -math.log(IMPROBABLE)
-"""Hypotheses whose log evidence falls short of the best one's by more are dropped, and flips that
-cost more are not tried."""
+"""Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
+more are not tried."""
 NEIGHBOURS = 3
-"""So many sets that differ from the best one by the most undecided flips are weighed with it."""
+"""Sets that differ from the best one by the least decided flips, and are kept beside it."""
 PROBABLE = 0.05
-"""Only more probable sets are flipped further as the map changes."""
+"""Only sets more probable than this are flipped further when the map changes."""
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Hypotheses: sets of inlier home bearings, the best first, with posterior probabilities."""
+    """Sets of inlier home bearings, the best first, with posterior probabilities."""
 
     fits: tuple[HomeFit, ...]
     weights: np.ndarray
-    """(k,), sum to one."""
+    """(k,): posterior probabilities; they sum to one."""
     unconverged: tuple[HomeFit, ...] = ()
-    """Sets whose home wanders, as on the circle through its landmarks: what the fit says of them
-    is of one place out of many."""
+    """Sets whose fit does not converge, as on the circle through the landmarks: their evidence is
+    that of one place out of many."""
 
     @property
     def best(self) -> HomeFit:
-        """The most probable."""
+        """The most probable one."""
         return self.fits[0]
 
     def moved_probabilities(self) -> np.ndarray:
-        """Return the probability that each home bearing is wrong, shape (q,)."""
+        """Return the probability of each home bearing to be an outlier, shape (q,)."""
         wrong = [1.0 / (1.0 + np.exp(np.clip(f.odds, -500, 500))) for f in self.fits]
         return np.asarray(self.weights @ np.array(wrong))
 
     @cached_property
     def unconverged_probability(self) -> float:
-        """About how probable the sets are whose home wanders, the best one aside."""
+        """Approximate probability of the unconverged sets, the best one aside."""
         first, at_rest = self.best.log_evidence, 1.0 / float(self.weights[0])
-        wanders = sum(math.exp(min(f.log_evidence - first, 500.0)) for f in self.unconverged)
-        return wanders / (wanders + at_rest)
+        unconverged = sum(math.exp(min(f.log_evidence - first, 500.0)) for f in self.unconverged)
+        return unconverged / (unconverged + at_rest)
 
     @cached_property
     def max_log_evidence(self) -> float:
-        """The log evidence of the most probable set, its home at rest or not."""
+        """Log evidence of the most probable set, converged or not."""
         return max(f.log_evidence for f in (*self.fits, *self.unconverged))
 
     def rivals(self, deviations: float) -> float:
-        """Return the probability of those that put home elsewhere than the best one does."""
+        """Return the probability of hypotheses with home elsewhere than the best one."""
         if len(self.fits) == 1:
             return 0.0
         best = self.best
         off = np.array([f.home for f in self.fits]) - best.home
         off[:, 2] = wrap(off[:, 2])
-        # By the less noise it supposes: more would hide that another home is more precise.
+        # By the smaller noise of both: the larger would hide that the other home is more precise.
         scale = best.problem.noise_scale
         finest = [f if f.problem.noise_scale < scale else best for f in self.fits]
         covariances = np.array([f.covariance for f in finest]) + 1e-12 * np.eye(3)
@@ -96,32 +96,32 @@ class Hypotheses:
 
 
 def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:
-    """Return the most probable sets, or None when home cannot be fixed.
+    """Return the most probable sets, or None when home cannot be determined.
 
     Parameters
     ----------
     problem : HomeProblem
-        What is known.
+        The resection problem.
     also : sequence of tuples
-        Homes and sets to search from besides those that the problem itself suggests.
+        Seeds beside those of the problem itself.
     """
     found: dict[Key, HomeFit] = {}
     for home, inliers, scale in [*also, *seeds(problem)]:
         _local_search(problem.with_noise(scale), home, inliers, found)
     if not found:
         return None
-    if problem.bearings.size <= PAIRS_UP_TO:
+    if problem.bearings.size <= MAX_FOR_PAIRS:
         _flip_pairs(max(found.values(), key=lambda f: f.log_evidence), found)
     return _weigh(found)
 
 
 def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
-    """Climb from the best set with two bearings flipped, where that looks promising from it."""
+    """Search from the best set with two bearings flipped, where that looks promising."""
     problem = best.problem
     for pair in combinations(range(problem.bearings.size), 2):
         inliers = best.inliers.copy()
         inliers[list(pair)] ^= True
-        if inliers.sum() < problem.fewest or (problem.noise_scale, inliers.tobytes()) in found:
+        if inliers.sum() < problem.min_inliers or (problem.noise_scale, inliers.tobytes()) in found:
             continue
         tried = solved(best.linear, inliers)
         if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
@@ -129,19 +129,19 @@ def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
 
 
 def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Update the hypotheses after the map has changed a little: sets are flipped where better."""
+    """Update the hypotheses after a small change of the map; flip where that is better."""
     found: dict[Key, HomeFit] = {}
     leads: dict[float, HomeFit] = {}
-    for wanders in hypotheses.unconverged:
-        noisy = problem.with_noise(wanders.problem.noise_scale)
-        again = fit(noisy, wanders.home, wanders.inliers, steps=3)
+    for unconverged in hypotheses.unconverged:
+        noisy = problem.with_noise(unconverged.problem.noise_scale)
+        again = fit(noisy, unconverged.home, unconverged.inliers, steps=3)
         if again is not None:
             found[again.key] = again
     for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
         scale = hypothesis.problem.noise_scale
         lead = leads.get(scale)
         noisy = problem.with_noise(scale) if lead is None else lead.problem
-        again = _fit_beside(lead, noisy, hypothesis.home, hypothesis.inliers)
+        again = _fit_nearby(lead, noisy, hypothesis.home, hypothesis.inliers)
         if again is None:
             continue
         leads.setdefault(scale, again)
@@ -153,7 +153,7 @@ def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
 
 
 def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Seed]:
-    """Return hypotheses on landmarks `names` as starts for landmarks `now`, new ones left out."""
+    """Return hypotheses on landmarks `names` as seeds for landmarks `now`, new ones left out."""
     seeds = []
     for f in hypotheses.fits:
         inliers = dict(zip(names, f.inliers.tolist(), strict=True))
@@ -163,7 +163,7 @@ def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) 
 
 
 def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypotheses:
-    """Try a seed: return the sets with those that a local search from it finds."""
+    """Try a seed: return the hypotheses, with those that a local search from it finds."""
     found = {f.key: f for f in (*hypotheses.unconverged, *hypotheses.fits)}
     known, (home, inliers, scale) = set(found), seed
     _local_search(problem.with_noise(scale), home, inliers, found)
@@ -176,9 +176,9 @@ def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypoth
 
 
 def propagate(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Propagate the best hypothesis alone, after the map has changed by next to nothing.
+    """Propagate the best hypothesis alone, after a negligible change of the map.
 
-    The others stay what they were when last followed, and as probable.
+    The others keep their fit and probability.
     """
     best = propagated(hypotheses.best, problem)
     if best is None:
@@ -187,24 +187,24 @@ def propagate(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
 
 
 def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
-    """Return them with the pose of another keyframe of the same map, home where it was.
+    """Return the hypotheses with the pose of another keyframe of the same map.
 
     Parameters
     ----------
     problem : HomeProblem
         With the other pose in place of the newest one.
     hypotheses : Hypotheses
-        As probable afterwards as before, since the pose says nothing of them.
+        Their probabilities do not change.
     """
     fits = [propagated(f, problem) for f in hypotheses.fits]
     there = tuple(f for f in fits if f is not None)
     return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
 
 
-def seeds(problem: HomeProblem, most: int = MOST_SEEDS) -> list[Seed]:
-    """Return seeds of the local search, the sets of one noise all different.
+def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
+    """Return seeds of the local search, all sets of one noise scale being different.
 
-    So many are `most`; of bearings that are noisier than they were said to be, `MOST_SEEDS`.
+    They are `most` for the given noise, and `MAX_SEEDS` for each larger one.
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
@@ -219,7 +219,7 @@ def seeds(problem: HomeProblem, most: int = MOST_SEEDS) -> list[Seed]:
             found.append((problem.prior, np.ones(q, bool), scale))
         if len(cameras):
             noisy = problem.with_noise(scale)
-            seen = most if scale == 1.0 else MOST_SEEDS
+            seen = most if scale == 1.0 else MAX_SEEDS
             found.extend(_best_of_triples(cameras, innovations, noisy, seen))
     return found
 
@@ -230,7 +230,7 @@ def _best_of_triples(
     problem: HomeProblem,
     most: int,
 ) -> list[Seed]:
-    """Return the best `most` of home's cameras (k, 3) of triples, with the set each makes right."""
+    """Return the best `most` of home's cameras (k, 3), with the inliers of each."""
     scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
@@ -244,9 +244,9 @@ def _best_of_triples(
 def _local_search(
     problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, found: dict[Key, HomeFit]
 ) -> None:
-    """Flip one bearing at a time while the evidence grows; keep every set met on the way."""
+    """Flip one bearing at a time while the evidence grows; collect all sets on the way."""
     best: HomeFit | None = None
-    for _ in range(MOST_FLIPS):
+    for _ in range(MAX_FLIPS):
         known = found.get((problem.noise_scale, inliers.tobytes()))
         now = fit(problem, home, inliers) if known is None else known
         if now is None:
@@ -262,11 +262,11 @@ def _local_search(
 
 
 def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
-    """Return the set with the one flip that gains most, or None when none gains."""
+    """Return the set after the single flip that gains most, or None if none gains."""
     if not now.inliers.size:
         return None
     gain = np.where(now.inliers, -now.odds, now.odds)
-    if now.inliers.sum() <= problem.fewest:
+    if now.inliers.sum() <= problem.min_inliers:
         gain[now.inliers] = -np.inf
     i = int(np.argmax(gain))
     if not gain[i] > 0.0:
@@ -277,42 +277,42 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
 
 
 def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
-    """Return the fits and the best one's neighbours as hypotheses, without the negligible ones.
+    """Return fits as hypotheses: with the best one's neighbours, without improbable ones.
 
-    What an iteration that has not come to rest says of its evidence is not comparable; but where
-    it is greater all the same, the set is kept, for home may be anywhere along its way.
+    The evidence of an unconverged fit is not comparable. If it is larger nevertheless, the set is
+    kept aside, since home may be anywhere along the iteration.
     """
-    settled = {key: f for key, f in found.items() if f.settled} or found
-    best = max(settled.values(), key=lambda f: f.log_evidence)
-    fits = [*settled.values(), *_neighbours(best, settled)]
+    converged = {key: f for key, f in found.items() if f.converged} or found
+    best = max(converged.values(), key=lambda f: f.log_evidence)
+    fits = [*converged.values(), *_neighbours(best, converged)]
     fits.sort(key=lambda f: -f.log_evidence)
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
     keep = weights > IMPROBABLE
     weights = weights[keep] / weights[keep].sum()
     at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
     least = best.log_evidence + math.log(IMPROBABLE)
-    unconverged = [f for f in found.values() if not f.settled and f.log_evidence > least]
-    return Hypotheses(at_rest, weights, tuple(unconverged) if best.settled else ())
+    unconverged = [f for f in found.values() if not f.converged and f.log_evidence > least]
+    return Hypotheses(at_rest, weights, tuple(unconverged) if best.converged else ())
 
 
 def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:
-    """Yield fits to sets that differ from the best one by an undecided flip, and are not found."""
+    """Yield fits to sets that differ from the best one by an undecided flip, if not yet found."""
     for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
         inliers = best.inliers.copy()
         inliers[i] ^= True
         key = best.problem.noise_scale, inliers.tobytes()
         if abs(best.odds[i]) < UNDECIDED and key not in found:
-            tried = _fit_beside(best, best.problem, best.home, inliers)
-            if tried is not None and tried.settled:
+            tried = _fit_nearby(best, best.problem, best.home, inliers)
+            if tried is not None and tried.converged:
                 yield tried
 
 
-def _fit_beside(
+def _fit_nearby(
     lead: HomeFit | None, problem: HomeProblem, home: np.ndarray, inliers: np.ndarray
 ) -> HomeFit | None:
-    """Fit home from `home` (3,), with no new linearisation if it is where another fit has it."""
-    if lead is not None and inliers.sum() >= problem.fewest:
+    """Fit home from `home` (3,), reusing another fit's linearisation if it has the same home."""
+    if lead is not None and inliers.sum() >= problem.min_inliers:
         quick = solved(lead.linear, inliers, lead.inflation)
-        if quick is not None and quick.settled and quick.is_beside(home):
+        if quick is not None and quick.converged and quick.is_same_home(home):
             return quick
     return fit(problem, home, inliers, steps=3)

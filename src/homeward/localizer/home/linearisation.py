@@ -1,9 +1,9 @@
-"""Home bearings linearised around a home and a map, and sets of them whitened.
+"""Home bearings, linearised around a home and a map, and whitening of sets of them.
 
-With S = L L^T the covariance of a set's residuals, L^-1 makes them independent and of unit
-variance. What depends on them, or is correlated with them, is whitened likewise, once; the products
-of these columns are all that least squares asks for: the information on home, the gain of the
-newest pose, and what predicts the others.
+With S = L L^T the covariance of a set's residuals, L^-1 makes them independent with unit variance.
+Everything that depends on them or is correlated with them is whitened likewise, once. Products of
+these columns are all that least squares needs: the information on home, the gain of the newest
+pose, and predictions of the other home bearings.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 
 HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)
-"""Columns: Jacobian by home, residual, correlation with the newest pose, and with each other."""
+"""Columns: Jacobian by home, residual, covariance with the newest pose, and with each other."""
 IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True)
 class Linear:
-    """The home bearings of a problem, linear around a home and a map."""
+    """Home bearings of a problem, linearised around a home and a map."""
 
     problem: HomeProblem
     at: np.ndarray
-    """(3,): the home that they are linear around."""
-    by_known: np.ndarray
-    """(q, 4 + 2 q): Jacobian of the expected home bearings by what is known."""
-    correlated: np.ndarray
-    """(q, 4 + 2 q): their covariance with what is known."""
+    """(3,): linearisation point of home."""
+    by_state: np.ndarray
+    """(q, 4 + 2 q): Jacobian of the expected home bearings by pose, yaw and landmarks."""
+    cross_covariance: np.ndarray
+    """(q, 4 + 2 q): their covariance with these."""
     columns: np.ndarray
-    """(q, 7 + q): what least squares asks for, a row for each of them."""
+    """(q, 7 + q): columns for least squares, a row for each home bearing."""
 
     @property
     def by_home(self) -> np.ndarray:
@@ -45,42 +45,42 @@ class Linear:
 
     @property
     def residual(self) -> np.ndarray:
-        """(q,): measured minus expected, the map at its mean [rad]."""
+        """(q,): residuals, measured minus expected, at the mean of the map [rad]."""
         return self.columns[:, RESIDUAL]
 
     @property
     def residual_covariance(self) -> np.ndarray:
-        """(q, q): of the residuals, were home known."""
+        """(q, q): covariance of the residuals given home."""
         return self.columns[:, REST]
 
     def propagated(self, problem: HomeProblem) -> Linear:
-        """Return them around the same point after what is known has changed a little."""
-        residual = self.residual - self.by_known @ (problem.mean - self.problem.mean)
-        return _linear(problem, self.at, residual, self.by_known, self.by_home)
+        """Return them at the same linearisation point after a small change of the map."""
+        residual = self.residual - self.by_state @ (problem.mean - self.problem.mean)
+        return _linear(problem, self.at, residual, self.by_state, self.by_home)
 
 
-def linearised(problem: HomeProblem, home: np.ndarray, known: np.ndarray) -> Linear:
-    """Return the home bearings around `home` (3,) and what is known (4 + 2 q,)."""
+def linearised(problem: HomeProblem, home: np.ndarray, state: np.ndarray) -> Linear:
+    """Linearise the home bearings around `home` (3,) and pose, yaw, landmarks (4 + 2 q,)."""
     bearing, by_place, by_home = expected(
-        problem, home, known[POSE_AND_YAW:].reshape(-1, 2), known[YAW]
+        problem, home, state[POSE_AND_YAW:].reshape(-1, 2), state[YAW]
     )
-    by_known = np.zeros((bearing.size, known.size))
+    by_state = np.zeros((bearing.size, state.size))
     if problem.same_camera:
-        by_known[:, YAW] = -1.0
-    # Each of them is of one landmark: two elements of a row, one row down and two to the right.
-    diagonal = by_known.ravel()[POSE_AND_YAW:]
-    diagonal[:: known.size + 2], diagonal[1 :: known.size + 2] = by_place[:, 0], by_place[:, 1]
-    residual = wrap(problem.bearings - bearing) + by_known @ (known - problem.mean)
-    return _linear(problem, home, residual, by_known, by_home)
+        by_state[:, YAW] = -1.0
+    # Each is of one landmark: two elements of a row, one row down and two to the right.
+    diagonal = by_state.ravel()[POSE_AND_YAW:]
+    diagonal[:: state.size + 2], diagonal[1 :: state.size + 2] = by_place[:, 0], by_place[:, 1]
+    residual = wrap(problem.bearings - bearing) + by_state @ (state - problem.mean)
+    return _linear(problem, home, residual, by_state, by_home)
 
 
 def expected(
     problem: HomeProblem, home: np.ndarray, places: np.ndarray, camera_yaw: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the bearings (k,) of places (k, 2) from `home` (3,), and how they change.
+    """Return the bearings (k,) of places (k, 2) from `home` (3,), and their Jacobians.
 
-    The latter by the place, (k, 2), and by home, (k, 3); `camera_yaw` [rad] is what the camera's
-    yaw is off, if home's is the same.
+    The latter are by the place, (k, 2), and by home, (k, 3); `camera_yaw` [rad] is the correction
+    of the camera's yaw, if home's camera is the same.
     """
     eye = compose(home, problem.mount)
     if problem.same_camera:
@@ -95,36 +95,38 @@ def _linear(
     problem: HomeProblem,
     home: np.ndarray,
     residual: np.ndarray,
-    by_known: np.ndarray,
+    by_state: np.ndarray,
     by_home: np.ndarray,
 ) -> Linear:
-    """Return it with the covariances that follow."""
-    q, correlated = residual.size, by_known @ problem.covariance
+    """Return the linearisation with the covariances that follow from it."""
+    q, cross_covariance = residual.size, by_state @ problem.covariance
     columns = np.empty((q, REST.start + q))
-    columns[:, HOME], columns[:, RESIDUAL], columns[:, POSE] = by_home, residual, correlated[:, :3]
-    columns[:, REST] = correlated @ by_known.T
+    columns[:, HOME], columns[:, RESIDUAL] = by_home, residual
+    columns[:, POSE] = cross_covariance[:, :3]
+    columns[:, REST] = cross_covariance @ by_state.T
     columns.ravel()[REST.start :: REST.start + q + 1] += problem.sigmas**2
-    return Linear(problem, home, by_known, correlated, columns)
+    return Linear(problem, home, by_state, cross_covariance, columns)
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """A set of r home bearings out of q, whitened."""
+    """Whitened set of r home bearings out of q."""
 
     members: np.ndarray
-    """(r,), int: the set."""
+    """(r,), int: members of the set."""
     rest: np.ndarray
     """(q - r,), int: the others."""
     root: np.ndarray
-    """(r, r): lower Cholesky factor of the covariance of the set's residuals; nothing above."""
+    """(r, r): lower Cholesky factor of the covariance of the set's residuals; upper part undefined.
+    """
     columns: np.ndarray
-    """(r, 7 + q - r): whitened Jacobian, residual and correlations."""
+    """(r, 7 + q - r): whitened Jacobian, residual and covariances."""
     products: np.ndarray
-    """(7 + q - r, 7 + q - r): of the columns with each other."""
+    """(7 + q - r, 7 + q - r): products of the columns with each other."""
 
     @property
     def log_volume(self) -> float:
-        """Log of the determinant of the covariance of the set's residuals."""
+        """Log determinant of the covariance of the set's residuals."""
         return 2.0 * sum(map(math.log, self.root.diagonal().tolist()))
 
     @cached_property
@@ -144,7 +146,7 @@ class Whitened:
 
 def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:
     """Whiten a set of inliers (q,), bool; None when its covariance is not positive definite."""
-    members, rest, across, asked = _places(inliers.tobytes())
+    members, rest, across, asked = _columns_of(inliers.tobytes())
     rows = linear.columns.take(members, axis=0)
     root, failed = dpotrf(rows.take(across, axis=1).T, lower=1, clean=0, overwrite_a=1)
     if failed:
@@ -156,8 +158,8 @@ def whitened(linear: Linear, inliers: np.ndarray) -> Whitened | None:
 
 
 @lru_cache(maxsize=64)
-def _places(inliers: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the set and the others, and where in a row their covariance and what is asked are."""
+def _columns_of(inliers: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the set, the others, and the indices of their covariance and columns in a row."""
     of_set = np.frombuffer(inliers, bool)
     members, rest = of_set.nonzero()[0], (~of_set).nonzero()[0]
     asked = np.concatenate([np.arange(REST.start), REST.start + rest])
@@ -165,14 +167,14 @@ def _places(inliers: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
 
 
 def inverted(information: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the inverse of information (3, 3) on home, and the log of the latter's determinant.
+    """Return the inverse of the information (3, 3) on home, and the latter's log determinant.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If home is not fixed.
+        If home is not determined.
     """
     root, inverse, failed = dposv(information, IDENTITY)
     if failed:
-        raise np.linalg.LinAlgError("home is not fixed")
+        raise np.linalg.LinAlgError("home is not determined")
     return inverse, 2.0 * math.log(math.prod(root.diagonal().tolist()))

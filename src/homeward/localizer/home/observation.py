@@ -1,4 +1,4 @@
-"""Home observation: the stored bearings, and the resection problem that they make of a map."""
+"""Home observation: the stored home bearings, and the resection problem that they pose."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from homeward.localizer.settings import LocalizerSettings
 
 
 class HomeObservation:
-    """Home observation: the home bearings, where the camera sat, and perhaps a start prior.
+    """Home observation: home bearings, the camera's pose on the robot, perhaps a start prior.
 
     Parameters
     ----------
     home : dict of str to HomeBearing
-        What the camera saw at home; a bearing that is not finite is none.
+        What the camera saw at home; bearings that are not finite are left out.
     drive : DriveSettings
         Camera and start prior as far as known.
     settings : LocalizerSettings
@@ -41,7 +41,7 @@ class HomeObservation:
         self._settings = settings
         self._prior = home_from_start(drive)
         self._names: list[str] = []
-        """Whom these are of, which were asked for last:"""
+        """Names for which these columns were computed last:"""
         self._bearings = self._given = np.zeros(0)
 
     @property
@@ -50,21 +50,21 @@ class HomeObservation:
         return self._prior is not None
 
     def forget_start(self) -> None:
-        """Forget the start prior: the map does not begin there any more."""
+        """Drop the start prior, since the map does not begin there any more."""
         self._prior = None
 
     def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
-        """Return the yaw of the camera on the robot, at home: as told, or as found out [rad]."""
+        """Return the yaw of the camera on the robot at home, as given or as estimated [rad]."""
         found = self._same_camera and found_out
         return float(self.mount[2] + found * calibration[CAMERA_YAW])
 
     def mount_covariance(self, marginal: Marginal) -> np.ndarray:
-        """Return the covariance (2, 2) of where the camera sat on the robot [m^2]."""
+        """Return the covariance (2, 2) of the camera's position on the robot [m^2]."""
         at = slice(3 + CAMERA_X, 3 + CAMERA_Y + 1)
         return marginal.covariance[at, at] if self._same_camera else np.zeros((2, 2))
 
     def given_noise(self, noise: BearingNoise) -> dict[str, HomeBearing]:
-        """Return the home bearings with what their deviations are believed to be."""
+        """Return the home bearings with their present standard deviations."""
         names = list(self.bearings)
         columns = (column.tolist() for column in self._columns(names, noise))
         return {n: HomeBearing(*row) for n, *row in zip(names, *columns, strict=True)}
@@ -78,7 +78,7 @@ class HomeObservation:
         state: Marginal,
         noise: BearingNoise,
     ) -> HomeProblem:
-        """Return what is known of landmarks of home, `index` (q,) of a state of the map.
+        """Return the resection problem of landmarks of home, `index` (q,) in a state of the map.
 
         Each walks with a probability `walks` (q,), its offset then being `walk_moment` (q, 2, 2).
         """
@@ -89,9 +89,9 @@ class HomeObservation:
         covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
         each = np.arange(4, columns.size).reshape(-1, 2)
         at = each[:, :, None], each[:, None, :]
-        counted = counted_for(covariance[at], walks, walk_moment)
-        uncounted = covariance[at] + walks[:, None, None] * walk_moment - counted
-        covariance[at] = counted
+        averaged = averaged_covariance(covariance[at], walks, walk_moment)
+        walk_excess = covariance[at] + walks[:, None, None] * walk_moment - averaged
+        covariance[at] = averaged
         shift = np.zeros(3)
         if self._same_camera:
             shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
@@ -103,37 +103,39 @@ class HomeObservation:
             mount=self.mount + shift,
             same_camera=self._same_camera,
             moved_prior=self._settings.moved_prior,
-            uncounted=uncounted,
+            walk_excess=walk_excess,
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )
 
     def _columns(self, names: list[str], noise: BearingNoise) -> tuple[np.ndarray, np.ndarray]:
-        """Return home bearings, and what their deviations are believed to be, (q,) each [rad]."""
+        """Return home bearings and their present standard deviations, (q,) each [rad]."""
         if names != self._names:
             self._names = names
             stored = [self.bearings[n] for n in names]
             self._bearings = np.array([b.bearing for b in stored])
             self._given = np.array([b.sigma for b in stored])
-        # One that nobody told is of one sighting as any other.
+        # One that is not given is of a single sighting like any other.
         default = self._settings.home_sigma or noise.typical
         sigmas = np.where(np.isfinite(self._given), self._given, default)
-        if self._same_camera:  # as doubtful as its other bearings, but no worse than they are
+        if self._same_camera:  # its noise scale holds here, but no more noise than others have
             sigmas = np.maximum(sigmas, np.minimum(noise.scale * sigmas, noise.typical))
         return self._bearings, sigmas
 
 
-def counted_for(stands: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray) -> np.ndarray:
-    """Return the covariances by which places count that may be wrong, shape (q, 2, 2).
+def averaged_covariance(
+    stands: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray
+) -> np.ndarray:
+    """Return the covariances of landmarks that may walk, shape (q, 2, 2).
 
-    Their information is that of either case, by how probable it is.
+    Their information is the mean of that of both cases, weighted by probability.
 
     Parameters
     ----------
     stands : ndarray, shape (q, 2, 2)
-        Covariances of the places, if all stand.
+        Covariances of the positions, if all are static.
     walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
-        How probable each is to walk, and how much less certain it is then.
+        Probability that each walks, and what that adds to its covariance.
     """
     either = stands + (1.0 - walks)[:, None, None] * walk_moment
     return np.asarray((stands + walk_moment) @ np.linalg.solve(either, stands))

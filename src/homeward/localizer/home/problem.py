@@ -21,54 +21,54 @@ from homeward.localizer.tunables import (
 )
 
 POSE_AND_YAW = 4
-"""What is known begins with the newest pose (3) and the camera's yaw (1)."""
+"""Length of the state before the landmarks: newest pose (3) and camera yaw (1)."""
 YAW = 3
-SURVEYED = 1e-4
-"""Home is the origin of what is surveyed from there as nearly as this, and no start is better known
+ORIGIN_SIGMA = 1e-4
+"""Standard deviation of home where it is the origin of a survey, and floor of that of a start prior
 [m, rad]."""
-LONGEST_SHARE = 0.2
-"""A fit moves home by so much at once at most [of the range] ..."""
-LONGEST_TURN = 1.0
-"""... and turns it by so much [rad]."""
+MAX_STEP = 0.2
+"""Longest step of home in a fit [range] ..."""
+MAX_TURN = 1.0
+"""... and largest turn [rad]."""
 
 
 @dataclass(frozen=True)
 class HomeProblem:
-    """What is known when home is to be found; q landmarks that home saw are mapped."""
+    """Resection problem of home; q landmarks that home saw are mapped."""
 
     mean: np.ndarray
     """(4 + 2 q,): newest pose, camera yaw, landmarks, in the odometry frame."""
     covariance: np.ndarray
     """(4 + 2 q, 4 + 2 q)"""
     bearings: np.ndarray
-    """(q,): what home stored, from the camera's axis [rad]."""
+    """(q,): stored home bearings, from the camera's axis [rad]."""
     sigmas: np.ndarray
-    """(q,) [rad]"""
+    """(q,): their standard deviations [rad]."""
     mount: np.ndarray
     """(3,): pose of the camera on the robot, at home."""
     same_camera: bool
-    """Whether the camera's unknown yaw is the drive's."""
+    """Whether the drive's camera was used at home, with the same unknown yaw."""
     moved_prior: float
     prior: np.ndarray | None = None
-    """(3,): home's pose in the odometry frame, from the start prior."""
+    """(3,): home's pose in the odometry frame by the start prior."""
     prior_information: np.ndarray | None = None
     """(3, 3)"""
     noise_scale: float = 1.0
-    """So many times noisier than they were said to be home's bearings are supposed to be [1]."""
+    """Noise scale assumed for the home bearings [1]."""
 
-    uncounted: np.ndarray | None = None
-    """(q, 2, 2): variance of landmarks' places beyond what they count for, since they may walk."""
+    walk_excess: np.ndarray | None = None
+    """(q, 2, 2): covariance of landmarks that may walk, beyond that in `covariance`."""
 
     surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    """(k, 2): surveyed landmarks that fix home without its bearings [m]; see `at_origin`."""
+    """(k, 2): surveyed landmarks that determine home without its bearings [m]; see `at_origin`."""
 
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
-        """Return it with home where these were surveyed from (k, 2), in whose frame all is."""
-        exactly = np.eye(3) * SURVEYED**-2
+        """Return it with home at the origin, from which `surveyed` (k, 2) were surveyed."""
+        exactly = np.eye(3) * ORIGIN_SIGMA**-2
         return replace(self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed)
 
     def with_noise(self, scale: float) -> HomeProblem:
-        """Return it with home's bearings so many times noisier than they were said to be."""
+        """Return it with another noise scale of the home bearings."""
         if scale == self.noise_scale:
             return self
         sigmas = scale / self.noise_scale * self.sigmas
@@ -76,7 +76,7 @@ class HomeProblem:
 
     @property
     def log_noise_prior(self) -> float:
-        """Log of how probable it is beforehand that home's bearings are so noisy."""
+        """Log prior of the noise scale."""
         wrong = self.noise_scale != 1.0
         return math.log(NOISE_SCALE_PRIOR / len(NOISE_SCALES) if wrong else 1.0 - NOISE_SCALE_PRIOR)
 
@@ -93,7 +93,7 @@ class HomeProblem:
 
     @property
     def extent(self) -> float:
-        """The longer side of the box round the landmarks [m]."""
+        """Longer side of the box around the landmarks [m]."""
         return self._box[0]
 
     @property
@@ -103,24 +103,24 @@ class HomeProblem:
 
     @cached_property
     def range(self) -> float:
-        """How far landmarks are from where they are seen, for all one can say [m]."""
+        """Distance of the landmarks from where they are seen, as far as known [m]."""
         if not self.bearings.size:
             return 1.0
         (x, y), robot = self.centre, self.mean[:2].tolist()
         return max(self.extent, math.hypot(x - robot[0], y - robot[1]), 1e-3)
 
-    def length(self, step: np.ndarray) -> float:
-        """Return how long a step of home (3,) is, the longest that is taken at once being one."""
+    def step_length(self, step: np.ndarray) -> float:
+        """Return the length of a step of home (3,), over the longest one that is allowed."""
         dx, dy, turn = np.abs(step).tolist()
-        return float(max(max(dx, dy) / (LONGEST_SHARE * self.range), turn / LONGEST_TURN))
+        return float(max(max(dx, dy) / (MAX_STEP * self.range), turn / MAX_TURN))
 
     def log_density(self, home: np.ndarray) -> float:
-        """Return how probable a home (3,) is beforehand, the log of a density up to a constant.
+        """Return the log prior density of a home (3,), up to a constant.
 
-        Home saw its landmarks, and so is hardly farther from them than they are from each other,
-        or from the robot, which sees them too. How much farther it may be all the same nobody
-        knows, so the density falls off slowly: it is Cauchy's in two dimensions. Without it, homes
-        a hundred metres off that explain a few bearings count as much as near ones.
+        Home saw its landmarks, and so is hardly farther from them than they are from each other, or
+        from the robot, which sees them too. How much farther is unknown, so the density falls off
+        slowly: a Cauchy distribution in two dimensions. Without it, homes a hundred metres away
+        that explain a few bearings would count as much as near ones.
         """
         if self.prior is not None or not self.bearings.size:
             return 0.0
@@ -128,8 +128,8 @@ class HomeProblem:
         away = math.hypot(float(home[0]) - x, float(home[1]) - y) / (HOME_DISTANCE * self.range)
         return -1.5 * math.log1p(away**2)
 
-    def is_near(self, home: np.ndarray) -> bool:
-        """Return whether a home (3,) lies within sight of its landmarks, for all one can say."""
+    def is_plausible(self, home: np.ndarray) -> bool:
+        """Return whether a home (3,) may be within sight of its landmarks."""
         if self.prior is not None or not self.bearings.size:
             return True
         x, y = self.centre
@@ -137,40 +137,40 @@ class HomeProblem:
         return off < MAX_HOME_DISTANCE * self.extent
 
     @cached_property
-    def vague(self) -> np.ndarray:
-        """(3, 3): information on home before anything is known: in sight of its landmarks."""
+    def weak_prior(self) -> np.ndarray:
+        """(3, 3): weak prior information on home: in sight of its landmarks."""
         if self.prior_information is not None or not self.bearings.size:
             return np.zeros((3, 3))
         near = (0.5 * MAX_HOME_DISTANCE * max(self.extent, 1e-3)) ** -2
         return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
 
     @property
-    def before(self) -> np.ndarray:
-        """(3, 3): information on home before any home bearing is taken."""
+    def initial_information(self) -> np.ndarray:
+        """(3, 3): information on home before its bearings."""
         prior = self.prior_information
-        return self.vague if prior is None else prior
+        return self.weak_prior if prior is None else prior
 
-    def off_prior(self, home: np.ndarray) -> np.ndarray:
-        """Return how far the start prior's home is from another one (3,); zeros without a prior."""
+    def prior_offset(self, home: np.ndarray) -> np.ndarray:
+        """Return the offset of the start prior from a home (3,); zeros without a prior."""
         offset = np.zeros(3) if self.prior is None else self.prior - home
         offset[2] = wrap(offset[2])
         return offset
 
     @property
-    def fewest(self) -> int:
-        """Home bearings that fix home."""
+    def min_inliers(self) -> int:
+        """Home bearings that determine home."""
         return MIN_BEARINGS if self.prior is None else 0
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return home's pose in the odometry frame and its information, from a start prior."""
+    """Return home's pose in the odometry frame and its information, by a start prior."""
     start = drive.start
     if start is None:
         return None
     pose = np.array(from_polar(start.polar), float)
     sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
     covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
-    covariance += np.eye(3) * SURVEYED**2  # at home itself a direction from home tells nothing
+    covariance += np.eye(3) * ORIGIN_SIGMA**2  # at home itself the direction from home is undefined
     jacobian = rotation(pose[2]).T @ lever(-pose)
     home = between(pose, np.zeros(3))
     home[2] = wrap(home[2])

@@ -1,9 +1,8 @@
-"""Home by resection: where the camera stood that saw the landmarks under the home bearings.
+"""Home by resection: where the camera stood when it saw the landmarks under the home bearings.
 
-Three bearings to known points fix a pose (unless it lies on the circle through them), so poses are
-made of triples of landmarks, and scored by how well all landmarks fit under a mixture: a home
-bearing is either right, with the landmark's own uncertainty in the map counted, or wrong and then
-uniform.
+Three bearings to known points determine a pose (unless it is on the circle through them). So poses
+are computed from triples of landmarks, and scored by all landmarks under a mixture: a home bearing
+is either an inlier, with the landmark's own uncertainty included, or a uniform outlier.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from homeward.localizer.geometry import sight
 from homeward.localizer.home.evidence import moved_share
 from homeward.localizer.tunables import MAX_HOME_DISTANCE
 
-MOST_TRIPLES = 600
-"""So many triples at most; drawn at random with a fixed seed when there are more."""
+MAX_TRIPLES = 600
+"""Largest number of triples; if there are more, they are drawn with a fixed seed."""
 
 
 def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
@@ -31,7 +30,7 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
     points : ndarray, shape (q, 2)
         Landmarks [m].
     bearings : ndarray, shape (q,)
-        Seen from the pose sought [rad].
+        Seen from the unknown pose [rad].
 
     Returns
     -------
@@ -62,7 +61,7 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
 def innovations_from(
     poses: np.ndarray, points: np.ndarray, covariances: np.ndarray, bearings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far bearings are off what each pose predicts, and its variance by the map.
+    """Return the innovations of bearings at each pose, and their variance by the map.
 
     Parameters
     ----------
@@ -89,7 +88,7 @@ def innovations_from(
 def mixture_scores(
     off: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, moved_prior: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the log likelihood of each pose, and which bearings are more likely right under it.
+    """Return the log likelihood of each pose, and its inlier bearings.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def mixture_scores(
     sigmas : ndarray, shape (q,)
         Standard deviations of the bearings [rad].
     moved_prior : float
-        Probability that a bearing is wrong, of a landmark of which nothing is known.
+        Prior probability that a landmark moved.
 
     Returns
     -------
@@ -107,7 +106,7 @@ def mixture_scores(
     """
     variance, q = variance + sigmas**2, sigmas.size
     exponent = -0.5 * off**2 / variance
-    # Where it underflows, the exponential takes many times longer.
+    # Underflow would make the exponential many times slower.
     inlier = np.exp(np.maximum(exponent, -700.0)) / np.sqrt(variance)
     inlier *= math.sqrt(TWO_PI)  # against the uniform density
     right = (1.0 - moved_prior) * inlier > moved_prior
@@ -118,8 +117,8 @@ def mixture_scores(
 
 @lru_cache(maxsize=64)
 def _triples(q: int) -> np.ndarray:
-    """Return triples of q things, shape (k, 3)."""
-    if math.comb(q, 3) <= MOST_TRIPLES:
+    """Return triples of q indices, shape (k, 3)."""
+    if math.comb(q, 3) <= MAX_TRIPLES:
         return np.array(list(combinations(range(q), 3)), int).reshape(-1, 3)
     draw = np.random.default_rng(0)
-    return np.argsort(draw.random((MOST_TRIPLES, q)), axis=1)[:, :3]
+    return np.argsort(draw.random((MAX_TRIPLES, q)), axis=1)[:, :3]

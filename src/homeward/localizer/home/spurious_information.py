@@ -1,8 +1,8 @@
-"""Spurious information on home, and the covariance inflation that takes it out again.
+"""Spurious information on home by errors of the map, and the inflation that compensates it.
 
-Where home lies on the circle through the landmarks its position is not fixed at all; but the
-landmarks as mapped are never quite on the circle, and so seem to fix it. What their errors add to
-the information in the mean is taken out again, down to a share of `MIN_INFORMATION_SHARE`.
+On the circle through the landmarks, the position of home is unobservable; but mapped landmarks are
+never exactly on the circle, and so seem to determine it. The information that their errors add on
+average is removed again, down to a share of `MIN_INFORMATION_SHARE`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from homeward.localizer.tunables import MIN_INFORMATION_SHARE
 def spurious_covariance(
     linear: Linear, members: np.ndarray, landmarks: np.ndarray, information: np.ndarray
 ) -> np.ndarray:
-    """Return the inflation: the covariance (3, 3) of home beyond the inverse of its information.
+    """Return the covariance (3, 3) of home beyond the inverse of its information.
 
     Parameters
     ----------
@@ -36,22 +36,22 @@ def spurious_covariance(
     Raises
     ------
     numpy.linalg.LinAlgError
-        If home is not fixed.
+        If home is not determined.
     """
-    whole = information + linear.problem.vague
+    whole = information + linear.problem.weak_prior
     left = whole.copy()
     if members.size:
-        left[:2, :2] -= _by_chance(information, *_bend(linear, members, landmarks))
-    # Both with what is there always: so it is a covariance, where next to nothing is known, too.
+        left[:2, :2] -= _spurious(information, *_by_curvature(linear, members, landmarks))
+    # Both with the weak prior: then the difference is a covariance in any case.
     return np.asarray(inverted(left)[0] - inverted(whole)[0])
 
 
-def _by_chance(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:
-    """Return how much of the information on home's place, (2, 2), is there by chance.
+def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:
+    """Return the spurious part of the information on home's position, (2, 2).
 
-    In axes in which the information on the place, the heading being unknown, is a unit matrix, the
-    shares that are there by chance are the eigenvalues of what bending adds to it, [xx, xy; xy,
-    yy], of which `spread` is xx + yy and `pseudo` xx - yy + 2i xy.
+    In axes in which the information on the position, the heading being unknown, is the identity,
+    the spurious shares are the eigenvalues of [xx, xy; xy, yy], the information by errors of the
+    map, given by `spread`, xx + yy, and `pseudo`, xx - yy + 2i xy.
     """
     (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
     a = math.sqrt(m - along * along / turn)  # the Cholesky factor: [a, 0; b, c]
@@ -69,11 +69,13 @@ def _by_chance(information: np.ndarray, spread: float, pseudo: complex) -> np.nd
     return np.asarray(root @ kept @ root.T)
 
 
-def _bend(linear: Linear, members: np.ndarray, landmarks: np.ndarray) -> tuple[float, complex]:
-    """Return the information that the landmarks' own errors add by bending bearings.
+def _by_curvature(
+    linear: Linear, members: np.ndarray, landmarks: np.ndarray
+) -> tuple[float, complex]:
+    """Return the information that errors of the landmarks add by the curvature of bearings.
 
-    In the plane as complex numbers a landmark at z that is off by e adds k conj(e) to the
-    derivative of its bearing, with the curvature k = -i / conj(z)^2.
+    In the plane as complex numbers a landmark at z with error e adds k conj(e) to the derivative of
+    its bearing, with the curvature k = -i / conj(z)^2.
     """
     away = landmarks.view(complex)[members, 0] - complex(*linear.at[:2].tolist())
     spread, pseudo = _own_errors(away, linear.problem.covariance, POSE_AND_YAW // 2 + members)
@@ -87,10 +89,11 @@ def _bend(linear: Linear, members: np.ndarray, landmarks: np.ndarray) -> tuple[f
 def _own_errors(
     away: np.ndarray, covariance: np.ndarray, of_set: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variances xx + yy and xx - yy + 2i xy (r,) of the landmarks' own errors.
+    """Return the variances xx + yy and xx - yy + 2i xy (r,) of the landmarks' individual errors.
 
-    What moves or turns all of them alike moves home with them, and is left out. They are seen from
-    home at `away` (r,), complex, and are the numbers `of_set` (r,) of what is known, in pairs.
+    Errors that translate or rotate all of them move home likewise, and are projected out. Landmarks
+    are at `away` (r,) from home, complex, and have the indices `of_set` (r,) among pairs of the
+    state.
     """
     centred = away - away.sum() / len(away)
     rigid = np.zeros((3, len(covariance) // 2), complex)
@@ -98,7 +101,7 @@ def _own_errors(
     motions[0], motions[1] = 1.0 / math.sqrt(len(away)), 1j / math.sqrt(len(away))
     motions[2] = 1j / max(math.sqrt(np.vdot(centred, centred).real), 1e-6) * centred
     rigid[:, of_set] = motions
-    # With B an orthonormal basis of that, the own errors are (I - B B^T) C (I - B B^T).
+    # With B an orthonormal basis of those, individual errors have (I - B B^T) C (I - B B^T).
     basis = rigid.view(float)
     shared = basis @ covariance
     shared -= 0.5 * (shared @ basis.T) @ basis

@@ -1,4 +1,4 @@
-"""Home in a map that changes: found once, followed, and looked for elsewhere now and then."""
+"""Tracking of home in a changing map: found once, updated, and searched elsewhere at times."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.home.hypotheses import (
-    MOST_SEEDS,
+    MAX_SEEDS,
     PROBABLE,
     Hypotheses,
     Seed,
@@ -30,15 +30,16 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import INLIER_GATE
 
 SEARCH_EVERY = 40
-"""Keyframes between two searches for home from scratch ..."""
+"""Keyframes between two searches from scratch ..."""
 SEARCH_PATIENCE = 10
-"""... which waits so many for one without other long work."""
-MOST_IN_DOUBT = 4 * MOST_SEEDS
-"""Seeds where home may be elsewhere: one a keyframe, this takes as long as a search is old."""
+"""... and by how many a search waits for a keyframe without other long work."""
+MAX_SEEDS_IN_DOUBT = 4 * MAX_SEEDS
+"""Seeds of a search while home is ambiguous: at one per keyframe, it lasts as long as the interval
+between searches."""
 
 
 class HomeTracker:
-    """Tracks the hypotheses where home is in a map.
+    """Tracks the hypotheses on home.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class HomeTracker:
     settings : LocalizerSettings
         Everything else.
     noise : BearingNoise
-        Of bearings, home's among them.
+        Bearing noise, also of home bearings.
     """
 
     def __init__(
@@ -61,20 +62,20 @@ class HomeTracker:
     ) -> None:
         self.observation = HomeObservation(home, drive, settings)
         self.hypotheses: Hypotheses | None = None
-        """Where home may be; None where it is not found."""
+        """The hypotheses; None while home is not found."""
         self.names: list[str] = []
-        """Of the q landmarks among which it is looked for."""
+        """Names of the q landmarks used."""
         self._noise, self._surveyed, self._sure = noise, False, settings.sure
         self._seeds: deque[Seed] = deque()
         self._searched = 0
-        """Keyframe at which other places for home were last looked for."""
+        """Keyframe of the last search from scratch."""
 
     def update(self, known: Map) -> None:
-        """Follow home as the map changes; search for it anew when there is reason to."""
+        """Update home after a change of the map; search for it anew when there is reason to."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
         self.names = known.landmarks.shared_with_home(self.observation.bearings)
         self._surveyed = known.registration.knows_home
-        if self._surveyed is not frame:  # home is in another frame now
+        if self._surveyed is not frame:  # the frame of home has changed
             now = None
         problem = self.problem(known, known.state)
         if now is not None and before == self.names:
@@ -83,13 +84,13 @@ class HomeTracker:
             also = seeds_for(now, before, self.names) if now is not None else []
             self.hypotheses = search(problem, also)
             self._seeds.clear()
-            if self.hypotheses is not None and self._most(self.hypotheses) > MOST_SEEDS:
-                self._seeds.extend(seeds(problem, MOST_IN_DOUBT)[MOST_SEEDS:])
+            if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
+                self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
 
     def problem(self, known: Map, state: Marginal) -> HomeProblem:
-        """Return what is known of home's landmarks by a state of the map.
+        """Return the resection problem by a state of the map.
 
-        It is in the odometry frame; where the map has a survey in home's frame, in that.
+        It is in the odometry frame, or in home's frame if the map has a survey in that.
         """
         state = known.registration.in_home_frame(state)
         places = known.places_for_home(self.names)
@@ -99,9 +100,9 @@ class HomeTracker:
         return problem.at_origin(known.registration.static_places(state))
 
     def conclude(self, known: Map, state: Marginal) -> bool:
-        """Find home anew by what a whole drive says; return whether it is found.
+        """Search for home by the solution of a whole drive; return whether it is found.
 
-        Where it is not, everything stays as it was.
+        If it is not, nothing changes.
         """
         before = self.hypotheses.fits if self.hypotheses is not None else ()
         found = search(self.problem(known, state), [f.seed for f in before])
@@ -109,38 +110,38 @@ class HomeTracker:
         return found is not None
 
     def stayed(self, known: Map) -> np.ndarray:
-        """(q,), bool: which of the landmarks among which home is did not move on the way."""
+        """(q,), bool: which of the landmarks used did not move during the drive."""
         return np.array([name not in known.landmarks.former for name in self.names], bool)
 
     def bearing_sigmas(self) -> dict[str, float]:
-        """Return how well each home bearing is predicted by everything else [rad], by landmark."""
+        """Return the standard deviation of each home bearing predicted by the others [rad]."""
         if self.hypotheses is None:
             return {}
         variances = self.hypotheses.best.innovations[1]
         return dict(zip(self.names, np.sqrt(variances).tolist(), strict=True))
 
     def _follow(self, problem: HomeProblem, before: Hypotheses, known: Map) -> Hypotheses | None:
-        """Return the hypotheses after the map changed a little."""
+        """Return the hypotheses after a small change of the map."""
         now = (update if known.solved else propagate)(problem, before)
         if now is None:
             return None
         if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
-            # The best set's home went walk_moment: there may be a way back to it, or a better one.
+            # The best set's home diverged: search for it again, or for a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
 
-    def _most(self, now: Hypotheses) -> int:
-        """Return from how many seeds to look for home: more, where it is in doubt."""
+    def _number_of_seeds(self, now: Hypotheses) -> int:
+        """Return the number of seeds of a search: more while home is ambiguous."""
         doubted = now.rivals(INLIER_GATE) > 1.0 - self._sure
-        return MOST_IN_DOUBT if doubted else MOST_SEEDS
+        return MAX_SEEDS_IN_DOUBT if doubted else MAX_SEEDS
 
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
-        """Look now and then where else home might be, one place after the other."""
+        """Try the next seed of a search, and start a new search from time to time."""
         since = known.smoother.newest - self._searched
         wait = SEARCH_PATIENCE if known.busy else 0
         if self._seeds and since >= wait:
             return try_seed(problem, now, self._seeds.popleft())
         if not self._seeds and since >= SEARCH_EVERY + wait:
-            self._seeds.extend(seeds(problem, self._most(now)))
+            self._seeds.extend(seeds(problem, self._number_of_seeds(now)))
             self._searched = known.smoother.newest
         return now

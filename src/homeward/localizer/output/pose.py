@@ -80,7 +80,7 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
-    by_bearing = fit.inverse[0] @ fit.of_set.weighted[alone[fit.inliers], HOME].T
+    by_bearing = fit.inverse[0] @ fit.whitened.weighted[alone[fit.inliers], HOME].T
     share = fit.moved_share(checked)
     moves = math.sqrt(share) * OUTLIER_SIGMA * fit.home_frame_jacobians[0] @ by_bearing
     # Faults are too large for the direction in which they move the pose to be linear.

@@ -122,7 +122,7 @@ class IntegrityMonitor:
             self._checked = now.best.checked
         self._estimate = combined_estimate(now.best, self._others)
         if firm or not self.fixed:
-            at_rest = self.fixed or (now.best.settled and now.unconverged_probability < 0.5)
+            at_rest = self.fixed or (now.best.converged and now.unconverged_probability < 0.5)
             self.fixed = at_rest and self._is_fixed(now.best)
             self._rivals = now.rivals(INLIER_GATE)
         faults = uncheckable_outliers(now.best, self._checked)
@@ -169,7 +169,7 @@ class IntegrityMonitor:
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough among its landmarks to judge any of them by it."""
         reach = self._settings.largest_sigma * landmark_distance(best, best.home)
-        return _sigma(best.covariance) <= reach and (best.settled or self.fixed)
+        return _sigma(best.covariance) <= reach and (best.converged or self.fixed)
 
     def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
         """Return what to call an answer, and why."""
