@@ -279,10 +279,10 @@ def test_more_must_fit_from_elsewhere_than_from_here():
     slip = SlipDetector()
     assert not slip.suspects(sighted(True, True, False), Motion.identity())
     assert slip.suspects(sighted(True, False, False, False), Motion.identity())
-    more_than_here = slip.search.fewest - 1
+    more_than_here = slip.search.min_inliers - 1
     assert more_than_here >= 3  # two bearings fit somewhere else by chance
     assert slip.suspects(sighted(True, True, False, False, False), Motion.identity())
-    assert slip.search.fewest == 3 + more_than_here
+    assert slip.search.min_inliers == 3 + more_than_here
     assert not slip.suspects(sighted(True, True, True, True, True), Motion.identity())
 
 

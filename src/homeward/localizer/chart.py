@@ -1,4 +1,4 @@
-"""A chart: one map in the odometry frame, home found in it, and what both say of the robot.
+"""Chart: one map in the odometry frame, and home in it (one map of an atlas, as in ORB-SLAM3).
 
 `Chart.add_bearings` is the heart of the localiser.
 """
@@ -36,16 +36,16 @@ from homeward.reasons import Rejection
 
 
 class Chart:
-    """A map of its own, and home in it.
+    """A map, home in it, and the estimators and monitors of both.
 
     Parameters
     ----------
     home, drive, settings
-        As the `Localizer` was told, and checked.
+        As given to the `Localizer`, and validated.
     counts : Counts
         Where to count sightings.
     twists : Twists
-        The history of odometry.
+        History of odometry.
     known : KnownLandmarks
         What is known of landmarks beforehand.
     """
@@ -72,24 +72,24 @@ class Chart:
         self._begin_map(0.0)
 
     def begin(self, t: float) -> None:
-        """Let the map begin at the robot, at `t` [s]."""
+        """Begin the map at the robot, at `t` [s]."""
         self._begin_map(t)
         if self.home.observation.has_start:
             self._find_home(t)
 
     def keep_closed(self) -> None:
-        """Keep closed keyframes too, for `conclude`; memory then grows with the drive."""
+        """Keep marginalised keyframes for `conclude`; memory then grows with the drive."""
         self._keeps = True
         self.map.smoother.keep_closed()
 
     def follow(self, t: float) -> None:
-        """Follow the odometry after a twist of `t` [s] has come."""
+        """Integrate the odometry after a twist of `t` [s] has arrived."""
         self.odometry.rewind(t)
         if t - self.odometry.end > ADVANCE_S:
             self.odometry.run_ahead(t, self.map.state.calibration)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
-        """Take all sightings of one stamp; return their innovations.
+        """Process all bearings of one stamp; return their innovations.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Chart:
         if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        fresh = self.learn(frame.t)  # 0 what the last solution tells of noise and walkers
+        fresh = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
@@ -115,11 +115,11 @@ class Chart:
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
         if changed or reset or fresh:
-            self._find_home(now)  # 7 resection: which home bearings are right; 8 status, covariance
+            self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
         return gated.innovations if gated is not None else []
 
     def learn(self, t: float) -> bool:
-        """Learn from the last solution; return whether a map begins at `t` [s], as none can be."""
+        """Learn from the last solution; return whether the map was reset at `t` [s] as singular."""
         try:
             self.map.learn()
         except np.linalg.LinAlgError:
@@ -129,7 +129,7 @@ class Chart:
         return False
 
     def conclude(self, whole: Smoother) -> bool:
-        """Find home anew by what a whole drive says; see `Localizer.conclude`."""
+        """Find home anew by the solution of a whole drive; see `Localizer.conclude`."""
         found = self.home.conclude(self.map, whole.state)
         if found:
             self.map.adopt(whole)
@@ -138,7 +138,7 @@ class Chart:
 
     @property
     def has_pose(self) -> bool:
-        """Whether there is a pose to give."""
+        """Whether there is a pose to publish."""
         found = self.home.hypotheses is not None
         return found and not self.monitor.is_lost and self._integrity.fixed
 
@@ -152,7 +152,7 @@ class Chart:
         t : float
             Not before the newest keyframe.
         innovations : tuple of Innovation
-            To go with it.
+            Innovations to go with it.
         complaint : str, optional
             The reason to give where there is no pose.
         """
@@ -177,7 +177,10 @@ class Chart:
         return found
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, in order of name; without home, unless told."""
+        """Return everything known of each landmark, in order of name.
+
+        Without `judge` nothing is said of home.
+        """
         hypotheses = self.home.hypotheses if judge else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
@@ -193,7 +196,7 @@ class Chart:
         ).landmarks()
 
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
-        """Take a first fix in a survey: where one look, after a motion, was made from."""
+        """Try a first fix in a survey: the pose from a few frames along a short path."""
         known = self.map.registration
         if not known.survey.places or known.knows_home or self.map.landmarks.expected:
             return
@@ -207,9 +210,10 @@ class Chart:
             self._last_accepted = seen.t
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
-        """Gate a frame that was seen after a motion, at a new keyframe where one is due.
+        """Gate a frame after a motion, at a new keyframe where one is due.
 
-        One is due, too, where its bearings deny the motion: a robot that stood went all the same.
+        One is also due where the bearings contradict the motion: the robot moved while odometry did
+        not.
         """
         if self.map.wants_keyframe(seen.t, motion):
             gated = self._gate_at_keyframe(seen, motion)
@@ -232,7 +236,7 @@ class Chart:
     def _react(
         self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion
     ) -> bool:
-        """Do what the monitor's verdict asks for; return whether there is a new solution."""
+        """React to the monitor's verdict; return whether there is a new solution."""
         match health:
             case Health.OK if gated is not None:
                 return self._update(gated)
@@ -244,7 +248,7 @@ class Chart:
                 return self._begin_search(seen, health)
 
     def _update(self, gated: Gated) -> bool:
-        """Update the map by what fits; return whether there is a new solution."""
+        """Update the map by accepted bearings; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
         refused = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
@@ -260,13 +264,13 @@ class Chart:
         return self._begin_search(gated.frame, Health.CARRIED)
 
     def _begin_search(self, seen: WeighedFrame, why: Health) -> bool:
-        """Look for the robot in its map from now on; return whether it is found at once."""
+        """Begin a relocalisation; return whether it succeeds at once."""
         self.odometry.restart(seen.t)
         self.monitor.begin_search(seen.t, why)
         return self._relocalise(seen, Motion.identity())
 
     def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
-        """Look for the robot in its map, and move it where it is found; return whether it is."""
+        """Try to relocalise the robot, and reset its pose; return whether that succeeds."""
         search = self.monitor.search
         way = search.motion_since(motion)
         search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
@@ -286,16 +290,16 @@ class Chart:
         return True
 
     def _find_home(self, now: float) -> None:
-        """Follow home as the map changes, and take what that says of the pose."""
+        """Update home after a change of the map, and the integrity monitor."""
         self.home.update(self.map)
         observed, state = self.home.observation, self.map.state
         self._integrity.mount_covariance = observed.mount_covariance(state)
         self._integrity.scale_variance = self.map.scale_variance
-        firm = self.map.solved and not self._coasts(now)
-        self._integrity.update(self.home.hypotheses, firm, self.home.stayed(self.map))
+        solved = self.map.solved and not self._coasts(now)
+        self._integrity.update(self.home.hypotheses, solved, self.home.stayed(self.map))
 
     def _begin_map(self, t: float) -> None:
-        """Begin a map at the robot, whose pose is the origin, at `t` [s]."""
+        """Begin a map whose origin is the robot's pose at `t` [s]."""
         learnt = self.noise, self.process_noise, self.extrinsics
         self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
         self.monitor = Monitor(self._drive.start is not None)
@@ -305,21 +309,21 @@ class Chart:
             self.map.smoother.keep_closed()
 
     def _reset_map(self, t: float) -> Motion:
-        """Throw the map away, begin another at `t` [s], and return the motion since: none."""
+        """Reset the map at `t` [s], and return the motion since then: none."""
         self._begin_map(t)
         self.home.observation.forget_start()
         return Motion.identity()
 
     def _give_up_map(self) -> None:
-        """Throw a map away of which nothing can be made any more."""
+        """Reset a map that has become singular."""
         self.counts.reject(Rejection.MAP_RESET)
         self._reset_map(self.map.smoother.stamps[-1])
 
     def _begin_motion(self, t: float, motion: Motion) -> None:
-        """Let odometry and monitor begin anew at a keyframe that was reached by a motion."""
+        """Restart odometry and monitor at a new keyframe, reached by a motion."""
         self.odometry.restart(t)
         self.monitor.add_keyframe(motion)
 
     def _coasts(self, t: float) -> bool:
-        """Return whether no bearing was accepted lately before `t` [s]."""
+        """Return whether no bearing has been accepted recently before `t` [s]."""
         return t - self._last_accepted > NO_BEARINGS_S

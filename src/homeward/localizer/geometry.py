@@ -1,7 +1,7 @@
 """SE(2) and the bearing model with their Jacobians, on arrays; values are those of `frames`.
 
-All that the localiser linearises is put together from these by the chain rule; tests hold them
-against the derivatives of `homeward.frames` by CasADi. Poses are (..., 3): x [m], y [m], heading
+Everything that the localiser linearises is composed of these by the chain rule; tests compare them
+with the derivatives of `homeward.frames` by CasADi. Poses are (..., 3): x [m], y [m], heading
 [rad], the heading not wrapped.
 """
 
@@ -13,22 +13,23 @@ from typing import NamedTuple
 import numpy as np
 
 LEAST_SQUARE = 1e-6
-"""Where a camera stands on what it sees, derivatives are those at this squared distance [m^2]."""
+"""Smallest squared distance in derivatives, for a camera on top of what it sees [m^2]."""
 
 
 class Sight(NamedTuple):
-    """Bearings of places from eyes, and their derivatives."""
+    """Bearings of places from camera poses, and their Jacobian."""
 
     bearing: np.ndarray
-    """(...): from the eye's axis [rad], not wrapped."""
+    """(...): bearings from the camera's axis [rad], not wrapped."""
     by_place: np.ndarray
-    """(..., 2): by the place; by the eye's position it is minus that, by its heading -1."""
+    """(..., 2): Jacobian by the place; by the camera's position it is the negative, by heading -1.
+    """
     offset: np.ndarray
-    """(..., 2): of the place from the eye [m]."""
+    """(..., 2): offset of the place from the camera [m]."""
 
 
 def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
-    """Return the bearings of places (..., 2) [m] from eyes (..., 3)."""
+    """Return the bearings of places (..., 2) [m] from camera poses (..., 3)."""
     offset = places - eyes[..., :2]
     dx, dy = offset[..., 0], offset[..., 1]
     square = np.maximum(dx * dx + dy * dy, LEAST_SQUARE)
@@ -40,7 +41,7 @@ def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
 
 
 def rotation(heading: float | np.ndarray) -> np.ndarray:
-    """Return what turns (x, y, heading) of a pose's frame into those outside, shape (..., 3, 3)."""
+    """Return the matrix that rotates (x, y, heading) out of a pose's frame, (..., 3, 3)."""
     c, s = np.cos(heading), np.sin(heading)
     if isinstance(c, float):
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -52,9 +53,9 @@ def rotation(heading: float | np.ndarray) -> np.ndarray:
 
 
 def lever(shift: np.ndarray) -> np.ndarray:
-    """Return the derivative of ``compose(a, b)`` by a, (..., 3, 3).
+    """Return the Jacobian of ``compose(a, b)`` by a, (..., 3, 3).
 
-    Its `shift` (..., 2 or 3) is how far the result lies from a, in the frame of both [m].
+    `shift` (..., 2 or 3) is the result less a, in the frame of both [m].
     """
     matrix = np.zeros((*np.shape(shift)[:-1], 3, 3))
     matrix[..., 0, 0] = matrix[..., 1, 1] = matrix[..., 2, 2] = 1.0
@@ -63,8 +64,8 @@ def lever(shift: np.ndarray) -> np.ndarray:
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return poses b, given in the frames of a, where a are given."""
-    if a.ndim == b.ndim == 1:  # of one, floats are quicker
+    """Return the composition: poses b, given in the frames of a."""
+    if a.ndim == b.ndim == 1:  # for a single pose, floats are faster
         (x, y, heading), (ahead, aside, turn) = a.tolist(), b.tolist()
         c, s = math.cos(heading), math.sin(heading)
         return np.array([x + c * ahead - s * aside, y + s * ahead + c * aside, heading + turn])
@@ -76,16 +77,16 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return ``compose(a, b)`` and its derivatives by a and by b, (..., 3, 3) each."""
+    """Return ``compose(a, b)`` and its Jacobians by a and by b, (..., 3, 3) each."""
     there = compose(a, b)
     return there, lever(there - a), rotation(a[..., 2])
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return poses b as seen from poses a.
+    """Return poses b in the frames of poses a.
 
-    Its derivative by b is ``rotation(a.heading)`` transposed; by a it is minus that, times
-    ``lever(b - a)``.
+    Its Jacobian by b is ``rotation(a.heading)`` transposed; by a it is minus that, times ``lever(b
+    - a)``.
     """
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     result = np.asarray(b - a)

@@ -1,7 +1,7 @@
 """The robust localiser: a map in the odometry frame, and home found in it.
 
-Where the robot is lost in its map, another one is begun beside it, and what gives a pose first
-answers: the old map, in which the robot is looked for, or the new one, in which home is.
+When the robot is lost, a second map is begun beside the first (as in a multi-map SLAM), and the
+first that gives a pose answers: the old one by relocalisation, or the new one by finding home.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ from homeward.reasons import Reason, Rejection
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
 CLEARLY = 20
-"""A map is better to which so many more sightings fit: where both are right, as many fit both."""
+"""A map is better if this many more sightings fit it; where both are right, as many fit both."""
 
 
 class OwnMap(NamedTuple):
-    """Landmarks in the frame of the place where a robot began."""
+    """Landmarks in the frame of the robot's pose at the start."""
 
     names: tuple[str, ...]
-    """Of n landmarks."""
+    """Names of the n landmarks."""
     positions: np.ndarray
     """(n, 2) [m]"""
     covariance: np.ndarray
-    """(2 n, 2 n): of their coordinates in order [m^2]."""
+    """(2 n, 2 n): covariance of their coordinates in order [m^2]."""
 
 
 class Localizer:
@@ -68,7 +68,7 @@ class Localizer:
     Parameters
     ----------
     home : dict of str to float or HomeBearing
-        What the camera saw at home: bearings [rad] by landmark, with a deviation where it is known.
+        What the camera saw at home: bearings [rad] by landmark, some with standard deviations.
     settings : LocalizerSettings or dict, optional
         Everything else.
     known : KnownLandmarks or dict, optional
@@ -99,9 +99,9 @@ class Localizer:
         self._twists, self._known = Twists(), known_landmarks(known)
         self._chart = self._new_chart(self._robot, self.counts)
         self._beside: Chart | None = None
-        """Another one, begun where the robot was lost in the first."""
+        """A second chart, begun when the robot was lost in the first."""
         self._lead = 0
-        """So many more sightings fit the other one, since then or since it was the worse one."""
+        """How many more sightings fit the second, since it began or was last the worse one."""
         self._keeps = False
         self._clock, self._reorder = Clock(), ReorderBuffer()
         self._sign_check = SignCheck(self._robot.sensor.yaw)
@@ -109,7 +109,7 @@ class Localizer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Assumptions, and what was found out about the robot; each a sentence."""
+        """Assumptions, and findings about the robot; each a sentence."""
         if self.signs_reversed:
             words = Reason.SIGNS_REVERSED.words
             return (*self._notes, f"{words[0].upper()}{words[1:]}.")
@@ -123,7 +123,7 @@ class Localizer:
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        """Add a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
             self._reject(Rejection.BAD_ODOMETRY)
@@ -135,7 +135,7 @@ class Localizer:
             return
         self._advance(t)
         if not self._twists and self._robot.start is None:
-            self._chart.begin(t)  # what may have been driven before is of no interest
+            self._chart.begin(t)  # earlier motion is of no interest
         self._twists.add(t, v, omega)
         for chart in self.charts:
             chart.follow(t)
@@ -146,10 +146,10 @@ class Localizer:
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
+        """Add all sightings of stamp `t` [s]: bearing [rad] from the camera's axis by id.
 
-        Where odometry comes late they wait for it, and the answer is without them as yet. A look
-        that saw nothing says nothing: the answer is that of `estimate`.
+        If odometry is late, they wait for it, and the estimate is without them for now. A frame
+        without sightings has no effect: the estimate is that of `estimate`.
         """
         said, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
@@ -172,7 +172,7 @@ class Localizer:
 
     @guarded
     def estimate(self, t: float) -> Estimate:
-        """Predict to `t` [s], not before the last sample, and change nothing."""
+        """Predict to `t` [s], not before the last sample; nothing changes."""
         if self._t == -math.inf:
             return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
         at = self._clock.peek(t)
@@ -187,74 +187,74 @@ class Localizer:
 
     @property
     def signs_reversed(self) -> bool:
-        """Whether bearings go against the turns of the odometry; then nothing is to be believed."""
+        """Whether bearings and odometry turn in opposite senses; then there is no pose."""
         return self._sign_check.reversed
 
     @property
     def mount(self) -> Pose | None:
-        """The camera on the robot, if it was found to sit elsewhere than was expected."""
+        """The estimated pose of the camera on the robot; None where it is as given or assumed."""
         return self.chart.extrinsics.estimate(self.chart.map.state.calibration)
 
     @property
     def chart(self) -> Chart:
-        """What answers: the newer map where it alone has a pose."""
+        """The chart that answers: the second one where it alone has a pose."""
         if self._beside is not None and self._beside.has_pose and not self._chart.has_pose:
             return self._beside
         return self._chart
 
     @property
     def charts(self) -> tuple[Chart, ...]:
-        """All there are, the older one first."""
+        """All charts, the older one first."""
         return (self._chart,) if self._beside is None else (self._chart, self._beside)
 
     def keep_closed(self) -> None:
-        """Keep everything that is said, for `conclude`; memory then grows with the drive."""
+        """Keep all keyframes for `conclude`; memory then grows with the drive."""
         self._keeps = True
         self._chart.keep_closed()
 
     @property
     def spells_lost(self) -> list[tuple[float, float]]:
-        """From when until when the map that home is found in knows nothing of the robot [s]."""
+        """Intervals in which the robot is unknown in the map in which home is found [s]."""
         return [(-math.inf, self.chart.map.begun), *self.chart.monitor.spells_lost]
 
     @property
     def found_home(self) -> np.ndarray | None:
-        """(3,): home's pose in the frame of `own_map`; None where it is not found by itself."""
+        """(3,): home's pose in the frame of `own_map`; None unless found by home bearings."""
         found = self.chart.home.hypotheses
         if found is None or not self.chart.has_pose or self.chart.map.registration.knows_home:
             return None
         return found.best.home
 
     def own_map(self) -> OwnMap:
-        """Return the landmarks where they stand now, by what this robot saw and drove alone.
+        """Return the present landmarks, by the measurements of this drive alone.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            When that is too little.
+            When the measurements do not suffice.
         """
         chart = self.chart
         state, mapped = chart.map.registration.without_survey(), chart.map.landmarks.mapped
         index = chart.map.landmarks.index(mapped.values())
         at = state.columns(index).ravel()
         mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]
-        if not self._known.tells:  # then the map takes the speed at its word
+        if not self._known.tells:  # then the scale of the map is that of the speed
             given = self._robot.odometry.speed_scale_sigma
             sigma = self.settings.odometry.speed_scale if given is None else given
             covariance = covariance + sigma**2 * np.outer(mean, mean)
         return OwnMap(tuple(mapped), mean, covariance)
 
     def home_bearing_sigmas(self) -> dict[str, float]:
-        """Return how well each home bearing is predicted by everything else [rad], by landmark."""
+        """Return the standard deviation of each home bearing predicted by the others [rad]."""
         return self.chart.home.bearing_sigmas()
 
     def conclude(self, whole: Smoother) -> bool:
-        """Find home anew by what a whole drive says at its end, for `landmarks` too.
+        """Find home anew by the solution of a whole drive, also for `landmarks`.
 
         Parameters
         ----------
         whole : Smoother
-            The map with all keyframes open, solved.
+            The map with all keyframes in its window, solved.
 
         Returns
         -------
@@ -269,11 +269,11 @@ class Localizer:
             chart.counts.reject(why, number)
 
     def _is_too_late(self, t: float) -> bool:
-        """Return whether a sample of `t` [s] can not be taken any more."""
+        """Return whether a sample of `t` [s] is too late to be used."""
         return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self.charts)
 
     def _process_due(self) -> tuple[Innovation, ...]:
-        """Take the bearings that need not wait; return the innovations of the newest of all."""
+        """Process the frames that need not wait; return the innovations of the newest."""
         innovations: list[Innovation] = []
         for frame in self._reorder.due(self._twists.newest, self._t):
             with one_thread():
@@ -281,7 +281,7 @@ class Localizer:
         return () if self._reorder.waits else tuple(innovations)
 
     def _process(self, frame: BearingFrame) -> list[Innovation]:
-        """Take a stamp into each map; return its innovations in the one that answers."""
+        """Process a frame in each chart; return its innovations in the one that answers."""
         innovations = self._chart.add_bearings(frame, self._t)
         if self._beside is not None:
             return self._update_beside(self._beside, frame, innovations)
@@ -292,21 +292,21 @@ class Localizer:
     def _update_beside(
         self, beside: Chart, frame: BearingFrame, before: list[Innovation]
     ) -> list[Innovation]:
-        """Take a stamp into the other map too, and leave one of them when the other is proven.
+        """Process a frame in the second chart; drop one chart once the other is proven.
 
         Parameters
         ----------
         beside : Chart
-            The other map.
+            The second chart.
         frame : BearingFrame
-            The stamp.
+            The frame.
         before : list of Innovation
-            Of it, in the first map.
+            Its innovations in the first chart.
 
         Returns
         -------
         list of Innovation
-            In the map that answers.
+            Those in the chart that answers.
         """
         innovations = beside.add_bearings(frame, self._t)
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
@@ -324,7 +324,7 @@ class Localizer:
         return chart.estimate(self._t).status is Status.LOCALISED
 
     def _begin_beside(self, t: float) -> None:
-        """Begin another map at the robot, at `t` [s]."""
+        """Begin a second chart at the robot, at `t` [s]."""
         anywhere = self._robot.model_copy(update={"start": None})
         self._beside = self._new_chart(anywhere, copy.deepcopy(self.counts))
         self._lead = 0
@@ -333,17 +333,17 @@ class Localizer:
         self._beside.begin(t)
 
     def _new_chart(self, robot: DriveSettings, counts: Counts) -> Chart:
-        """Return a chart of its own."""
+        """Return a new chart."""
         return Chart(self._home, robot, self.settings, counts, self._twists, self._known)
 
     def _advance(self, t: float) -> None:
-        """Let time come to `t` [s], unless it was there."""
+        """Advance the time to `t` [s], unless it is there."""
         if self._t == -math.inf:
             self._chart.begin(t)
         self._t = max(self._t, t)
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...], said: float) -> Estimate:
-        """Return the estimate at `t` [s], which the drive's own clock `said` otherwise."""
+        """Return the estimate at `t` [s], or `said` by the drive's own clock."""
         if self.signs_reversed:
             why = Reason.SIGNS_REVERSED.words
             return Estimate(said, Status.MAPPING, why, None, None, innovations)

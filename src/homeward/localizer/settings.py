@@ -1,4 +1,4 @@
-"""What the robust localiser can be told; the defaults serve every drive alike."""
+"""Settings of the robust localiser; the defaults serve every drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The final pass over a whole log: each keyframe is corrected by everything, later bearings too."""
+"""Smoothing of a whole drive: each keyframe is estimated by all measurements, later ones too."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ from homeward.one_thread import one_thread
 from homeward.track import Track, run, track_of
 
 SOLVES = 6
-"""The whole drive is solved so often, each time with some Gauss-Newton steps."""
+"""Solutions of the whole drive, each by several Gauss-Newton steps."""
 
 
 @one_thread()
 def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
-    """Return the best track of a whole drive; not causal.
+    """Return the smoothed track of a whole drive; not causal.
 
-    The drive is run once as `homeward.track.run` does, then all its keyframes are solved at once,
-    home is found anew, and the rows between keyframes follow the odometry from one to the next.
-    Whether a row has a pose, and what it is called, is decided by all homes that are still possible
-    at the end, with the tests of the causal run.
+    The drive is run as by `homeward.track.run`. Then all its keyframes are solved at once, home is
+    found anew, and rows between keyframes follow from odometry with both ends known. Whether a row
+    has a pose, and its status, depend on all hypotheses at the end, by the tests of the causal run.
 
     Parameters
     ----------
@@ -46,9 +45,9 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     Returns
     -------
     Track
-        With the same rows as the causal one, which is returned as it is when home is not found, or
-        bearings run against the turns. Where the robot was lost in its last map, and before that
-        map was begun, rows are those of the causal one.
+        With the rows of the causal track, which is returned itself if home is not found, or if
+        bearings and turns have opposite senses. Where the robot was lost in its last map, and
+        before that map began, rows are the causal ones.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
@@ -77,13 +76,13 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 
 
 def _unknown(times: np.ndarray, localizer: Localizer) -> np.ndarray:
-    """Return at which times the last map knows nothing of the robot, shape (n,), bool."""
+    """Return at which times the robot is unknown in the last map, shape (n,), bool."""
     begin, end = np.array(localizer.spells_lost).T[:, :, None]
     return np.asarray(((begin <= times) & (times < end)).any(axis=0))
 
 
 def _row(track: Track, i: int) -> Estimate:
-    """Return a row of a track as the estimate that it was."""
+    """Return a row of a track as an estimate."""
     t, status, reason = float(track.t[i]), track.status[i], track.reason[i]
     if not track.has_pose[i]:
         return Estimate(t, status, reason)
@@ -92,7 +91,7 @@ def _row(track: Track, i: int) -> Estimate:
 
 
 def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
-    """Return the hypotheses with each keyframe's pose; None when they do not fix it."""
+    """Return the hypotheses with each keyframe's pose; None when they do not determine it."""
     there: list[Hypotheses] = []
     for state in whole.marginals():
         found = chart.home.hypotheses
@@ -104,7 +103,7 @@ def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
 
 
 def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odometry:
-    """Return an odometry that starts at `begin` [s] and knows the twists until `end` [s]."""
+    """Return an odometry that starts at `begin` [s] and has the twists until `end` [s]."""
     twists = Twists()
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
@@ -122,14 +121,14 @@ def _rows(
     drive: Drive,
     localizer: Localizer,
 ) -> list[Estimate]:
-    """Return what is to be said at all rows' times, by the tests of the causal run."""
+    """Return the estimates at the times of all rows, by the tests of the causal run."""
     stamps = np.array(whole.stamps)
     keyframes = [Pose(*h.best.pose) for h in there]
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
         integrity = IntegrityMonitor(localizer.settings, drive.settings.odometry, drive.known.tells)
-        integrity.update(there[k], firm=True, stayed=stayed)
+        integrity.update(there[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])
@@ -141,27 +140,27 @@ def _rows(
             off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
             off[2] = wrap(off[2])
             moved = [bridged(m, end, off) for m in motions]
-        # Bearings from later on count too, so that the robot coasts nowhere.
+        # Later bearings count too, so that the robot never coasts.
         rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
     return rows
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Brownian bridge of a motion: its mean and covariance where its end is known.
+    """Return the Brownian bridge of a motion: mean and covariance given its end.
 
     Parameters
     ----------
     motion : Motion
-        On the way, by odometry alone.
+        Up to the time of interest, by odometry alone.
     end : Motion
-        At the end, by odometry alone.
+        Up to the end, by odometry alone.
     off : ndarray, shape (3,)
         By how much the known end differs from that [m, m, rad].
 
     Returns
     -------
     tuple of ndarray, shapes (3,) and (3, 3)
-        What odometry was off on the way follows from how its noise gathered.
+        Conditioned on the known end, by the joint covariance of both motions.
     """
     swing = np.eye(3)
     swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]

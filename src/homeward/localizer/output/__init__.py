@@ -1,1 +1,1 @@
-"""What is published: the pose, its status with a reason, and the landmarks."""
+"""Output: the pose in the home frame, its status with a reason, and the landmarks."""

@@ -1,4 +1,4 @@
-"""Landmark report: where each stands in the home frame, and whether it was moved."""
+"""Landmark report: positions in the home frame, and which landmarks moved."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ class LandmarkReport:
     """Landmark report of a map and of home."""
 
     home: Mapping[str, HomeBearing]
-    """What home stored."""
+    """Stored home bearings."""
     home_yaw: float
-    """Of the camera on the robot, at home [rad]."""
+    """Yaw of the camera on the robot at home [rad]."""
     known: Landmarks
-    """Of the map."""
+    """Landmarks of the map."""
     used: list[str]
-    """The landmarks among which home was found."""
+    """Names of the landmarks used to find home."""
     hypotheses: Hypotheses | None
-    """None while home is not found."""
+    """Hypotheses on home; None while it is not found."""
     state: Marginal
-    """Of the map, in the frame in which home is."""
+    """State of the map, in the frame in which home is."""
     survey: Survey
-    """What is known beforehand."""
+    """Survey of landmarks."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in natural order of name."""
-        moved, places = self._moved_probabilities(), self._from_home()
+        moved, places = self._moved_probabilities(), self._in_home_frame()
         return [
             self._landmark(name, moved.get(name), places.get(name, 3 * (math.nan,)))
             for name in sorted({*self.home, *self.known.mapped}, key=natural)
@@ -49,7 +49,7 @@ class LandmarkReport:
     def _landmark(
         self, name: str, judged: float | None, place: tuple[float, float, float]
     ) -> LandmarkEstimate:
-        """Return what is known of one landmark; one that moved on the way is where it is now."""
+        """Return what is known of one landmark, at its present position."""
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
@@ -75,12 +75,12 @@ class LandmarkReport:
         )
 
     def _moved_probabilities(self) -> dict[str, float]:
-        """Return the probability that a landmark was moved since home was stored, if judged."""
+        """Return the probability of landmarks to have moved since home was stored, if evaluated."""
         if self.hypotheses is None:
             return {}
         found = dict(zip(self.used, self.hypotheses.moved_probabilities().tolist(), strict=True))
         ask = [n for n in self.home if n not in found or n in self.known.former]
-        others = {n: where for n in ask if (where := self._where(n))}
+        others = {n: where for n in ask if (where := self._position(n))}
         if others:
             bearings = [self.home[n].bearing for n in others]
             sigmas = [self.home[n].sigma for n in others]
@@ -96,20 +96,20 @@ class LandmarkReport:
             wrong = 1.0 / (1.0 + np.exp(np.clip(together, -500.0, 500.0)))
             now = dict(zip(others, wrong.tolist(), strict=True))
             prior = self.hypotheses.best.problem.moved_prior
-            found |= {n: _moved(found[n], w, prior) if n in found else w for n, w in now.items()}
+            found |= {n: _p_moved(found[n], w, prior) if n in found else w for n, w in now.items()}
         return found
 
-    def _where(self, name: str) -> RangeMixture | None:
-        """Return where a landmark may stand; None where nothing is known of that."""
+    def _position(self, name: str) -> RangeMixture | None:
+        """Return a landmark's position as a mixture; None where nothing is known of it."""
         if name not in self.known.mapped:
-            # Rays are in the odometry frame, where home is not if there is a survey from it.
+            # Range mixtures are in the odometry frame, home is not if it was surveyed from.
             surveyed = self.hypotheses is not None and self.hypotheses.best.problem.surveyed.size
             return None if surveyed else self.known.range_mixtures.get(name)
         index = self.known.index([self.known.mapped[name]])
         return RangeMixture(*self.state.places(index), np.ones(1))
 
-    def _from_home(self) -> dict[str, tuple[float, float, float]]:
-        """Return where landmarks stand in the home frame [m], and the deviation of the distance."""
+    def _in_home_frame(self) -> dict[str, tuple[float, float, float]]:
+        """Return landmarks' positions in the home frame, and deviations of distance [m]."""
         mapped = self.known.mapped
         if self.hypotheses is None or not mapped:
             return {}
@@ -128,18 +128,18 @@ class LandmarkReport:
         return dict(zip(mapped, map(tuple, table.tolist()), strict=True))
 
 
-def _moved(former_wrong: float, now_wrong: float, prior: float) -> float:
-    """Return how probable it is that one that moved on the way stands not where home saw it.
+def _p_moved(former_wrong: float, now_wrong: float, prior: float) -> float:
+    """Return the probability that a landmark that moved meanwhile is not where home saw it.
 
-    Home saw it where it stood at first; or where it stands now, having moved twice, as when it was
-    taken for another one meanwhile; or elsewhere.
+    Home saw it at its former position; or at its present one, if it moved twice, as when it was
+    mistaken for another one meanwhile; or elsewhere.
 
     Parameters
     ----------
     former_wrong, now_wrong : float
-        Probability that the home bearing is not of its former place, and not of the present one.
+        Probability that the home bearing is not of its former position, and not of the present.
     prior : float
-        That a landmark moves.
+        Prior probability that a landmark moved.
     """
     former, now = ((1.0 - p) / max(p, 1e-300) for p in (former_wrong, now_wrong))
     return (1.0 + former) / (1.0 + former + prior * now)

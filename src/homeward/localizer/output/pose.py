@@ -1,4 +1,4 @@
-"""Pose estimate in the home frame, under each hypothesis and under all of them."""
+"""Pose estimate in the home frame, for each hypothesis and for the mixture of all."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.tunables import INLIER_GATE, OUTLIER_SIGMA
 
 CENTRE_STEPS = 20
-AT_REST = 1e-3
-"""A shorter step ends the search for the middle [standard deviations]."""
+CONVERGED = 1e-3
+"""Step at which the iteration for the centre has converged [standard deviations]."""
 
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Pose estimate: the robot in the home frame."""
+    """Pose of the robot in the home frame, with covariance."""
 
     pose: Pose
     covariance: np.ndarray
-    """(3, 3), of x [m], y [m] and heading [rad]."""
+    """(3, 3): of x [m], y [m] and heading [rad]."""
 
     @staticmethod
     def of(pose: np.ndarray, covariance: np.ndarray) -> PoseEstimate:
@@ -49,33 +49,33 @@ class PoseEstimate:
         covariance = by_pose @ self.covariance @ by_pose.T + turn @ drift @ turn.T
         return PoseEstimate.of(after, covariance)
 
-    def with_more(self, covariance: np.ndarray) -> PoseEstimate:
-        """Return it with a further covariance (3, 3)."""
+    def inflated(self, covariance: np.ndarray) -> PoseEstimate:
+        """Return it with a covariance (3, 3) added."""
         return PoseEstimate(self.pose, self.covariance + covariance)
 
     def with_mount(self, mount_covariance: np.ndarray) -> PoseEstimate:
-        """Return it with an error (2, 2) of where the camera sat on the robot at home [m^2]."""
+        """Return it with an error (2, 2) of the camera's position on the robot at home [m^2]."""
         covariance = self.covariance.copy()
         covariance[:2, :2] += mount_covariance
         return PoseEstimate(self.pose, covariance)
 
     def with_scale(self, sigma: float) -> PoseEstimate:
-        """Return it with an error of the map's scale, of which `sigma` [1] is the deviation."""
+        """Return it with an error of the map's scale, of standard deviation `sigma` [1]."""
         out = np.array([self.pose.x, self.pose.y, 0.0])
         return PoseEstimate(self.pose, self.covariance + sigma**2 * out[:, None] * out)
 
 
 def in_home_frame(fit: HomeFit) -> PoseEstimate:
-    """Return the newest keyframe's pose in the home frame, as one hypothesis has it."""
+    """Return the newest keyframe's pose in the home frame for one hypothesis."""
     return PoseEstimate.of(*fit.in_home_frame)
 
 
 def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:
-    """Return the covariance (3, 3) of the answer by faults that no home bearing could contradict.
+    """Return the covariance (3, 3) of the pose by outliers that no home bearing can reveal.
 
-    A bearing that all others together predict too vaguely agrees, right or wrong; so does any of
-    three alone. Where there are more, the sets without one of them are hypotheses of their own.
-    None where every bearing is `checked` (q,).
+    A bearing that all others together predict too vaguely agrees in any case; so do any three by
+    themselves. If there are more, the sets without one of them are hypotheses of their own. None
+    where every bearing is `checked` (q,).
     """
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
@@ -83,32 +83,32 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     by_bearing = fit.inverse[0] @ fit.whitened.weighted[alone[fit.inliers], HOME].T
     share = fit.moved_share(checked)
     moves = math.sqrt(share) * OUTLIER_SIGMA * fit.home_frame_jacobians[0] @ by_bearing
-    # Faults are too large for the direction in which they move the pose to be linear.
+    # Outliers are too large to take the direction in which they move the pose as linear.
     place, turn = np.linalg.norm(moves[:2], 2), np.linalg.norm(moves[2])
     return np.diag([place, place, turn]) ** 2
 
 
 @dataclass(frozen=True)
 class OtherHypotheses:
-    """What other hypotheses add to the best one's answer."""
+    """Contribution of the other hypotheses to the estimate of the best one."""
 
     shift: np.ndarray
-    """(3,): of the pose."""
+    """(3,): shift of the pose."""
     share: float
-    """Probability of the best one."""
+    """Probability of the best hypothesis."""
     covariance: np.ndarray
-    """(3, 3): what the others have of the covariance, and how far all are apart."""
+    """(3, 3): covariance of the others, and of the spread between all."""
     tails: np.ndarray | None = None
-    """(3, 3): what must be added for a Gaussian to have their tails; None: nothing."""
+    """(3, 3): inflation that bounds their tails; None: not needed."""
 
     @staticmethod
     def nothing() -> OtherHypotheses:
-        """Return what there is without any: nothing."""
+        """Return the contribution of none."""
         return OtherHypotheses(np.zeros(3), 1.0, np.zeros((3, 3)))
 
 
 def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
-    """Return what makes the best hypothesis' answer that of all: their middle, their covariance."""
+    """Return the contribution that makes the best hypothesis' estimate that of the mixture."""
     if len(hypotheses.fits) == 1:
         return OtherHypotheses.nothing()
     weights = hypotheses.weights
@@ -126,14 +126,14 @@ def other_hypotheses(hypotheses: Hypotheses) -> OtherHypotheses:
 
 
 def combined_estimate(
-    best: HomeFit, others: OtherHypotheses, more: np.ndarray | None = None
+    best: HomeFit, others: OtherHypotheses, inflation: np.ndarray | None = None
 ) -> PoseEstimate:
-    """Return the answer of all hypotheses, its covariance with `more` (3, 3) in it."""
+    """Return the estimate by the mixture of all hypotheses, with an `inflation` (3, 3)."""
     pose, alone = best.in_home_frame
     covariance = others.share * alone + others.covariance
-    if more is not None:
-        covariance += more
-    # A large uncertainty bends round the landmarks: its sagitta is not in a Gaussian.
+    if inflation is not None:
+        covariance += inflation
+    # A large uncertainty is curved around the landmarks: add the sagitta of the arc.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
     sagitta = largest / (2.0 * landmark_distance(best, best.home))
@@ -143,11 +143,11 @@ def combined_estimate(
 
 
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the middle of weighted points: the mean of near ones, the median of far ones.
+    """Return the robust centre of weighted points: mean of near ones, median of far ones.
 
-    It minimises the mean of sqrt(d^2 + INLIER_GATE^2), d being the distance in standard deviations
-    (Weiszfeld's iteration). Alike hypotheses are averaged, which errs least; and unlike the mean it
-    does not follow an improbable one far away.
+    It minimises the mean of sqrt(d^2 + INLIER_GATE^2), a pseudo-Huber loss of the distance d in
+    standard deviations (Weiszfeld's iteration). Similar hypotheses are averaged, which has the
+    least error; and unlike the mean, the centre does not follow an improbable one far away.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
     """
     if len(points) == 1:
         return np.asarray(points[0])
-    # The middle is one of shares of the points, so products of these tell all distances.
+    # The centre is a weighted mean of the points: their products give all distances.
     products, share = points @ inverted(covariance)[0] @ points.T, weights
     squares = products.diagonal() + INLIER_GATE**2
     for _ in range(CENTRE_STEPS):
@@ -167,7 +167,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
         pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)
         step = pull / pull.sum() - share
         share = share + step
-        if step @ products @ step < AT_REST**2:
+        if step @ products @ step < CONVERGED**2:
             break
     return np.asarray(share @ points)
 

@@ -1,4 +1,4 @@
-"""Integrity monitor: whether there is a pose to give, its status and the reason."""
+"""Integrity monitoring: whether there is a pose to publish, its status and the reason."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ def why_home_is_not_found(
 
 
 class IntegrityMonitor:
-    """Integrity monitor: the pose of all hypotheses, and how far it can be relied on.
+    """Integrity monitor: the pose by all hypotheses, and how far it can be relied on.
 
     Parameters
     ----------
     settings : LocalizerSettings
-        Of the localiser.
+        Settings of the localiser.
     odometry : OdometryNoise
-        Of the drive, as far as known.
+        Odometry noise of the drive, as far as given.
     scale_mapped : bool
-        Whether the map knows by itself how uncertain its scale is.
+        Whether the state contains the uncertainty of the map's scale.
     """
 
     def __init__(
@@ -74,61 +74,64 @@ class IntegrityMonitor:
         self._speed_scale = settings.odometry.speed_scale if given is None else given
         self._scale_mapped = scale_mapped
         self.scale_variance = 0.0
-        """Of the map's scale, beside the speed's [1]."""
+        """Variance of the map's scale, beside that of the speed's [1]."""
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
         self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
-        """At the newest keyframe, the speed taken at its word."""
+        """Pose at the newest keyframe, without the uncertainty of scale."""
         self._others = OtherHypotheses.nothing()
         self._weights: np.ndarray | None = None
-        """Of the hypotheses that `_others` comes from."""
+        """Probabilities of the hypotheses in `_others`."""
         self._checked = self._stayed = np.zeros(0, bool)
-        """The home bearings of the best one that the others check, and of landmarks that stayed."""
-        self._rivals = 0.0
-        self._most = math.inf
-        """How uncertain a pose may be that was given [m] ..."""
-        self._close = math.inf
-        """... and one by a survey that is relied on [m]."""
+        """Home bearings of the best one that the others check, and those of landmarks that stayed.
+        """
+        self._rival_probability = 0.0
+        self._max_sigma = math.inf
+        """Largest standard deviation of a pose that is published already [m] ..."""
+        self._max_survey_sigma = math.inf
+        """... and of one by a survey to be relied on [m]."""
         self.fixed = False
-        """Whether the pose is certain enough to be given."""
+        """Whether the pose is certain enough to be published."""
         self.mount_covariance = np.zeros((2, 2))
-        """Covariance of x and y of the camera on the robot [m^2]."""
+        """Covariance of the camera's x and y on the robot [m^2]."""
 
     @property
     def _scale_sigma(self) -> float:
-        """Of the map's scale, unless the map itself knows it [1]."""
+        """Standard deviation of the map's scale, unless the state contains it [1]."""
         return 0.0 if self._scale_mapped else math.sqrt(self._speed_scale**2 + self.scale_variance)
 
-    def update(self, now: Hypotheses | None, firm: bool, stayed: np.ndarray | None = None) -> None:
-        """Take the hypotheses of a new keyframe.
+    def update(
+        self, now: Hypotheses | None, solved: bool, stayed: np.ndarray | None = None
+    ) -> None:
+        """Update by the hypotheses of a new keyframe.
 
         Parameters
         ----------
         now : Hypotheses or None
-            None when home was not found.
-        firm : bool
-            Whether they come from a solved window with the landmarks in sight: only then may a pose
-            be withdrawn.
+            None if home was not found.
+        solved : bool
+            Whether they come from a solution with landmarks in sight: only then may a pose be
+            withdrawn.
         stayed : ndarray, shape (q,), bool, optional
-            Which landmarks stand where they were mapped first; all by default.
+            Which landmarks are still where they were first mapped; all by default.
         """
         self._best = None if now is None else now.best
         if now is None:
             self.fixed, self._weights = False, None
             return
         self._stayed = np.ones_like(now.best.inliers) if stayed is None else stayed
-        if now.weights is not self._weights:  # not only carried on
+        if now.weights is not self._weights:  # not only propagated
             self._others, self._weights = other_hypotheses(now), now.weights
             self._checked = now.best.checked
         self._estimate = combined_estimate(now.best, self._others)
-        if firm or not self.fixed:
-            at_rest = self.fixed or (now.best.converged and now.unconverged_probability < 0.5)
-            self.fixed = at_rest and self._is_fixed(now.best)
-            self._rivals = now.rivals(INLIER_GATE)
-        faults = uncheckable_outliers(now.best, self._checked)
-        if faults is not None:
-            self._estimate = combined_estimate(now.best, self._others, faults)
-            self.fixed &= _sigma(self._estimate.covariance) <= self._most
+        if solved or not self.fixed:
+            converged = self.fixed or (now.best.converged and now.unconverged_probability < 0.5)
+            self.fixed = converged and self._is_fixed(now.best)
+            self._rival_probability = now.rivals(INLIER_GATE)
+        outliers = uncheckable_outliers(now.best, self._checked)
+        if outliers is not None:
+            self._estimate = combined_estimate(now.best, self._others, outliers)
+            self.fixed &= _sigma(self._estimate.covariance) <= self._max_sigma
 
     def estimate(
         self,
@@ -137,7 +140,7 @@ class IntegrityMonitor:
         coasting: bool,
         innovations: tuple[Innovation, ...] = (),
     ) -> Estimate:
-        """Return the pose, where there is one to give, with what to call it and why.
+        """Return the estimate: the pose if there is one, its status and the reason.
 
         Parameters
         ----------
@@ -149,30 +152,30 @@ class IntegrityMonitor:
         coasting : bool
             Whether there are no bearings now.
         innovations : tuple of Innovation
-            To go with it.
+            Innovations to go with it.
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
         estimate = self._now(self._estimate, moved)
         status, reason = self._status(estimate, self._best, coasting)
         if self._others.tails is not None:
-            estimate = self._now(self._estimate.with_more(self._others.tails), moved)
+            estimate = self._now(self._estimate.inflated(self._others.tails), moved)
         return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
 
     def _now(
         self, estimate: PoseEstimate, moved: tuple[np.ndarray, np.ndarray] | None
     ) -> PoseEstimate:
-        """Return an estimate at the keyframe after a motion since, with what is told of neither."""
+        """Return an estimate after a motion since the keyframe, with all uncertainties."""
         estimate = estimate if moved is None else estimate.propagate(*moved)
         return estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
 
     def home_is_found(self, best: HomeFit) -> bool:
-        """Return whether home is certain enough among its landmarks to judge any of them by it."""
+        """Return whether home is certain enough to evaluate landmarks by it."""
         reach = self._settings.largest_sigma * landmark_distance(best, best.home)
         return _sigma(best.covariance) <= reach and (best.converged or self.fixed)
 
     def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
-        """Return what to call an answer, and why."""
+        """Return the status of an estimate, and the reason."""
         surveyed = len(best.problem.surveyed)
         agreeing = int(np.count_nonzero(best.inliers)) + surveyed
         checked = int(np.count_nonzero(self._checked)) + surveyed
@@ -184,12 +187,12 @@ class IntegrityMonitor:
         if stayed < MIN_BEARINGS:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
-        if self._rivals > 1.0 - self._settings.sure:
-            return Status.UNVERIFIED, f"another home has probability {self._rivals:.2f}"
+        if self._rival_probability > 1.0 - self._settings.sure:
+            return Status.UNVERIFIED, f"another home has probability {self._rival_probability:.2f}"
         if coasting:
             return Status.COASTING, Reason.NO_BEARINGS.words
-        # A look or two at a survey tell a pose that is linear only where it is close already.
-        most = min(self._most, self._close) if surveyed else self._most
+        # One or two sightings of a survey give a pose that is linear only if certain already.
+        most = min(self._max_sigma, self._max_survey_sigma) if surveyed else self._max_sigma
         if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > most**2:
             return Status.UNVERIFIED, "what is seen does not tell where; drive on"
         if surveyed:
@@ -198,13 +201,13 @@ class IntegrityMonitor:
         return Status.LOCALISED, f"{agreeing} home bearings agree"
 
     def _is_fixed(self, best: HomeFit) -> bool:
-        """Return whether the pose is certain enough to be given; it is not withdrawn at once."""
-        # A wrong home that lies far away would call its landmarks distant; the robot does not.
+        """Return whether the pose is certain enough to be published, with hysteresis."""
+        # For a wrong home far away the landmarks would be distant; for the robot they are not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
-        self._most, self._close = FIX_HYSTERESIS * reach, SAME_PLACE * distance
-        most = self._most if self.fixed else reach
-        # Where home may turn by as much, what is linear in its heading no longer holds.
+        self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, SAME_PLACE * distance
+        most = self._max_sigma if self.fixed else reach
+        # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
         return max(turn, _sigma(self._estimate.with_scale(self._scale_sigma).covariance)) <= most
 
