@@ -116,7 +116,7 @@ def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_somethin
     inliers = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
     integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
     integrity.update(
-        Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), from_solution=True
+        Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), solved=True
     )
     assert integrity.fixed
     away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]
@@ -124,5 +124,5 @@ def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_somethin
     home = np.array([0.2, -0.1, 0.7])
     stored = expected(known, home, close[4:].reshape(-1, 2), 0.0)[0]
     narrow = replace(known, mean=close, bearings=wrap(stored))
-    integrity.update(Hypotheses((fit(narrow, home, inliers, 30),), np.ones(1)), from_solution=True)
+    integrity.update(Hypotheses((fit(narrow, home, inliers, 30),), np.ones(1)), solved=True)
     assert not integrity.fixed

@@ -67,11 +67,11 @@ def test_a_home_that_wanders_leaves_the_pose_unfixed_if_it_is_as_probable():
     for unconverged, fixed in (((), True), ((small,), True), ((found,), False)):
         integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
         now = Hypotheses((found,), np.ones(1), unconverged)
-        integrity.update(now, from_solution=True)
+        integrity.update(now, solved=True)
         assert integrity.fixed == fixed
         assert now.max_log_evidence == found.log_evidence
     assert now.unconverged_probability == pytest.approx(0.5)
-    integrity.update(Hypotheses((small,), np.ones(1), (found,)), from_solution=True)
+    integrity.update(Hypotheses((small,), np.ones(1), (found,)), solved=True)
     assert not integrity.fixed
 
 
@@ -80,7 +80,7 @@ def test_a_home_known_by_former_places_alone_is_not_verified():
     now = Hypotheses((fit(known, np.array(home), np.ones(8, bool)),), np.ones(1))
     for stayed, status in ((8, Status.LOCALISED), (2, Status.UNVERIFIED)):
         integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
-        integrity.update(now, from_solution=True, stayed=np.arange(8) < stayed)
+        integrity.update(now, solved=True, stayed=np.arange(8) < stayed)
         answer = integrity.estimate(0.0, None, coasting=False)
         assert answer.status is status
     assert answer.reason.startswith("only 2 of 8")
