@@ -11,36 +11,39 @@ from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.localizer.tunables import GATE
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class LocalizerSettings(Strict):
     """Settings of the robust localiser."""
 
     bearing_sigma: Positive = 0.02
-    """Of a bearing whose noise nobody gave, at first [rad]; then scaled by its own residuals."""
+    """Initial standard deviation of bearings whose noise is not given [rad]; then estimated from
+    residuals."""
     home_sigma: Positive | None = None
-    """Of a home bearing that comes without one [rad]; None: as of any other bearing."""
+    """Standard deviation of home bearings that come without one [rad]; None: as of any other
+    bearing."""
     odometry: OdometryDefaults = OdometryDefaults()
     lag_sigma: NonNegative = 0.2
-    """Of the unknown lag of the odometry behind the camera, which has mean zero [s]."""
+    """Prior standard deviation of the lag of odometry behind the camera, around zero [s]."""
     camera_yaw_sigma: NonNegative = 0.01
-    """Of the unknown part of the camera's yaw on the robot [rad]."""
+    """Prior standard deviation of the camera's yaw on the robot [rad]."""
     keyframe_interval: Positive = 0.5
-    """A moving robot gets a keyframe this often [s]."""
+    """Shortest time between keyframes of a moving robot [s]."""
     window: Annotated[int, Field(ge=5)] = 40
-    """Keyframes whose poses are always open to correction."""
+    """Keyframes in the smoother's window."""
     longest_window: Annotated[int, Field(ge=5)] = 250
-    """Older ones stay open, up to this many, while a landmark that they saw is not `mature`."""
+    """Largest window: older keyframes stay in it while a landmark that they saw has too little
+    parallax."""
     mature_parallax: Positive = 1.0
-    """Angle between the sight lines of a landmark that is safely placed [rad]."""
+    """Parallax from which a landmark no longer keeps keyframes in the window [rad]."""
     gate: Positive = round(GATE, 2)
-    """Sightings whose innovation is larger are rejected [standard deviations]."""
+    """Innovation gate: bearings with larger innovations are rejected [standard deviations]."""
     parallax: Positive = 0.06
-    """Angle between two sight lines that a landmark needs to enter the map [rad]."""
+    """Parallax from which a landmark is triangulated [rad]."""
     moved_prior: Probability = 0.1
-    """That a landmark was moved since home was stored, before anything was seen."""
+    """Prior probability that a landmark moved since home was stored."""
     sure: Probability = 0.95
-    """Posterior probability that the pose's set of right home bearings needs to be relied on."""
+    """Posterior probability of the inlier home bearings from which a pose is `localised`."""
     largest_sigma: Positive = 0.5
-    """A pose less certain than this is not given [median distance of home's landmarks]."""
+    """Largest standard deviation of a pose that is published [median distance of home's landmarks].
+    """
