@@ -9,7 +9,7 @@ from rig import Wheels
 from homeward.angles import wrap
 from homeward.drives.clock import Clock
 from homeward.estimator import Innovation
-from homeward.frames import Pose, bearing, between, compose
+from homeward.frames import Pose, bearing, compose
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
@@ -29,7 +29,6 @@ from homeward.localizer.motion.preintegration import (
     camera_on_robot,
 )
 from homeward.localizer.recovery.detectors import SlipDetector
-from homeward.localizer.recovery.relocalise import SightLines, relocalise
 
 NOTHING = np.zeros(len(CALIBRATION))
 
@@ -247,43 +246,18 @@ def test_two_bearings_do_not_fix_home():
     assert search(known) is None
 
 
-def test_a_lost_robot_is_found_in_its_map():
-    rng = np.random.default_rng(2)
-    marks = np.array([[2.0, 1.0], [-1.0, 2.0], [0.5, -2.0], [-2.0, -1.0]])
-    lost = Pose(0.4, 0.8, 2.1)
-    cameras = [Pose(0.05 * k, 0.0, 0.02 * k) for k in range(12)]
-    names = np.arange(12) % 4
-    seen = [bearing(compose(lost, c), *marks[n]) for c, n in zip(cameras, names, strict=True)]
-    lines = SightLines(
-        np.array(cameras),
-        wrap(np.array(seen) + 0.005 * rng.normal(size=12)),
-        np.full(12, 0.01),
-        names,
-        marks[names],
-        np.tile(1e-4 * np.eye(2), (12, 1, 1)),
-    )
-    found = relocalise(lines)
-    assert found is not None
-    assert relocalise(lines, fewest=13) is None
-    off = between(lost, Pose(*found[0]))
-    assert math.hypot(off.x, off.y) < 0.05
-    assert abs(off.heading) < 0.03
-
-
 def sighted(*fits):
     """Innovations of which some fit."""
     return [Innovation(f"L{i}", 0.0 if f else 0.1, 0.01, f) for i, f in enumerate(fits)]
 
 
-def test_more_must_fit_from_elsewhere_than_from_here():
+def test_a_slip_is_suspected_while_most_is_off():
     slip = SlipDetector()
     assert not slip.suspects(sighted(True, True, False), Motion.identity())
     assert slip.suspects(sighted(True, False, False, False), Motion.identity())
-    more_than_here = slip.search.min_inliers - 1
-    assert more_than_here >= 3  # two bearings fit somewhere else by chance
     assert slip.suspects(sighted(True, True, False, False, False), Motion.identity())
-    assert slip.search.min_inliers == 3 + more_than_here
     assert not slip.suspects(sighted(True, True, True, True, True), Motion.identity())
+    assert slip.search is None
 
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():

@@ -274,7 +274,7 @@ class Chart:
         search = self.monitor.search
         way = search.motion_since(motion)
         search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
-        found = search.find(self.map.landmarks, self.map.state.calibration)
+        found = search.find(self.map.landmarks, self.map.state)
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))

@@ -56,9 +56,6 @@ MIN_BEARINGS = 3
 """Bearings that determine a pose (geometry, not a choice): any three fit some pose."""
 VERIFYING_BEARINGS = MIN_BEARINGS + 2
 """Bearings that verify a pose: two beyond the three that determine it."""
-RELOCALISED_SHARE = 0.7
-"""Share of the sightings that must fit the pose of a relocalised robot: more than `MAJORITY`, since
-three always fit [1]."""
 
 # Landmark initialisation and motion
 BASELINE_RATIO = 5.0

@@ -24,7 +24,6 @@ from homeward.localizer.tunables import (
     MAX_MOTION_SIGMA,
     MIN_BEARINGS,
     RECENT_SIGHTINGS,
-    VERIFYING_BEARINGS,
 )
 
 
@@ -96,7 +95,6 @@ class SlipDetector:
         if not holds or sum(self._fits) >= MAJORITY * len(self._fits):
             self.clear()
             return False
-        self.search.min_inliers = sum(self._fits) + VERIFYING_BEARINGS
         return True
 
 

@@ -3,10 +3,17 @@
 Unlike home bearings, these come from several poses connected by odometry. For a given heading every
 sight line is a line for the position too, and two of them intersect in one point. So headings are
 scanned, pairs of lines intersected, and the best poses refined.
+
+Poses are compared by Bayes factors, with the pose integrated out (Laplace's method): how much
+better the mapped positions of the landmarks explain the lines than free positions would. That three
+landmarks fit some pose anyway is in the Occam factor of an unknown pose, and that a landmark seen
+again from the same place is no further evidence is in its free position, which explains all lines
+through it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +21,12 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.tunables import (
+    FALSE_ALARM,
     INLIER_GATE,
     LINEAR_RANGE,
     MIN_BEARINGS,
-    RELOCALISED_SHARE,
     SAME_PLACE,
-    VERIFYING_BEARINGS,
+    UPHEAVAL,
 )
 
 HEADINGS = 120
@@ -27,6 +34,8 @@ MAX_PAIRS = 40
 STEPS = 8
 MAX_CANDIDATES = 6
 """Poses that are refined by Gauss-Newton."""
+MIN_LOG_ODDS = math.log(1.0 / FALSE_ALARM - 1.0)
+"""Log odds of a pose against all alternatives from which it is accepted."""
 
 
 @dataclass(frozen=True)
@@ -47,42 +56,79 @@ class SightLines:
     """(m, 2, 2)"""
 
 
-def relocalise(lines: SightLines, min_inliers: int = 0) -> tuple[np.ndarray, np.ndarray] | None:
+@dataclass(frozen=True)
+class Located:
+    """Pose that fits the sight lines."""
+
+    pose: np.ndarray
+    """(3,): x [m], y [m], heading [rad]."""
+    covariance: np.ndarray
+    """(3, 3)"""
+    log_likelihood: float
+    """Log likelihood ratio: landmarks where they are mapped, over landmarks anywhere."""
+
+    def log_evidence(self, log_prior: float) -> float:
+        """Return the log Bayes factor with the pose integrated out, by its log prior density."""
+        log_volume = 0.5 * float(np.linalg.slogdet(TWO_PI * self.covariance)[1])
+        return self.log_likelihood + log_prior + log_volume
+
+
+def relocalise(
+    lines: SightLines, expected: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pose in the map where the search began, and its covariance.
 
     Parameters
     ----------
     lines : SightLines
         Its sight lines since then.
-    min_inliers : int, optional
-        Smallest number of inliers.
+    expected : tuple of ndarray, shapes (3,) and (3, 3), optional
+        The pose by odometry and its covariance, if the robot may still be there.
 
     Returns
     -------
     pose : ndarray, shape (3,)
         x [m], y [m], heading [rad].
     covariance : ndarray, shape (3, 3)
-        None instead of both if the pose is undetermined or ambiguous.
+        None instead of both if the pose is undetermined or ambiguous, or may be the expected one.
     """
-    if len(lines.names) < VERIFYING_BEARINGS or np.unique(lines.names).size < MIN_BEARINGS:
+    if np.unique(lines.names).size < MIN_BEARINGS:
         return None
-    found: list[tuple[int, np.ndarray, np.ndarray]] = []
+    found: list[tuple[float, Located]] = []
     for start in _candidates(lines):
-        refined = _refine(start, lines)
-        if refined is None:
+        located = _refine(start, lines)
+        if located is None:
             continue
-        within = SAME_PLACE * float(_distances(refined[1][None], lines)[0])
-        if not any(_same(refined[1], f[1], within) for f in found):
-            found.append(refined)
+        distance = float(_distances(located.pose[None], lines)[0])
+        if not any(_same(located.pose, f.pose, SAME_PLACE * distance) for _, f in found):
+            anywhere = -math.log(TWO_PI * math.pi * distance**2)  # in sight of its landmarks
+            found.append((located.log_evidence(anywhere), located))
+    if not found:
+        return None
     found.sort(key=lambda f: -f[0])
-    enough = max(VERIFYING_BEARINGS, RELOCALISED_SHARE * len(lines.names), min_inliers)
-    if not found or found[0][0] < enough:
+    log_evidence, best = found[0]
+    rivals = [0.0, *(f[0] for f in found[1:])]  # 0: no landmark is where it is mapped
+    if expected is not None:
+        rivals.append(_log_evidence_of(*expected, lines))
+    if log_evidence - float(np.logaddexp.reduce(rivals)) < MIN_LOG_ODDS:
         return None
-    if len(found) > 1 and found[1][0] >= found[0][0] - 1:
-        return None
-    pose, covariance = found[0][1:]
-    most = SAME_PLACE * float(_distances(pose[None], lines)[0])
-    return (pose, covariance) if np.diag(covariance)[:2].max() < most**2 else None
+    most = SAME_PLACE * float(_distances(best.pose[None], lines)[0])
+    uncertain = np.diag(best.covariance)[:2].max() >= most**2
+    return None if uncertain else (best.pose, best.covariance)
+
+
+def _log_evidence_of(pose: np.ndarray, covariance: np.ndarray, lines: SightLines) -> float:
+    """Return the log Bayes factor of a pose with a Gaussian prior."""
+    there = _log_likelihood(pose, lines)
+    near = _refine(pose, lines)
+    if near is None:
+        return there
+    off = near.pose - pose
+    off[2] = wrap(off[2])
+    prior = covariance + 1e-12 * np.eye(3)
+    square = float(off @ np.linalg.solve(prior, off))
+    log_volume = float(np.linalg.slogdet(TWO_PI * prior)[1])
+    return max(there, near.log_evidence(-0.5 * (square + log_volume)))
 
 
 def _candidates(lines: SightLines) -> np.ndarray:
@@ -125,15 +171,13 @@ def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.nda
     return np.asarray(wrap(lines.bearings - seen.bearing)), seen.by_place, eyes
 
 
-def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
-    """Refine a pose by robust Gauss-Newton; return the number of inliers, pose, covariance."""
+def _refine(start: np.ndarray, lines: SightLines) -> Located | None:
+    """Refine a pose by robust Gauss-Newton (Huber's weights)."""
     pose, longest = start.copy(), LINEAR_RANGE * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
-        variance = lines.sigmas**2 + np.einsum(
-            "mi,mij,mj->m", by_place, lines.covariances, by_place
-        )
+        variance = _variances(by_place, lines)
         by_eye = np.column_stack([-by_place, -np.ones(len(r))])
         jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
         weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER_GATE**2), 1.0))
@@ -141,10 +185,50 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
         covariance = np.linalg.inv(information)
         step = covariance @ (jacobian.T @ (weight * r))
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
-    agree = np.abs(r) < INLIER_GATE * np.sqrt(variance)
-    if np.unique(lines.names[agree]).size < MIN_BEARINGS:
+    inliers = np.abs(r) < INLIER_GATE * np.sqrt(variance)
+    if np.unique(lines.names[inliers]).size < MIN_BEARINGS:
         return None
-    return int(agree.sum()), pose, covariance
+    return Located(pose, covariance, _log_likelihood(pose, lines))
+
+
+def _variances(by_place: np.ndarray, lines: SightLines) -> np.ndarray:
+    """Return the variances of the residuals, by bearings and mapped positions, shape (m,)."""
+    by_map = np.einsum("mi,mij,mj->m", by_place, lines.covariances, by_place)
+    return np.asarray(lines.sigmas**2 + by_map)
+
+
+def _log_likelihood(pose: np.ndarray, lines: SightLines) -> float:
+    """Return the log likelihood ratio of the lines: landmarks as mapped over landmarks anywhere.
+
+    A landmark is where it is mapped unless it moved or is mistaken for another; then it is off by
+    about its distance. Most of its lines must be inliers.
+    """
+    r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
+    inliers = np.abs(r) < INLIER_GATE * np.sqrt(_variances(by_place, lines))
+    _, first, landmark = np.unique(lines.names, return_index=True, return_inverse=True)
+    weighted = by_place * (inliers / lines.sigmas**2)[:, None]
+    information, slope = np.zeros((len(first), 2, 2)), np.zeros((len(first), 2))
+    np.add.at(information, landmark, weighted[:, :, None] * by_place[:, None])
+    np.add.at(slope, landmark, weighted * r[:, None])
+    square = ((lines.positions - eyes[:, :2])[first] ** 2).sum(axis=1)
+    mapped = lines.covariances[first]
+    anywhere = mapped + square[:, None, None] * np.eye(2)
+    log_ratio = _log_marginal(mapped, information, slope)
+    log_ratio -= _log_marginal(anywhere, information, slope)
+    most = np.bincount(landmark, inliers) > 0.5 * np.bincount(landmark)
+    log_ratio = np.where(most, math.log1p(-UPHEAVAL) + log_ratio, -np.inf)
+    return float(np.logaddexp(math.log(UPHEAVAL), log_ratio).sum())
+
+
+def _log_marginal(prior: np.ndarray, information: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Return log marginal likelihoods (n,) of positions with prior covariances (n, 2, 2).
+
+    Up to a constant that does not depend on the priors; (n, 2, 2) and (n, 2) are the information
+    on the positions, and its gradient.
+    """
+    narrowed = np.eye(2) + prior @ information
+    square = (slope[:, None] @ np.linalg.solve(narrowed, prior @ slope[:, :, None]))[:, 0, 0]
+    return np.asarray(0.5 * (square - np.log(np.linalg.det(narrowed))))
 
 
 def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:

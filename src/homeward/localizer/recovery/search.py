@@ -6,11 +6,13 @@ from collections import deque
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import RECENT_SIGHTINGS
+from homeward.localizer.tunables import RECENT_SIGHTINGS, SAME_PLACE
 
 
 class Search:
@@ -23,8 +25,7 @@ class Search:
     """
 
     def __init__(self, begin: Motion | None = None) -> None:
-        self.min_inliers = 0
-        """Smallest number of inliers of a pose."""
+        self._lost = begin is None
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
         self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT_SIGHTINGS)
 
@@ -37,14 +38,23 @@ class Search:
         self._to_newest = self.motion_since(motion)
 
     def add_bearings(self, frame: WeighedFrame, camera: Motion, landmarks: Landmarks) -> None:
-        """Add bearings of mapped landmarks; `camera` is the motion from the start of the search."""
-        each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
-        self._seen.extend((*seen, camera) for seen in each if seen[0] in landmarks.mapped)
+        """Add bearings of mapped landmarks; `camera` is the motion from the start of the search.
 
-    def find(
-        self, landmarks: Landmarks, calibration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the pose in the map where the search began, (3,), and its covariance, (3, 3)."""
+        One almost parallel to the landmark's last sight line replaces it.
+        """
+        each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
+        for name, bearing, sigma in each:
+            if name in landmarks.mapped:
+                last = next((seen for seen in reversed(self._seen) if seen[0] == name), None)
+                if last is not None and abs(_parallax(last, bearing, camera)) < SAME_PLACE:
+                    self._seen.remove(last)
+                self._seen.append((name, bearing, sigma, camera))
+
+    def find(self, landmarks: Landmarks, state: Marginal) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the pose in the map where the search began, (3,), and its covariance, (3, 3).
+
+        None if it is undetermined, or if the robot may be where `state` of the map has it.
+        """
         known = [seen for seen in self._seen if seen[0] in landmarks.mapped]
         if not known:
             return None
@@ -52,14 +62,23 @@ class Search:
         mapped = [landmarks.mapped[n] for n in names]
         positions, covariances = landmarks.places(mapped)
         lines = SightLines(
-            cameras=np.array([c.uncalibrated + c.jacobian @ calibration for c in cameras]),
+            cameras=np.array([c.uncalibrated + c.jacobian @ state.calibration for c in cameras]),
             bearings=np.array(bearings),
             sigmas=np.array(sigmas),
             names=np.array([m.number for m in mapped]),
             positions=positions,
             covariances=covariances,
         )
-        return relocalise(lines, self.min_inliers)
+        if self._lost:
+            return relocalise(lines)
+        began = state.propagate(self._to_newest.inverse())
+        return relocalise(lines, (began.mean[:3], began.covariance[:3, :3]))
+
+
+def _parallax(last: tuple[str, float, float, Motion], bearing: float, camera: Motion) -> float:
+    """Return the angle between a sighting's line and another bearing's, from `camera` [rad]."""
+    _, before, _, then = last
+    return float(wrap(camera.delta[2] + bearing - then.delta[2] - before))
 
 
 def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
