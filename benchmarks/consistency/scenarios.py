@@ -117,25 +117,34 @@ def _outliers(seed: int) -> Trial:
     return _room(seed, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.1))
 
 
-def _then(before: Simulation, places: np.ndarray, start: Pose) -> Simulation:
+def _then(before: Simulation, places: np.ndarray, start: Pose, **changes: Any) -> Simulation:
     """Return a further leg: other places of the landmarks, other noise, begun at `start`."""
     case = before.scenario
     at = {n: (float(x), float(y)) for n, (x, y) in zip(before.world.ids, places, strict=True)}
-    other = _course(case.seed + 1_000_000, LEG_S, landmarks=Listed(at=at))
+    other = _course(case.seed + 1_000_000, LEG_S, landmarks=Listed(at=at), **changes)
     begun = StartPose(x=start.x, y=start.y, heading=start.heading, prior=False)
     return simulate(other.model_copy(update={"start": begun}))
 
 
-def _moved_on_the_way(seed: int) -> Trial:
-    """Two landmarks are put elsewhere in mid-drive, seen from home to another side."""
-    first = simulate(_course(seed, LEG_S))
+def _moved_on_the_way(seed: int, count: int = 2, all_in: int = 12, **changes: Any) -> Trial:
+    """Some landmarks are put elsewhere in mid-drive, seen from home to another side."""
+    landmarks = Ring(count=all_in, distance=(2.5, 5.0))
+    first = simulate(_course(seed, LEG_S, landmarks=landmarks, **changes))
     rng, places = np.random.default_rng([seed, 2]), first.world.in_home_frame
-    for i in rng.choice(len(places), 2, replace=False):
+    for i in rng.choice(len(places), count, replace=False):
         turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5)
         c, s = math.cos(turn), math.sin(turn)
         places[i] = places[i] @ np.array([[c, s], [-s, c]])
     begins = float(first.drive.odometry.t[-1]) + 0.2
-    return trial(Leg(first), Leg(_then(first, places, first.final_pose), begins))
+    return trial(Leg(first), Leg(_then(first, places, first.final_pose, **changes), begins))
+
+
+def _few(seed: int) -> Trial:
+    """Of ten landmarks, three or four of which are in sight at a time, three move in mid-drive."""
+    view = Visibility(probability=0.7, field_of_view=math.pi)
+    quick = Rates(odometry=20.0, bearings=20.0, truth=10.0)
+    noise = Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.05)
+    return _moved_on_the_way(seed, 3, 10, visibility=view, rates=quick, noise=noise)
 
 
 def _kidnapped(seed: int) -> Trial:
@@ -302,6 +311,12 @@ SCENARIOS = {
         "30 % of the ids wrong",
         lambda s: _room(s, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.3)),
         1300,
+    ),
+    "few": Named(
+        "3 of 10 move in mid-drive, seen at 20 Hz by a camera of 180 deg that misreads ids",
+        _few,
+        1900,
+        moves=True,
     ),
     "soon": Named("the first 15 s, quicker", _soon, 1400),
     "soon-lagging": Named(
