@@ -115,9 +115,7 @@ def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_somethin
     _, known = problem({}, q=6)
     inliers = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
     integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
-    integrity.update(
-        Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), solved=True
-    )
+    integrity.update(Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), solved=True)
     assert integrity.fixed
     away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]
     close = known.mean + 8.0 * away  # the same landmarks, all on one side

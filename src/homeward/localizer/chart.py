@@ -101,7 +101,7 @@ class Chart:
         if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        fresh = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
+        was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
@@ -114,7 +114,7 @@ class Chart:
             gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
-        if changed or reset or fresh:
+        if changed or reset or was_singular:
             self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
         return gated.innovations if gated is not None else []
 
@@ -186,7 +186,7 @@ class Chart:
             hypotheses = None
         observed, calibration = self.home.observation, self.map.state.calibration
         return LandmarkReport(
-            observed.given_noise(self.noise),
+            observed.with_noise(self.noise),
             observed.yaw(calibration, self.extrinsics.contradicted),
             self.map.landmarks,
             self.home.names,
@@ -221,8 +221,8 @@ class Chart:
             gated = self.map.gate(seen, motion, False)
             if gated.contradicts_motion:
                 self.map.drop_frame()
-                way = motion if motion.path else self.odometry.dropout_motion(seen.t)
-                gated = self._gate_at_keyframe(seen, way)
+                wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
+                gated = self._gate_at_keyframe(seen, wider)
         if any(gated.fits.values()):
             self._last_accepted = seen.t
         return gated
@@ -272,20 +272,20 @@ class Chart:
     def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
         """Try to relocalise the robot, and reset its pose; return whether that succeeds."""
         search = self.monitor.search
-        way = search.motion_since(motion)
-        search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
+        since = search.motion_since(motion)
+        search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
         found = search.find(self.map.landmarks, self.map.state.calibration)
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))
             return False
-        moved = pose_reset(self.map.state.mean[:3], *found).compose(way)
+        reset = pose_reset(self.map.state.mean[:3], *found).compose(since)
         try:
-            self.map.reset_pose(seen, moved)
+            self.map.reset_pose(seen, reset)
         except np.linalg.LinAlgError:
             self._give_up_map()
             return True
-        self._begin_motion(seen.t, moved)
+        self._begin_motion(seen.t, reset)
         self.monitor.end_search(seen.t)
         return True
 

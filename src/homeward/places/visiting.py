@@ -43,7 +43,7 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     found = localizer.found_home
     if found is None:
         raise HomewardError("home was not found on this drive, so there is no place to keep")
-    observed = localizer.chart.home.observation.given_noise(localizer.chart.noise)
+    observed = localizer.chart.home.observation.with_noise(localizer.chart.noise)
     stood = {m.landmark for m in localizer.landmarks() if m.moved is False}
     right = {n: b for n, b in observed.items() if n in stood and n in told.map.names}
     vague = np.diag([told.map.size**2, told.map.size**2, np.pi**2])

@@ -197,8 +197,8 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
         Their probabilities do not change.
     """
     fits = [propagated(f, problem) for f in hypotheses.fits]
-    there = tuple(f for f in fits if f is not None)
-    return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
+    kept = tuple(f for f in fits if f is not None)
+    return Hypotheses(kept, hypotheses.weights) if len(kept) == len(fits) else None
 
 
 def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:

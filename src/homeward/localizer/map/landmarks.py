@@ -39,7 +39,7 @@ MAX_TRIALS = 6
 RETRY_GROWTH = 1.1
 """A failed candidate is tried again once it has this many times more sightings."""
 MAX_HOME_LANDMARKS = 48
-"""Landmarks used for the resection of home; those that came first are the nearest."""
+"""Landmarks used for the resection of home; the oldest are the nearest."""
 
 
 @dataclass
@@ -120,8 +120,8 @@ class Landmarks:
 
     def shared_with_home(self, home: Collection[str]) -> list[str]:
         """Return landmarks that home saw and that are or were mapped, oldest first."""
-        came = {**self.former, **self.mapped}
-        return [name for name in came if name in home][:MAX_HOME_LANDMARKS]
+        known = {**self.former, **self.mapped}
+        return [name for name in known if name in home][:MAX_HOME_LANDMARKS]
 
     def ids(self, names: Iterable[str]) -> np.ndarray:
         """Return the smoother's ids of landmarks, shape (m,); -1 of those not mapped."""

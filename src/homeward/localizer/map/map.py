@@ -133,9 +133,9 @@ class Map:
             Probability that each walks, and second moment of its offset if so [m^2].
         """
         known = self.landmarks
-        there = [known.former.get(n) or known.mapped[n] for n in names]
-        walk_moment = np.array([m.walk_moment for m in there]).reshape(-1, 2, 2)
-        return known.index(there), known.walking_probabilities(there), walk_moment
+        landmarks = [known.former.get(n) or known.mapped[n] for n in names]
+        walk_moment = np.array([m.walk_moment for m in landmarks]).reshape(-1, 2, 2)
+        return known.index(landmarks), known.walking_probabilities(landmarks), walk_moment
 
     def learn(self) -> None:
         """Learn from the residuals of the last solution, unless that was done.
@@ -209,8 +209,8 @@ class Map:
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
-        denies = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
-        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, denies)
+        contradicted = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
+        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, contradicted)
 
     def drop_frame(self) -> None:
         """Drop the frame that was gated last, before an update with it."""
@@ -246,13 +246,13 @@ class Map:
         numpy.linalg.LinAlgError
             When the map has become singular.
         """
-        if self.solved and gated.new_keyframe:  # the keyframe that is solved takes long enough
+        if self.solved and gated.new_keyframe:  # one later: a solution takes long enough
             self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
         kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         changed = self.landmarks.reinitialise(refused) or fixed
-        rests = gated.motion.path == 0.0 and bool(kept.any())  # and sees more
+        rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:
             self._correct(None if changed else self._effective(prediction, rows, kept))
@@ -375,7 +375,7 @@ class Map:
             smoother.solve()
         self.solved = self._unlearnt_solution = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        if len(smoother.stamps) < self._settings.window:  # quick enough
+        if len(smoother.stamps) < self._settings.window:  # takes no time
             self.learn()
 
     def _marginalise_old(self) -> None:

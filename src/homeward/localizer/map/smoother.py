@@ -299,7 +299,7 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        left = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
+        eliminated = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         frames = self.frames.take_before(first)
         if self._closed is not None:
@@ -311,7 +311,7 @@ class Smoother:
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
-        self._prior.replace(left, self._linearisation_point(), drift)
+        self._prior.replace(eliminated, self._linearisation_point(), drift)
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""

@@ -87,8 +87,8 @@ class Registration:
         if not self.survey.known.tells:
             return
         smoother, before = self._smoother, self._smoother.survey
-        came = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
-        numbers = {name: landmark.number for name, landmark in came.items()}
+        landmarks = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
+        numbers = {name: landmark.number for name, landmark in landmarks.items()}
         try:
             now = self.survey.evaluate(self.without_survey(), numbers, smoother.ids)
         except np.linalg.LinAlgError:  # too uncertain for a test: keep the present inliers
