@@ -177,10 +177,7 @@ class Chart:
         return found
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, in order of name.
-
-        Without `judge` nothing is said of home.
-        """
+        """Return everything known of each landmark, by name; of home only if `judge`."""
         hypotheses = self.home.hypotheses if judge else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
@@ -202,9 +199,8 @@ class Chart:
             return
         state = self.map.state
         eye, _ = state.pose_after(self.map.camera(motion))
-        found = self._first_fix.add_frame(
-            seen, eye, state.propagate(motion).covariance.diagonal()[:3]
-        )
+        variances = state.propagate(motion).covariance.diagonal()[:3]
+        found = self._first_fix.add_frame(seen, eye, variances)
         if found is not None:
             known.expect(*found)
             self._last_accepted = seen.t
@@ -212,8 +208,7 @@ class Chart:
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.
 
-        One is also due where the bearings contradict the motion: the robot moved while odometry did
-        not.
+        One is also due where the bearings contradict the motion: the robot moved without odometry.
         """
         if self.map.wants_keyframe(seen.t, motion):
             gated = self._gate_at_keyframe(seen, motion)

@@ -17,13 +17,7 @@ import numpy as np
 
 from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
-from homeward.drives.known import (
-    Home,
-    known_home,
-    known_landmarks,
-    known_robot,
-    known_settings,
-)
+from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.estimator import (
     FASTEST,
     Counts,

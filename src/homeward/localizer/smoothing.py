@@ -133,10 +133,10 @@ def _rows(
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])
         odometry = _stretch(drive, localizer.chart.process_noise, float(stamps[k]), until)
-        motions = [odometry.advance(t, whole.calibration) for t in now]
+        motions = [odometry.advance(t, whole.state.calibration) for t in now]
         moved = [(m.delta, m.covariance) for m in motions]
         if not last:
-            end = odometry.advance(until, whole.calibration)
+            end = odometry.advance(until, whole.state.calibration)
             off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
             off[2] = wrap(off[2])
             moved = [bridged(m, end, off) for m in motions]

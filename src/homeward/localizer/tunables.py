@@ -18,35 +18,35 @@ INLIER_GATE = sigmas()
 GATE = sigmas(40)
 """Innovation gate: a landmark is tested at every keyframe of a window (Bonferroni correction)
 [standard deviations]."""
-CONTRADICTION_GATE = sigmas(5000)
+FINAL_GATE = sigmas(5000)
 """Gate of a decision that is never revised: tested at every keyframe of 40 min [standard
 deviations]."""
 MAJORITY = 0.6
 """Share that must agree: more than half, to leave room for outliers."""
-RECENT_SIGHTINGS = 10
+RECENT = 10
 """Sightings that the kidnap detector and the relocalisation use: two of each of five landmarks,
 recent enough for odometry to connect them."""
 MIN_SIGHTINGS = 6
 """Sightings before anything is decided about a landmark: if half of them are wrong, three right
 ones remain, and one of these checks the other two."""
-ESTABLISHED_SIGHTINGS = 2 * MIN_SIGHTINGS
+ESTABLISHED = 2 * MIN_SIGHTINGS
 """Sightings at the old place, and again at the new one, before a landmark is declared moved."""
 MAX_NOISE_RATIO = 1.5
 """Given standard deviations (of bearings, of odometry) are overruled when the residuals are larger
 by more than this factor [1]."""
 
 # Linearity of bearings, in turns and in shifts relative to the landmark distance
-LINEAR_RANGE = 0.3
+LINEAR = 0.3
 """Turns [rad] and shifts [landmark distance] up to which a bearing is linear: tan is, to 3 %."""
-SAME_PLACE = LINEAR_RANGE / 3
+CLOSE = LINEAR / 3
 """A third of that is linear to 0.3 %, since the error goes with the square: two places so close are
 one [landmark distance]."""
-NEGLIGIBLE = LINEAR_RANGE / 10
+NEGLIGIBLE = LINEAR / 10
 """A tenth of that is linear to 0.03 %: corrections up to this need no relinearisation."""
 STANDSTILL = 0.01
 """Motion below which the robot counts as standing still: half the default bearing noise [rad,
 landmark distance]."""
-MAX_MOTION_SIGMA = 0.7
+MAX_SIGMA = 0.7
 """Odometry less certain than this cannot predict bearings [rad, landmark distance]. A bearing
 inflated by this many of its standard deviations has lost a third of its information, and is not
 used."""
@@ -54,9 +54,9 @@ used."""
 # Bearings that determine and verify a pose
 MIN_BEARINGS = 3
 """Bearings that determine a pose (geometry, not a choice): any three fit some pose."""
-VERIFYING_BEARINGS = MIN_BEARINGS + 2
+VERIFIED = MIN_BEARINGS + 2
 """Bearings that verify a pose: two beyond the three that determine it."""
-RELOCALISED_SHARE = 0.7
+FIX_SHARE = 0.7
 """Share of the sightings that must fit the pose of a relocalised robot: more than `MAJORITY`, since
 three always fit [1]."""
 
@@ -65,10 +65,10 @@ BASELINE_RATIO = 5.0
 """A landmark is triangulated once the baseline is this many times the uncertainty of odometry along
 it, so that this turns sight lines by at most a fifth of the parallax. While nothing is mapped,
 motions less certain than that are not used."""
-RIVAL_MARGIN = 1.5
+MARGIN = 1.5
 """A triangulated position must explain this many sight lines more than any rival: more than one
 line that fits by chance."""
-RIVAL_DISTANCE = 0.67
+RIVAL_SHARE = 0.67
 """Positions this far apart are rivals: nearer than 0.6 or farther than 3 times the distance
 [distance]."""
 WALKING_PRIOR = 0.01
@@ -112,12 +112,12 @@ CALIBRATION_DRIFT = 0.5 / 60.0
 [1 / sqrt(s)]."""
 SPEED_TIME_S, TURN_TIME_S = 1.0, 0.5
 """Correlation times of speed and turn rate during an odometry dropout [s]."""
-MIN_USUAL_SPEED, MIN_USUAL_TURN_RATE = 0.3, 0.3
+MIN_SPEED, MIN_TURN_RATE = 0.3, 0.3
 """Lower bounds on the usual speed [m/s] and turn rate [rad/s], however little the robot has moved.
 """
-MOTION_MEMORY_S = 60.0
+MEMORY_S = 60.0
 """Averaging time of the usual speed, counted while moving: one wild twist hardly changes it [s]."""
-NOISE_PRIOR_MOTIONS = 2.0
+NOISE_PRIOR = 2.0
 """Weight of the prior on the odometry noise, in motions: it is an order of magnitude only [1]."""
 USUAL_DISTANCE_M = 3.5
 """Landmark distance from which on that prior holds, as in a room [m]."""

@@ -20,11 +20,7 @@ from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
-from homeward.localizer.home.resection import (
-    innovations_from,
-    mixture_scores,
-    poses_from_triples,
-)
+from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
 from homeward.localizer.tunables import IMPROBABLE, MIN_BEARINGS, NOISE_SCALES
 
 Seed = tuple[np.ndarray, np.ndarray, float]

@@ -26,7 +26,7 @@ from homeward.localizer.tunables import (
     FALSE_ALARM,
     GATE_INFLATION,
     MAJORITY,
-    MAX_MOTION_SIGMA,
+    MAX_SIGMA,
     MIN_BEARINGS,
 )
 
@@ -163,7 +163,7 @@ def inflate_by_odometry(
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * median(by_shift.tolist()) > (MAX_MOTION_SIGMA * median(sigmas.tolist())) ** 2:
+    if across * median(by_shift.tolist()) > (MAX_SIGMA * median(sigmas.tolist())) ** 2:
         return None
     shared = (stamp + 1) * known.size * across * by_shift
     return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))

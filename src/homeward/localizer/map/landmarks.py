@@ -13,21 +13,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
-from homeward.localizer.map.sightings import (
-    BEARING,
-    KEYFRAME,
-    LANDMARK,
-    SIGMA,
-    scale_noise,
-)
+from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
     BASELINE_RATIO,
-    ESTABLISHED_SIGHTINGS,
+    ESTABLISHED,
     GATE,
     INLIER_GATE,
-    LINEAR_RANGE,
+    LINEAR,
     MAJORITY,
     MIN_SIGHTINGS,
     NEGLIGIBLE,
@@ -71,7 +65,7 @@ class Landmark:
     @property
     def established(self) -> bool:
         """Whether it has the sightings and the parallax needed to declare it moved."""
-        return self.parallax >= LINEAR_RANGE and self.sightings >= ESTABLISHED_SIGHTINGS
+        return self.parallax >= LINEAR and self.sightings >= ESTABLISHED
 
     def count_sighting(self, direction: float) -> None:
         """Count a sighting, along a direction in the odometry frame [rad]."""
@@ -228,7 +222,7 @@ class Landmarks:
         """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
         rows = np.array(self._candidates[name].rows)
         eyes = self.smoother.cameras(rows)[0]
-        mapped = np.hypot(*(self.smoother.positions - eyes[-1, :2]).T)
+        mapped = np.hypot(*(self.smoother.state.positions - eyes[-1, :2]).T)
         scale = float(np.median(mapped)) if mapped.size else math.nan
         now = self.smoother.state.covariance[:3, :3]
         seen = range_mixture(eyes, rows[:, BEARING], self._line_sigmas(rows), now, scale)
@@ -255,7 +249,7 @@ class Landmarks:
 
     def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether sightings that agree on a position (2,) prove that a landmark moved."""
-        return len(rows) >= ESTABLISHED_SIGHTINGS and not self._is_swapped(name, rows, position)
+        return len(rows) >= ESTABLISHED and not self._is_swapped(name, rows, position)
 
     def _fits_old_sightings(self, name: str, position: np.ndarray) -> bool:
         """Return whether the sightings before fit a new position (2,) of a landmark as well."""
@@ -328,7 +322,7 @@ class Landmarks:
         residuals : ndarray, shape (m,)
             Of all sightings in the window [rad].
         """
-        rows, n = self.smoother.sightings, len(self.smoother.positions)
+        rows, n = self.smoother.sightings, len(self.smoother.state.positions)
         index = self.smoother.index(rows[:, LANDMARK])
         off = np.abs(residuals) > GATE * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)

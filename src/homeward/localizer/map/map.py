@@ -18,12 +18,7 @@ from homeward.localizer.map.gating import (
 )
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
-from homeward.localizer.map.sightings import (
-    GAP,
-    LANDMARK,
-    SIGMA,
-    sighting_rows,
-)
+from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey.registration import Registration
@@ -89,7 +84,7 @@ class Map:
         self.begun = t
         self.solved = True
         """Whether the state is a solution of the whole window, not an EKF update."""
-        self._solved_at, self._solved_positions = 0, self.smoother.positions
+        self._solved_at, self._solved_positions = 0, self.smoother.state.positions
         self.busy = False
         """Whether the newest frame has taken long already: for a solution, or learning from one."""
         self._unlearnt_solution = False
@@ -374,7 +369,7 @@ class Map:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
         self.solved = self._unlearnt_solution = True
-        self._solved_at, self._solved_positions = smoother.newest, smoother.positions
+        self._solved_at, self._solved_positions = smoother.newest, smoother.state.positions
         if len(smoother.stamps) < self._settings.window:  # takes no time
             self.learn()
 

@@ -21,7 +21,7 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import FIX_HYSTERESIS, INLIER_GATE, MIN_BEARINGS, SAME_PLACE
+from homeward.localizer.tunables import CLOSE, FIX_HYSTERESIS, INLIER_GATE, MIN_BEARINGS
 from homeward.reasons import Reason
 
 
@@ -205,7 +205,7 @@ class IntegrityMonitor:
         # For a wrong home far away the landmarks would be distant; for the robot they are not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
-        self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, SAME_PLACE * distance
+        self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, CLOSE * distance
         most = self._max_sigma if self.fixed else reach
         # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance

@@ -14,12 +14,12 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.tunables import (
+    CLOSE,
+    FIX_SHARE,
     INLIER_GATE,
-    LINEAR_RANGE,
+    LINEAR,
     MIN_BEARINGS,
-    RELOCALISED_SHARE,
-    SAME_PLACE,
-    VERIFYING_BEARINGS,
+    VERIFIED,
 )
 
 HEADINGS = 120
@@ -64,24 +64,24 @@ def relocalise(lines: SightLines, min_inliers: int = 0) -> tuple[np.ndarray, np.
     covariance : ndarray, shape (3, 3)
         None instead of both if the pose is undetermined or ambiguous.
     """
-    if len(lines.names) < VERIFYING_BEARINGS or np.unique(lines.names).size < MIN_BEARINGS:
+    if len(lines.names) < VERIFIED or np.unique(lines.names).size < MIN_BEARINGS:
         return None
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for start in _candidates(lines):
         refined = _refine(start, lines)
         if refined is None:
             continue
-        within = SAME_PLACE * float(_distances(refined[1][None], lines)[0])
+        within = CLOSE * float(_distances(refined[1][None], lines)[0])
         if not any(_same(refined[1], f[1], within) for f in found):
             found.append(refined)
     found.sort(key=lambda f: -f[0])
-    enough = max(VERIFYING_BEARINGS, RELOCALISED_SHARE * len(lines.names), min_inliers)
+    enough = max(VERIFIED, FIX_SHARE * len(lines.names), min_inliers)
     if not found or found[0][0] < enough:
         return None
     if len(found) > 1 and found[1][0] >= found[0][0] - 1:
         return None
     pose, covariance = found[0][1:]
-    most = SAME_PLACE * float(_distances(pose[None], lines)[0])
+    most = CLOSE * float(_distances(pose[None], lines)[0])
     return (pose, covariance) if np.diag(covariance)[:2].max() < most**2 else None
 
 
@@ -110,7 +110,7 @@ def _candidates(lines: SightLines) -> np.ndarray:
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
-    for pose, within in zip(best, (SAME_PLACE * _distances(best, lines)).tolist(), strict=True):
+    for pose, within in zip(best, (CLOSE * _distances(best, lines)).tolist(), strict=True):
         if not any(_same(pose, p, within) for p in chosen):
             chosen.append(pose)
         if len(chosen) == MAX_CANDIDATES:
@@ -127,7 +127,7 @@ def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.nda
 
 def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.ndarray] | None:
     """Refine a pose by robust Gauss-Newton; return the number of inliers, pose, covariance."""
-    pose, longest = start.copy(), LINEAR_RANGE * np.ones(3)
+    pose, longest = start.copy(), LINEAR * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
@@ -156,4 +156,4 @@ def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
 def _same(a: np.ndarray, b: np.ndarray, within: float) -> bool:
     """Return whether two poses, within `within` [m], are the same solution."""
     near = np.hypot(a[0] - b[0], a[1] - b[1]) < within
-    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR_RANGE)
+    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR)

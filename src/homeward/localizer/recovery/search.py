@@ -10,7 +10,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import RECENT_SIGHTINGS
+from homeward.localizer.tunables import RECENT
 
 
 class Search:
@@ -26,7 +26,7 @@ class Search:
         self.min_inliers = 0
         """Smallest number of inliers of a pose."""
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT_SIGHTINGS)
+        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, by that since the newest keyframe."""

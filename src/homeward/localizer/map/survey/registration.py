@@ -95,7 +95,7 @@ class Registration:
             return
         smoother.survey = now
         if now.ids.size >= MIN_BEARINGS:
-            datum = now.datum(smoother.positions, smoother.index(now.ids))
+            datum = now.datum(smoother.state.positions, smoother.index(now.ids))
             self.expect(datum.pose, set(self.survey.places))
         same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
         if not same:
