@@ -221,10 +221,7 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
 
 
 def _best_of_triples(
-    cameras: np.ndarray,
-    innovations: tuple[np.ndarray, np.ndarray],
-    problem: HomeProblem,
-    most: int,
+    cameras: np.ndarray, innovations: tuple[np.ndarray, np.ndarray], problem: HomeProblem, most: int
 ) -> list[Seed]:
     """Return the best `most` of home's cameras (k, 3), with the inliers of each."""
     scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)

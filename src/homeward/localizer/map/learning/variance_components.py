@@ -82,10 +82,7 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    eliminated: Elimination,
-    steps: OdometryErrors,
-    seen: BearingErrors,
-    rng: np.random.Generator,
+    eliminated: Elimination, steps: OdometryErrors, seen: BearingErrors, rng: np.random.Generator
 ) -> Misfit:
     """Compare the residuals of motions with their expectation.
 
