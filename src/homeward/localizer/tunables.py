@@ -13,14 +13,13 @@ def sigmas(tests: int = 1) -> float:
 # Statistical tests
 FALSE_ALARM = 0.0027
 """Probability that a test rejects what is right: that of three standard deviations."""
-INLIER_GATE = sigmas()
+INLIER = sigmas()
 """Gate of a single test, which costs one sighting [standard deviations]."""
 GATE = sigmas(40)
 """Innovation gate: a landmark is tested at every keyframe of a window (Bonferroni correction)
 [standard deviations]."""
 FINAL_GATE = sigmas(5000)
-"""Gate of a decision that is never revised: tested at every keyframe of 40 min [standard
-deviations]."""
+"""Gate of final decisions: tested at every keyframe of 40 min [standard deviations]."""
 MAJORITY = 0.6
 """Share that must agree: more than half, to leave room for outliers."""
 RECENT = 10
@@ -32,8 +31,7 @@ ones remain, and one of these checks the other two."""
 ESTABLISHED = 2 * MIN_SIGHTINGS
 """Sightings at the old place, and again at the new one, before a landmark is declared moved."""
 MAX_NOISE_RATIO = 1.5
-"""Given standard deviations (of bearings, of odometry) are overruled when the residuals are larger
-by more than this factor [1]."""
+"""Given standard deviations are overruled when residuals are more than so many times larger [1]."""
 
 # Linearity of bearings, in turns and in shifts relative to the landmark distance
 LINEAR = 0.3
@@ -46,22 +44,20 @@ NEGLIGIBLE = LINEAR / 10
 STANDSTILL = 0.01
 """Motion below which the robot counts as standing still: half the default bearing noise [rad,
 landmark distance]."""
-MAX_SIGMA = 0.7
-"""Odometry less certain than this cannot predict bearings [rad, landmark distance]. A bearing
-inflated by this many of its standard deviations has lost a third of its information, and is not
-used."""
+VAGUE = 0.7
+"""Odometry less certain than this cannot predict bearings [rad, landmark distance]; a bearing
+inflated by so many of its standard deviations has lost a third of its information."""
 
 # Bearings that determine and verify a pose
-MIN_BEARINGS = 3
+MINIMAL = 3
 """Bearings that determine a pose (geometry, not a choice): any three fit some pose."""
-VERIFIED = MIN_BEARINGS + 2
+VERIFIED = MINIMAL + 2
 """Bearings that verify a pose: two beyond the three that determine it."""
 FIX_SHARE = 0.7
-"""Share of the sightings that must fit the pose of a relocalised robot: more than `MAJORITY`, since
-three always fit [1]."""
+"""Share of the sightings that must fit a relocalised pose: three always do, so above `MAJORITY` [1]."""
 
 # Landmark initialisation and motion
-BASELINE_RATIO = 5.0
+BASELINE = 5.0
 """A landmark is triangulated once the baseline is this many times the uncertainty of odometry along
 it, so that this turns sight lines by at most a fifth of the parallax. While nothing is mapped,
 motions less certain than that are not used."""
@@ -79,32 +75,30 @@ SWAP_RATIO = 2.0
 
 # Home
 UPHEAVAL = 0.1
-"""Prior probability that a place was rearranged, so that any share of landmarks may have moved [1].
-"""
+"""Prior probability that a place was rearranged: then any share of landmarks may have moved [1]."""
 OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""
-NOISE_SCALE_PRIOR = 0.01
+NOISY_PRIOR = 0.01
 """Prior probability that the given standard deviation of the home bearings is wrong ..."""
 NOISE_SCALES = (3.0, 10.0)
 """... and by which factors: half a decade tells one noise level from another [1]."""
 HOME_DISTANCE = 0.5
-"""Typical distance of home from the centre of its landmarks: among them [range of the landmarks].
-"""
-MAX_HOME_DISTANCE = 20.0
+"""Typical distance of home from the centre of its landmarks: among them [range]."""
+MAX_RANGE = 20.0
 """Largest distance of home [extent of the landmarks]: from there all of them are within 3 deg, the
 noise of one or two bearings."""
 MIN_INFORMATION_SHARE = 0.002
 """Share of the information on home that is kept when the spurious part is removed [1]."""
 IMPROBABLE = 1e-3
-"""Hypotheses less probable than the best one by this factor are dropped, and flips that lead to one
-are not tried: fifty of them together stay below what the setting `sure` leaves open."""
+"""Hypotheses this much less probable than the best are dropped, and flips to such are not tried:
+fifty of them together stay below what the setting `sure` leaves open."""
 FIX_HYSTERESIS = 2.0
-"""Hysteresis of the fix: a pose is withdrawn only when this many times less certain than the limit
-at which it was first published."""
+"""Hysteresis: a published pose is withdrawn when this many times less certain than required at
+first."""
 
 # Odometry
-GATE_INFLATION = 3.0
+INFLATION = 3.0
 """The gate inflates the standard deviation of odometry by this factor, since wheels slip and robots
 are bumped."""
 CALIBRATION_DRIFT = 0.5 / 60.0

@@ -15,7 +15,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.tunables import CLOSE, INLIER_GATE, MIN_SIGHTINGS, VERIFIED
+from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
@@ -86,7 +86,7 @@ def merged(place: Place, told: Told) -> Place:
     moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.standings]
     now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
-    if disagreement > INLIER_GATE**2:
+    if disagreement > INLIER**2:
         return kept_apart
     after = now.at_home(place.origin)
     routes = {n: r.carried(place.map, after, stayed) for n, r in place.routes.items()}
@@ -126,7 +126,7 @@ def merged_places(place: Place, other: Place) -> Place:
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
     both_say, disagreement = fused(before, theirs, stayed)
-    if disagreement > INLIER_GATE**2:
+    if disagreement > INLIER**2:
         raise differ
     now = both_say.at_home(place.origin)
     both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}

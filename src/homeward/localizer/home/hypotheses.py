@@ -21,7 +21,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
-from homeward.localizer.tunables import IMPROBABLE, MIN_BEARINGS, NOISE_SCALES
+from homeward.localizer.tunables import IMPROBABLE, MINIMAL, NOISE_SCALES
 
 Seed = tuple[np.ndarray, np.ndarray, float]
 """Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and the noise
@@ -204,9 +204,7 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
-    cameras = (
-        poses_from_triples(points, problem.bearings) if q >= MIN_BEARINGS else np.zeros((0, 3))
-    )
+    cameras = poses_from_triples(points, problem.bearings) if q >= MINIMAL else np.zeros((0, 3))
     each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     innovations = innovations_from(cameras, points, marginals, problem.bearings)
@@ -227,7 +225,7 @@ def _best_of_triples(
     scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
-    for i in best[np.count_nonzero(inliers[best], axis=1) >= MIN_BEARINGS].tolist():
+    for i in best[np.count_nonzero(inliers[best], axis=1) >= MINIMAL].tolist():
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:most]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))

@@ -17,10 +17,10 @@ from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA,
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
-    BASELINE_RATIO,
+    BASELINE,
     ESTABLISHED,
     GATE,
-    INLIER_GATE,
+    INLIER,
     LINEAR,
     MAJORITY,
     MIN_SIGHTINGS,
@@ -234,7 +234,7 @@ class Landmarks:
         place = self.expected.get(name)
         if place is None or name in self.mapped:
             return None
-        tolerance = INLIER_GATE * self._line_sigmas(rows) + NEGLIGIBLE
+        tolerance = INLIER * self._line_sigmas(rows) + NEGLIGIBLE
         agree = self._residuals(rows, place[None])[0] < tolerance
         return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
 
@@ -243,7 +243,7 @@ class Landmarks:
         eyes = self.smoother.cameras(rows)[0]
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
-        if base < BASELINE_RATIO * math.sqrt(sum(self.smoother.shift_variances[since:])):
+        if base < BASELINE * math.sqrt(sum(self.smoother.shift_variances[since:])):
             return None
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
@@ -256,14 +256,14 @@ class Landmarks:
         rows = self.smoother.sightings
         rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
         off = self._residuals(rows, position[None])[0]
-        return bool((off < INLIER_GATE * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
+        return bool((off < INLIER * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
     def _has_returned(self, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings fit the former position of a landmark declared moved."""
         if name not in self.former:
             return False
         off = self._residuals(rows, self.places([self.former[name]])[0])[0]
-        return bool((off < INLIER_GATE * self._line_sigmas(rows)).mean() >= MAJORITY)
+        return bool((off < INLIER * self._line_sigmas(rows)).mean() >= MAJORITY)
 
     def _restore(self, name: str) -> None:
         """Restore a landmark to its former position."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import position_sigma
-from homeward.localizer.tunables import CLOSE, INLIER_GATE, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
+from homeward.localizer.tunables import CLOSE, INLIER, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
 
 MIN_LINES = 3
 """Smallest number of lines that agree."""
@@ -52,12 +52,12 @@ def triangulate(
     if not len(points):
         return None
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
-    agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
+    agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     for _ in range(STEPS):
         if agree.sum() < MIN_LINES:
             return None
         position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
-        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
+        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     enough = agree.sum() >= max(MIN_LINES, MAJORITY * lines.size)
     if not enough or not _spread(lines, agree, parallax):
         return None
@@ -118,7 +118,7 @@ def _costs(
 ) -> np.ndarray:
     """Return the truncated squared residuals of each point, (k,): lines not explained."""
     residuals = _residuals(points, cameras, lines)
-    return np.asarray(np.minimum((residuals / (INLIER_GATE * sigmas)) ** 2, 1.0).sum(axis=1))
+    return np.asarray(np.minimum((residuals / (INLIER * sigmas)) ** 2, 1.0).sum(axis=1))
 
 
 def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:

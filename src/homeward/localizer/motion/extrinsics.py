@@ -19,7 +19,7 @@ CONTRADICTION = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
     "under sensor in drive.yaml, about right would be {}."
 )
-MIN_SIGMA_RAD, FIXED_SIGMA_M = 1e-6, 1e-4
+MIN_RAD, FIXED_M = 1e-6, 1e-4
 """Prior standard deviations of fixed extrinsics [rad, m]."""
 
 
@@ -35,9 +35,7 @@ class Extrinsics:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
-        self.sigmas = np.array(
-            [max(settings.camera_yaw_sigma, MIN_SIGMA_RAD), FIXED_SIGMA_M, FIXED_SIGMA_M]
-        )
+        self.sigmas = np.array([max(settings.camera_yaw_sigma, MIN_RAD), FIXED_M, FIXED_M])
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""
         self.contradicted = False
         """Whether the bearings have contradicted the assumed values."""
@@ -87,9 +85,8 @@ class Extrinsics:
         observable = self._not_given & (own > wide**-2.0)
         own[~observable] = np.inf
         off = np.abs(mean) * precision / own
-        self.contradicted = bool(
-            (observable & (off > np.maximum(FINAL_GATE * own**-0.5, tolerance))).any()
-        )
+        fails = observable & (off > np.maximum(FINAL_GATE * own**-0.5, tolerance))
+        self.contradicted = bool(fails.any())
         if self.contradicted:
             self.sigmas, self._tolerance = np.where(self._not_given, wide, self.sigmas), tolerance
         return self.contradicted

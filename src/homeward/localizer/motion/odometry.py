@@ -126,6 +126,7 @@ class Odometry:
         self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
         self.end = self._since = -math.inf
+        """Time up to which the twists are integrated, and of the keyframe [s]."""
         self._path_by_bend = np.zeros(BENDS)
         self._path_by_bend[0] = INITIAL_STRAIGHT_M
         self._straightest = 0.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import GATE_INFLATION, MAX_NOISE_RATIO, NOISE_MEMORY, NOISE_PRIOR
+from homeward.localizer.tunables import INFLATION, MAX_NOISE_RATIO, NOISE_MEMORY, NOISE_PRIOR
 
 NOTABLE_RATIO = 2.0
 """Ratio of standard deviations that the user is told of [1]."""
@@ -56,7 +56,7 @@ class ProcessNoise:
         gate allows.
         """
         squares, redundancy = self._squares[1, 0], self._redundancies[1, 0]
-        before = NOISE_PRIOR * self._prior_scales[0] * GATE_INFLATION**2
+        before = NOISE_PRIOR * self._prior_scales[0] * INFLATION**2
         of_all = (before + squares) / (NOISE_PRIOR + redundancy)
         return max(0.0, float(of_all - self.scales[0, 0]))
 

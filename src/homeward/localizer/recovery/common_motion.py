@@ -15,7 +15,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.tunables import CLOSE, INLIER_GATE
+from homeward.localizer.tunables import CLOSE, INLIER
 
 MIN_TOGETHER = 3
 """Landmarks that must have moved together: two always do, but for their distance."""
@@ -99,7 +99,7 @@ def moved_together(displaced: Displaced) -> np.ndarray:
         pair = displaced.variance[i] + displaced.variance[j]
         sigma = np.sqrt(displaced.variance + pair * (0.25 + lever**2))
         off = np.hypot(*(now - there).T)
-        fits = off < np.minimum(INLIER_GATE * sigma, reach)
+        fits = off < np.minimum(INLIER * sigma, reach)
         if fits[i] and fits[j] and fits.sum() > most.sum():
             most = fits
     return most

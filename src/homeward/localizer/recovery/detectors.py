@@ -17,15 +17,7 @@ from homeward.estimator import CHECKED, Innovation
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.search import Search
-from homeward.localizer.tunables import (
-    INLIER_GATE,
-    LINEAR,
-    MAJORITY,
-    MAX_SIGMA,
-    MIN_BEARINGS,
-    RECENT,
-    VERIFIED,
-)
+from homeward.localizer.tunables import INLIER, LINEAR, MAJORITY, MINIMAL, RECENT, VAGUE, VERIFIED
 
 
 class KidnapDetector:
@@ -43,7 +35,7 @@ class KidnapDetector:
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
         # By chance, as many fit from anywhere.
-        few = RECENT - len(wrong) < MIN_BEARINGS
+        few = RECENT - len(wrong) < MINIMAL
         return len(self._recent) == RECENT and few and len(set(wrong)) >= 2
 
     @property
@@ -86,7 +78,7 @@ class SlipDetector:
         motion : Motion
             ... and the motion to it from the newest keyframe.
         """
-        fits = [abs(i.value) <= INLIER_GATE * i.sigma for i in innovations]
+        fits = [abs(i.value) <= INLIER * i.sigma for i in innovations]
         if self.search is None:
             if not fits or 2 * sum(fits) > len(fits):
                 return False
@@ -159,4 +151,4 @@ def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
         The state at that keyframe.
     """
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
-    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > MAX_SIGMA**2)
+    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > VAGUE**2)

@@ -20,7 +20,7 @@ from homeward.localizer.recovery.detectors import (
     odometry_lost,
 )
 from homeward.localizer.recovery.search import Search
-from homeward.localizer.tunables import LINEAR, MAJORITY, MAX_SIGMA, RECENT
+from homeward.localizer.tunables import LINEAR, MAJORITY, RECENT, VAGUE
 from homeward.reasons import Reason
 
 
@@ -83,7 +83,7 @@ class Monitor:
         marginal = known.state
         dropped_out = not self.is_lost and odometry_lost(motion, marginal)
         # All that is mapped from an uncertain origin would be as uncertain, and nothing linear.
-        no_origin = not self._origin_given and marginal.covariance[2, 2] > MAX_SIGMA**2
+        no_origin = not self._origin_given and marginal.covariance[2, 2] > VAGUE**2
         if not known.landmarks.mapped and (dropped_out or no_origin):
             return Health.NO_MAP
         if self.is_lost and motion.covariance[2, 2] <= LINEAR**2:

@@ -13,14 +13,7 @@ import numpy as np
 
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
-from homeward.localizer.tunables import (
-    CLOSE,
-    FIX_SHARE,
-    INLIER_GATE,
-    LINEAR,
-    MIN_BEARINGS,
-    VERIFIED,
-)
+from homeward.localizer.tunables import CLOSE, FIX_SHARE, INLIER, LINEAR, MINIMAL, VERIFIED
 
 HEADINGS = 120
 MAX_PAIRS = 40
@@ -64,7 +57,7 @@ def relocalise(lines: SightLines, min_inliers: int = 0) -> tuple[np.ndarray, np.
     covariance : ndarray, shape (3, 3)
         None instead of both if the pose is undetermined or ambiguous.
     """
-    if len(lines.names) < VERIFIED or np.unique(lines.names).size < MIN_BEARINGS:
+    if len(lines.names) < VERIFIED or np.unique(lines.names).size < MINIMAL:
         return None
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for start in _candidates(lines):
@@ -106,7 +99,7 @@ def _candidates(lines: SightLines) -> np.ndarray:
     poses = np.asarray(poses[np.isfinite(poses).all(axis=1)])
     if not len(poses):
         return poses
-    tolerance = INLIER_GATE * lines.sigmas + TWO_PI / HEADINGS
+    tolerance = INLIER * lines.sigmas + TWO_PI / HEADINGS
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
@@ -136,13 +129,13 @@ def _refine(start: np.ndarray, lines: SightLines) -> tuple[int, np.ndarray, np.n
         )
         by_eye = np.column_stack([-by_place, -np.ones(len(r))])
         jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
-        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER_GATE**2), 1.0))
+        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER**2), 1.0))
         information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
         covariance = np.linalg.inv(information)
         step = covariance @ (jacobian.T @ (weight * r))
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
-    agree = np.abs(r) < INLIER_GATE * np.sqrt(variance)
-    if np.unique(lines.names[agree]).size < MIN_BEARINGS:
+    agree = np.abs(r) < INLIER * np.sqrt(variance)
+    if np.unique(lines.names[agree]).size < MINIMAL:
         return None
     return int(agree.sum()), pose, covariance
 
