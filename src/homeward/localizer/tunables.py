@@ -54,7 +54,7 @@ MINIMAL = 3
 VERIFIED = MINIMAL + 2
 """Bearings that verify a pose: two beyond the three that determine it."""
 FIX_SHARE = 0.7
-"""Share of the sightings that must fit a relocalised pose: three always do, so above `MAJORITY` [1]."""
+"""Share of sightings that must fit a relocalised pose: above `MAJORITY`, as three always do [1]."""
 
 # Landmark initialisation and motion
 BASELINE = 5.0
