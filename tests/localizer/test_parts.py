@@ -264,7 +264,7 @@ def test_a_lost_robot_is_found_in_its_map():
     )
     found = relocalise(lines)
     assert found is not None
-    assert relocalise(lines, fewest=13) is None
+    assert relocalise(lines, min_inliers=13) is None
     off = between(lost, Pose(*found[0]))
     assert math.hypot(off.x, off.y) < 0.05
     assert abs(off.heading) < 0.03
