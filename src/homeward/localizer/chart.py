@@ -246,9 +246,9 @@ class Chart:
         """Update the map by accepted bearings; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
-        refused = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
+        moved = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
         try:
-            changed = self.map.update(gated, refused)
+            changed = self.map.update(gated, moved)
             carried = carried_since(self.map.landmarks) if changed else None
             if carried is None:
                 return changed

@@ -110,8 +110,8 @@ class Map:
     @property
     def scale_variance(self) -> float:
         """Variance of the map's scale by slips that leave no residuals [1]."""
-        uncounted = self._process_noise.common_slip_variance
-        return uncounted / max(self._scale_information, uncounted)
+        common_slip = self._process_noise.common_slip_variance
+        return common_slip / max(self._scale_information, common_slip)
 
     def camera(self, motion: Motion) -> Motion:
         """Return the motion from the newest keyframe to the camera after the robot's motion."""
@@ -151,11 +151,11 @@ class Map:
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or has stopped."""
-        rests, self._last_path = 0.0 < motion.path == self._last_path, motion.path
+        stopped, self._last_path = 0.0 < motion.path == self._last_path, motion.path
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
         scale = self.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
-        return due and (rests or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
+        return due and (stopped or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Add a keyframe at `t` [s], and propagate the state to it."""
@@ -226,14 +226,14 @@ class Map:
         gated.rows[:, SIGMA] = widened
         return True
 
-    def update(self, gated: Gated, refused: list[str]) -> bool:
+    def update(self, gated: Gated, moved: list[str]) -> bool:
         """Update the map by accepted bearings; return whether there is a new solution.
 
         Parameters
         ----------
         gated : Gated
             The gated frame.
-        refused : list of str
+        moved : list of str
             Landmarks that are not where they were mapped; they are reinitialised.
 
         Raises
@@ -246,7 +246,7 @@ class Map:
         rows, prediction = gated.rows, gated.prediction
         kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
-        changed = self.landmarks.reinitialise(refused) or fixed
+        changed = self.landmarks.reinitialise(moved) or fixed
         rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:
@@ -302,13 +302,13 @@ class Map:
         fits: Mapping[str, bool],
     ) -> np.ndarray:
         """Add accepted sightings to the window, others to candidates; return which, (m,) bool."""
-        t, names, stands = frame.t, frame.names, 0
+        t, names, skipped = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
         rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
         for i, name in enumerate(names):
             taken = self._counts_here[name] = self._counts_here.get(name, 0) + 1
             if taken > MAX_PER_KEYFRAME:
-                stands += 1
+                skipped += 1
                 continue
             self._last_seen[name] = t
             if not fits.get(name, True):
@@ -316,14 +316,14 @@ class Map:
                 self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
-        self._counts.reject(Rejection.STANDING, stands)
+        self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))
-        if stands == len(names):
+        if skipped == len(names):
             self.smoother.frames.drop_newest()
-        mine = rows[kept]
+        accepted = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
-        self.landmarks.add_accepted(t, fitting, mine, directions[kept])
-        self._pending_rows.append(mine[mine[:, LANDMARK] >= 0])
+        self.landmarks.add_accepted(t, fitting, accepted, directions[kept])
+        self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
         return kept
 
     def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:

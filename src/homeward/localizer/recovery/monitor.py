@@ -109,9 +109,9 @@ class Monitor:
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 
-    def moved_landmarks(self, refused: list[str]) -> list[str]:
+    def moved_landmarks(self, rejected: list[str]) -> list[str]:
         """Return which of these landmarks moved, the robot being where the map has it."""
-        return refused if refused and self._kidnap.others_fit(refused) else []
+        return rejected if rejected and self._kidnap.others_fit(rejected) else []
 
     def begin_search(self, t: float, why: Health) -> None:
         """Declare the robot lost from `t` [s] on, or restart the search if it is lost already."""
