@@ -67,9 +67,9 @@ class Hypotheses:
     @cached_property
     def unconverged_probability(self) -> float:
         """Approximate probability of the unconverged sets, the best one aside."""
-        first, at_rest = self.best.log_evidence, 1.0 / float(self.weights[0])
+        first, converged = self.best.log_evidence, 1.0 / float(self.weights[0])
         unconverged = sum(math.exp(min(f.log_evidence - first, 500.0)) for f in self.unconverged)
-        return unconverged / (unconverged + at_rest)
+        return unconverged / (unconverged + converged)
 
     @cached_property
     def max_log_evidence(self) -> float:
@@ -270,8 +270,8 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
 def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     """Return fits as hypotheses: with the best one's neighbours, without improbable ones.
 
-    The evidence of an unconverged fit is not comparable. If it is larger nevertheless, the set is
-    kept aside, since home may be anywhere along the iteration.
+    The evidence of an unconverged fit is not comparable. If it is not improbable, the set is kept
+    aside, since home may be anywhere along the iteration.
     """
     converged = {key: f for key, f in found.items() if f.converged} or found
     best = max(converged.values(), key=lambda f: f.log_evidence)
@@ -280,10 +280,10 @@ def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
     keep = weights > IMPROBABLE
     weights = weights[keep] / weights[keep].sum()
-    at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
+    kept = tuple(f for f, k in zip(fits, keep, strict=True) if k)
     least = best.log_evidence + math.log(IMPROBABLE)
     unconverged = [f for f in found.values() if not f.converged and f.log_evidence > least]
-    return Hypotheses(at_rest, weights, tuple(unconverged) if best.converged else ())
+    return Hypotheses(kept, weights, tuple(unconverged) if best.converged else ())
 
 
 def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:
