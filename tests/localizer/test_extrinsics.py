@@ -40,7 +40,7 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     assert rig.wrong_share(len(rig.answers) // 2) == 0
     assert not rig.moved()
     window = rig.localizer.chart.map.smoother
-    yaw, x, y = window.calibration[MOUNT]
+    yaw, x, y = window.state.calibration[MOUNT]
     assert (x, y, yaw) == pytest.approx(tuple(mount), abs=0.03)
     (note,) = (n for n in rig.localizer.notes if "camera" in n)
     assert f"x: {x:.2f}, y: {y:.2f}, yaw: {yaw:.2f}" in note

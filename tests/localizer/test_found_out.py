@@ -103,12 +103,12 @@ def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():
         "bad": HomeBearing(0.2, 0.0005),
         "un": HomeBearing(0.3),
     }
-    same = HomeObservation(home, DriveSettings(), LocalizerSettings()).given_noise(noise)
+    same = HomeObservation(home, DriveSettings(), LocalizerSettings()).with_noise(noise)
     assert {n: b.sigma for n, b in same.items()} == pytest.approx(
         {"good": 0.01, "bad": 0.005, "un": 0.01}
     )
     other = HomeObservation(home, DriveSettings(home_sensor=Mount()), LocalizerSettings())
-    assert other.given_noise(noise)["bad"].sigma == 0.0005
+    assert other.with_noise(noise)["bad"].sigma == 0.0005
 
 
 def test_a_yaw_that_is_exactly_known_is_no_error():

@@ -12,7 +12,7 @@ from homeward.localizer.home.gauss_newton import CONVERGED, fit, solved
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
-from homeward.localizer.tunables import NOISE_SCALE_PRIOR
+from homeward.localizer.tunables import NOISY_PRIOR
 
 PRIOR = np.array([0.1, -0.1, 0.2])
 
@@ -109,7 +109,7 @@ def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are()
     spread = spread + by_home @ np.linalg.inv(problem.initial_information) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
     wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
-    believed = math.log(1.0 - NOISE_SCALE_PRIOR)
+    believed = math.log(1.0 - NOISY_PRIOR)
     labels = believed + math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
     # All sets share the prior's normalisation.
     shared = 0.5 * np.linalg.slogdet(problem.initial_information / (2.0 * np.pi))[1]

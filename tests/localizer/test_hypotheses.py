@@ -28,7 +28,7 @@ from homeward.localizer.output.pose import (
 )
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import INLIER_GATE
+from homeward.localizer.tunables import INLIER
 
 CIRCLE = np.linspace(-math.pi, math.pi, 20001)
 
@@ -150,7 +150,7 @@ def test_alike_hypotheses_are_averaged_and_far_ones_hardly_followed():
 
     def distance(at):
         off = np.linalg.norm((points - at) @ np.linalg.inv(root), axis=1)
-        return weights @ np.hypot(off, INLIER_GATE)
+        return weights @ np.hypot(off, INLIER)
 
     for step in 0.05 * np.concatenate([root, -root]):
         assert distance(middle) < distance(middle + step)

@@ -9,12 +9,7 @@ import pytest
 from rig import NEES, Rig, ring
 
 from homeward.control import Twist
-from homeward.drives.drive import (
-    Drive,
-    KnownLandmarks,
-    Odometry,
-    Sightings,
-)
+from homeward.drives.drive import Drive, KnownLandmarks, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.localizer.geometry import rotation
@@ -33,7 +28,7 @@ from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.localizer.tunables import SAME_PLACE
+from homeward.localizer.tunables import CLOSE
 from homeward.registry import make_estimator
 from homeward.track import run
 
@@ -305,7 +300,7 @@ def test_a_camera_that_sees_one_or_two_at_a_time_has_a_fix_when_it_has_seen_enou
     assert rig.wrong_share() < 0.05
     sure = [a for a, _ in rig.answers if a.status is Status.LOCALISED]
     far = max(math.hypot(*place) for place in ring(12, seed).values())
-    assert all(a.covariance.diagonal()[:2].max() <= (SAME_PLACE * far) ** 2 for a in sure)
+    assert all(a.covariance.diagonal()[:2].max() <= (CLOSE * far) ** 2 for a in sure)
 
 
 def test_a_surveyed_landmark_that_moves_on_the_way_is_followed():

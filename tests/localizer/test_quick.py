@@ -38,7 +38,7 @@ def move_on(odometry, window, t):
     odometry.restart(t - 1.0)
     for i in range(10):
         odometry.add(t - 1.0 + 0.1 * i, 0.4, 0.3)
-    motion = odometry.advance(t, window.calibration)
+    motion = odometry.advance(t, window.state.calibration)
     window.add_keyframe(t, motion)
     return motion
 
@@ -51,7 +51,7 @@ def seen(rng, window):
     sigmas = np.full(len(POINTS), 0.005)
     look = WeighedFrame(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
     rows = sighting_rows(window.newest, window.frames.next, look)
-    camera = camera_on_robot(MOUNT, window.calibration)
+    camera = camera_on_robot(MOUNT, window.state.calibration)
     window.frames.add(window.newest, Motion.identity().compose(camera))
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows

@@ -13,7 +13,7 @@ from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import FALSE_ALARM, INLIER_GATE
+from homeward.localizer.tunables import FALSE_ALARM, INLIER
 
 
 def mixture(weights, places, covariances):
@@ -26,7 +26,7 @@ def mixture(weights, places, covariances):
 
 def beyond(off, weights, covariances, covariance, direction):
     """Return how much of a mixture is farther off along a direction than it should be at most."""
-    limit = INLIER_GATE * math.sqrt(direction @ covariance @ direction)
+    limit = INLIER * math.sqrt(direction @ covariance @ direction)
     sigma = np.sqrt([direction @ c @ direction for c in covariances])
     at = off @ direction
     one = [0.5 * math.erfc((limit - m) / s / math.sqrt(2)) for m, s in zip(at, sigma, strict=True)]
@@ -86,5 +86,5 @@ def test_the_answer_holds_an_improbable_home_and_is_as_sure_as_before():
     assert {a.status for a in answers} == {Status.LOCALISED}
     alone, both = answers
     off = few.in_home_frame[0] - np.array(both.pose)
-    assert off @ np.linalg.solve(alone.covariance, off) > 2 * INLIER_GATE**2
-    assert off @ np.linalg.solve(both.covariance, off) < INLIER_GATE**2
+    assert off @ np.linalg.solve(alone.covariance, off) > 2 * INLIER**2
+    assert off @ np.linalg.solve(both.covariance, off) < INLIER**2

@@ -11,11 +11,7 @@ from homeward.angles import wrap
 from homeward.localizer.home.observation import averaged_covariance
 from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings
-from homeward.localizer.map.learning.walking import (
-    Walks,
-    walking_probabilities,
-    walks,
-)
+from homeward.localizer.map.learning.walking import Walks, walking_probabilities, walks
 from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import WALKING_PRIOR
 

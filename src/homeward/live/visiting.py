@@ -25,7 +25,7 @@ from homeward.frames import Pose, position_sigma
 from homeward.live.messages import BearingsIn
 from homeward.live.samples import Samples, last_of_equal, table
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.tunables import VERIFYING_BEARINGS
+from homeward.localizer.tunables import VERIFIED
 from homeward.places.files import check_place, is_place, load_place, newest, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
@@ -242,10 +242,10 @@ class Visiting:
         poses = np.full((stamps.size, 3), np.nan)
         poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
         told = told_along(localizer, drive, poses, self.when, home)
-        if len(told.map.names) < VERIFYING_BEARINGS:
+        if len(told.map.names) < VERIFIED:
             raise HomewardError(
                 f"{count(len(told.map.names), 'landmark')} mapped on this visit, and it takes "
-                f"{VERIFYING_BEARINGS} to know a place: drive further"
+                f"{VERIFIED} to know a place: drive further"
             )
         for name, (answer, seen) in self._stored.items():
             told = told.store_home(name, answer, seen)

@@ -101,7 +101,7 @@ class Chart:
         if not self._twists:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        fresh = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
+        was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
@@ -114,7 +114,7 @@ class Chart:
             gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
-        if changed or reset or fresh:
+        if changed or reset or was_singular:
             self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
         return gated.innovations if gated is not None else []
 
@@ -177,16 +177,13 @@ class Chart:
         return found
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, in order of name.
-
-        Without `judge` nothing is said of home.
-        """
+        """Return everything known of each landmark, by name; of home only if `judge`."""
         hypotheses = self.home.hypotheses if judge else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
         observed, calibration = self.home.observation, self.map.state.calibration
         return LandmarkReport(
-            observed.given_noise(self.noise),
+            observed.with_noise(self.noise),
             observed.yaw(calibration, self.extrinsics.contradicted),
             self.map.landmarks,
             self.home.names,
@@ -202,9 +199,8 @@ class Chart:
             return
         state = self.map.state
         eye, _ = state.pose_after(self.map.camera(motion))
-        found = self._first_fix.add_frame(
-            seen, eye, state.propagate(motion).covariance.diagonal()[:3]
-        )
+        variances = state.propagate(motion).covariance.diagonal()[:3]
+        found = self._first_fix.add_frame(seen, eye, variances)
         if found is not None:
             known.expect(*found)
             self._last_accepted = seen.t
@@ -212,8 +208,7 @@ class Chart:
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.
 
-        One is also due where the bearings contradict the motion: the robot moved while odometry did
-        not.
+        One is also due where the bearings contradict the motion: the robot moved without odometry.
         """
         if self.map.wants_keyframe(seen.t, motion):
             gated = self._gate_at_keyframe(seen, motion)
@@ -221,8 +216,8 @@ class Chart:
             gated = self.map.gate(seen, motion, False)
             if gated.contradicts_motion:
                 self.map.drop_frame()
-                way = motion if motion.path else self.odometry.dropout_motion(seen.t)
-                gated = self._gate_at_keyframe(seen, way)
+                wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
+                gated = self._gate_at_keyframe(seen, wider)
         if any(gated.fits.values()):
             self._last_accepted = seen.t
         return gated
@@ -251,9 +246,9 @@ class Chart:
         """Update the map by accepted bearings; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
-        refused = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
+        moved = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
         try:
-            changed = self.map.update(gated, refused)
+            changed = self.map.update(gated, moved)
             carried = carried_since(self.map.landmarks) if changed else None
             if carried is None:
                 return changed
@@ -272,20 +267,20 @@ class Chart:
     def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
         """Try to relocalise the robot, and reset its pose; return whether that succeeds."""
         search = self.monitor.search
-        way = search.motion_since(motion)
-        search.add_bearings(seen, self.map.camera(way), self.map.landmarks)
+        since = search.motion_since(motion)
+        search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
         found = search.find(self.map.landmarks, self.map.state)
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))
             return False
-        moved = pose_reset(self.map.state.mean[:3], *found).compose(way)
+        reset = pose_reset(self.map.state.mean[:3], *found).compose(since)
         try:
-            self.map.reset_pose(seen, moved)
+            self.map.reset_pose(seen, reset)
         except np.linalg.LinAlgError:
             self._give_up_map()
             return True
-        self._begin_motion(seen.t, moved)
+        self._begin_motion(seen.t, reset)
         self.monitor.end_search(seen.t)
         return True
 

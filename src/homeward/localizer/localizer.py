@@ -17,13 +17,7 @@ import numpy as np
 
 from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
-from homeward.drives.known import (
-    Home,
-    known_home,
-    known_landmarks,
-    known_robot,
-    known_settings,
-)
+from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.estimator import (
     FASTEST,
     Counts,
@@ -162,9 +156,9 @@ class Localizer:
         if not usable:
             return self.estimate(said)
         self._advance(t)
-        told = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
-        good = {n: s for n, s in told.items() if math.isfinite(s)}
-        self._reorder.bearings(BearingFrame(t, usable, good))
+        given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
+        valid = {n: s for n, s in given.items() if math.isfinite(s)}
+        self._reorder.bearings(BearingFrame(t, usable, valid))
         if (twist := self._twists.before(t)) is not None:
             self._sign_check.bearings(t, usable, self._twists.heading(t), twist.v)
         innovations = self._process_due()

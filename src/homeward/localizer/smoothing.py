@@ -59,11 +59,11 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     whole = localizer.chart.map.smoother.whole()
     for _ in range(SOLVES):
         whole.solve()
-    there = _there(localizer.chart, whole) if localizer.conclude(whole) else None
-    if there is None:
+    hypotheses = _at_keyframes(localizer.chart, whole) if localizer.conclude(whole) else None
+    if hypotheses is None:
         return track
     stayed = localizer.chart.home.stayed(localizer.chart.map)
-    rows = _rows(track.t, there, stayed, whole, drive, localizer)
+    rows = _rows(track.t, hypotheses, stayed, whole, drive, localizer)
     for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
         rows[i] = _row(track, i)
     return dataclasses.replace(
@@ -90,16 +90,16 @@ def _row(track: Track, i: int) -> Estimate:
     return Estimate(t, status, reason, pose, track.covariance[i])
 
 
-def _there(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
+def _at_keyframes(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
     """Return the hypotheses with each keyframe's pose; None when they do not determine it."""
-    there: list[Hypotheses] = []
+    hypotheses: list[Hypotheses] = []
     for state in whole.marginals():
         found = chart.home.hypotheses
         now = None if found is None else with_pose(chart.home.problem(chart.map, state), found)
         if now is None:
             return None
-        there.append(now)
-    return there
+        hypotheses.append(now)
+    return hypotheses
 
 
 def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odometry:
@@ -115,7 +115,7 @@ def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odo
 
 def _rows(
     times: np.ndarray,
-    there: list[Hypotheses],
+    hypotheses: list[Hypotheses],
     stayed: np.ndarray,
     whole: Smoother,
     drive: Drive,
@@ -123,20 +123,20 @@ def _rows(
 ) -> list[Estimate]:
     """Return the estimates at the times of all rows, by the tests of the causal run."""
     stamps = np.array(whole.stamps)
-    keyframes = [Pose(*h.best.pose) for h in there]
+    keyframes = [Pose(*h.best.pose) for h in hypotheses]
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
         integrity = IntegrityMonitor(localizer.settings, drive.settings.odometry, drive.known.tells)
-        integrity.update(there[k], solved=True, stayed=stayed)
+        integrity.update(hypotheses[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size
         until = now[-1] if last else float(stamps[k + 1])
         odometry = _stretch(drive, localizer.chart.process_noise, float(stamps[k]), until)
-        motions = [odometry.advance(t, whole.calibration) for t in now]
+        motions = [odometry.advance(t, whole.state.calibration) for t in now]
         moved = [(m.delta, m.covariance) for m in motions]
         if not last:
-            end = odometry.advance(until, whole.calibration)
+            end = odometry.advance(until, whole.state.calibration)
             off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
             off[2] = wrap(off[2])
             moved = [bridged(m, end, off) for m in motions]

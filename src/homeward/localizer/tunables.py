@@ -13,59 +13,56 @@ def sigmas(tests: int = 1) -> float:
 # Statistical tests
 FALSE_ALARM = 0.0027
 """Probability that a test rejects what is right: that of three standard deviations."""
-INLIER_GATE = sigmas()
+INLIER = sigmas()
 """Gate of a single test, which costs one sighting [standard deviations]."""
 GATE = sigmas(40)
 """Innovation gate: a landmark is tested at every keyframe of a window (Bonferroni correction)
 [standard deviations]."""
-CONTRADICTION_GATE = sigmas(5000)
-"""Gate of a decision that is never revised: tested at every keyframe of 40 min [standard
-deviations]."""
+FINAL_GATE = sigmas(5000)
+"""Gate of final decisions: tested at every keyframe of 40 min [standard deviations]."""
 MAJORITY = 0.6
 """Share that must agree: more than half, to leave room for outliers."""
-RECENT_SIGHTINGS = 10
+RECENT = 10
 """Sightings that the kidnap detector and the relocalisation use: two of each of five landmarks,
 recent enough for odometry to connect them."""
 MIN_SIGHTINGS = 6
 """Sightings before anything is decided about a landmark: if half of them are wrong, three right
 ones remain, and one of these checks the other two."""
-ESTABLISHED_SIGHTINGS = 2 * MIN_SIGHTINGS
+ESTABLISHED = 2 * MIN_SIGHTINGS
 """Sightings at the old place, and again at the new one, before a landmark is declared moved."""
 MAX_NOISE_RATIO = 1.5
-"""Given standard deviations (of bearings, of odometry) are overruled when the residuals are larger
-by more than this factor [1]."""
+"""Given standard deviations are overruled when residuals are more than so many times larger [1]."""
 
 # Linearity of bearings, in turns and in shifts relative to the landmark distance
-LINEAR_RANGE = 0.3
+LINEAR = 0.3
 """Turns [rad] and shifts [landmark distance] up to which a bearing is linear: tan is, to 3 %."""
-SAME_PLACE = LINEAR_RANGE / 3
+CLOSE = LINEAR / 3
 """A third of that is linear to 0.3 %, since the error goes with the square: two places so close are
 one [landmark distance]."""
-NEGLIGIBLE = LINEAR_RANGE / 10
+NEGLIGIBLE = LINEAR / 10
 """A tenth of that is linear to 0.03 %: corrections up to this need no relinearisation."""
 STANDSTILL = 0.01
 """Motion below which the robot counts as standing still: half the default bearing noise [rad,
 landmark distance]."""
-MAX_MOTION_SIGMA = 0.7
-"""Odometry less certain than this cannot predict bearings [rad, landmark distance]. A bearing
-inflated by this many of its standard deviations has lost a third of its information, and is not
-used."""
+VAGUE = 0.7
+"""Odometry less certain than this cannot predict bearings [rad, landmark distance]; a bearing
+inflated by so many of its standard deviations has lost a third of its information."""
 
 # Bearings that determine and verify a pose
-MIN_BEARINGS = 3
+MINIMAL = 3
 """Bearings that determine a pose (geometry, not a choice): any three fit some pose."""
-VERIFYING_BEARINGS = MIN_BEARINGS + 2
+VERIFIED = MINIMAL + 2
 """Bearings that verify a pose: two beyond the three that determine it."""
 
 # Landmark initialisation and motion
-BASELINE_RATIO = 5.0
+BASELINE = 5.0
 """A landmark is triangulated once the baseline is this many times the uncertainty of odometry along
 it, so that this turns sight lines by at most a fifth of the parallax. While nothing is mapped,
 motions less certain than that are not used."""
-RIVAL_MARGIN = 1.5
+MARGIN = 1.5
 """A triangulated position must explain this many sight lines more than any rival: more than one
 line that fits by chance."""
-RIVAL_DISTANCE = 0.67
+RIVAL_SHARE = 0.67
 """Positions this far apart are rivals: nearer than 0.6 or farther than 3 times the distance
 [distance]."""
 WALKING_PRIOR = 0.01
@@ -76,32 +73,30 @@ SWAP_RATIO = 2.0
 
 # Home
 UPHEAVAL = 0.1
-"""Prior probability that a place was rearranged, so that any share of landmarks may have moved [1].
-"""
+"""Prior probability that a place was rearranged: then any share of landmarks may have moved [1]."""
 OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""
-NOISE_SCALE_PRIOR = 0.01
+NOISY_PRIOR = 0.01
 """Prior probability that the given standard deviation of the home bearings is wrong ..."""
 NOISE_SCALES = (3.0, 10.0)
 """... and by which factors: half a decade tells one noise level from another [1]."""
 HOME_DISTANCE = 0.5
-"""Typical distance of home from the centre of its landmarks: among them [range of the landmarks].
-"""
-MAX_HOME_DISTANCE = 20.0
+"""Typical distance of home from the centre of its landmarks: among them [range]."""
+MAX_RANGE = 20.0
 """Largest distance of home [extent of the landmarks]: from there all of them are within 3 deg, the
 noise of one or two bearings."""
 MIN_INFORMATION_SHARE = 0.002
 """Share of the information on home that is kept when the spurious part is removed [1]."""
 IMPROBABLE = 1e-3
-"""Hypotheses less probable than the best one by this factor are dropped, and flips that lead to one
-are not tried: fifty of them together stay below what the setting `sure` leaves open."""
+"""Hypotheses this much less probable than the best are dropped, and flips to such are not tried:
+fifty of them together stay below what the setting `sure` leaves open."""
 FIX_HYSTERESIS = 2.0
-"""Hysteresis of the fix: a pose is withdrawn only when this many times less certain than the limit
-at which it was first published."""
+"""Hysteresis: a published pose is withdrawn when this many times less certain than required at
+first."""
 
 # Odometry
-GATE_INFLATION = 3.0
+INFLATION = 3.0
 """The gate inflates the standard deviation of odometry by this factor, since wheels slip and robots
 are bumped."""
 CALIBRATION_DRIFT = 0.5 / 60.0
@@ -109,12 +104,12 @@ CALIBRATION_DRIFT = 0.5 / 60.0
 [1 / sqrt(s)]."""
 SPEED_TIME_S, TURN_TIME_S = 1.0, 0.5
 """Correlation times of speed and turn rate during an odometry dropout [s]."""
-MIN_USUAL_SPEED, MIN_USUAL_TURN_RATE = 0.3, 0.3
+MIN_SPEED, MIN_TURN_RATE = 0.3, 0.3
 """Lower bounds on the usual speed [m/s] and turn rate [rad/s], however little the robot has moved.
 """
-MOTION_MEMORY_S = 60.0
+MEMORY_S = 60.0
 """Averaging time of the usual speed, counted while moving: one wild twist hardly changes it [s]."""
-NOISE_PRIOR_MOTIONS = 2.0
+NOISE_PRIOR = 2.0
 """Weight of the prior on the odometry noise, in motions: it is an order of magnitude only [1]."""
 USUAL_DISTANCE_M = 3.5
 """Landmark distance from which on that prior holds, as in a room [m]."""

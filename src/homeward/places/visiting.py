@@ -15,7 +15,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.tunables import INLIER_GATE, MIN_SIGHTINGS, SAME_PLACE, VERIFYING_BEARINGS
+from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
@@ -43,17 +43,17 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     found = localizer.found_home
     if found is None:
         raise HomewardError("home was not found on this drive, so there is no place to keep")
-    observed = localizer.chart.home.observation.given_noise(localizer.chart.noise)
+    observed = localizer.chart.home.observation.with_noise(localizer.chart.noise)
     stood = {m.landmark for m in localizer.landmarks() if m.moved is False}
     right = {n: b for n, b in observed.items() if n in stood and n in told.map.names}
     vague = np.diag([told.map.size**2, told.map.size**2, np.pi**2])
     mount = Pose(*localizer.chart.home.observation.mount.tolist())
     there = told.map.with_home(home, right, mount, found, vague).at_home(home)
     there = there.only(_well_placed(there))
-    if len(there.names) < VERIFYING_BEARINGS:
+    if len(there.names) < VERIFIED:
         raise HomewardError(
             f"{len(there.names)} landmarks are placed well by this drive, and a place takes "
-            f"{VERIFYING_BEARINGS}: drive further"
+            f"{VERIFIED}: drive further"
         )
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
@@ -78,7 +78,7 @@ def merged(place: Place, told: Told) -> Place:
     expected = sum(stays[n] for n in judged)
     apart = Visit(place.next_visit, told.when, told.drive, told.evidence, "apart", of=len(stays))
     kept_apart = replace(place, visits=_visits(place, apart))
-    if len(stayed) < max(VERIFYING_BEARINGS, LEAST_AGREEING * expected):
+    if len(stayed) < max(VERIFIED, LEAST_AGREEING * expected):
         return kept_apart
     before = place.aged(told.when)
     theirs = told.map
@@ -86,7 +86,7 @@ def merged(place: Place, told: Told) -> Place:
     moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.standings]
     now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
-    if disagreement > INLIER_GATE**2:
+    if disagreement > INLIER**2:
         return kept_apart
     after = now.at_home(place.origin)
     routes = {n: r.carried(place.map, after, stayed) for n, r in place.routes.items()}
@@ -121,12 +121,12 @@ def merged_places(place: Place, other: Place) -> Place:
         f"of the {len(judged)} landmarks that both have too few stand alike: "
         "these are two places, or most was rearranged"
     )
-    if len(stayed) < max(VERIFYING_BEARINGS, LEAST_AGREEING * len(judged)):
+    if len(stayed) < max(VERIFIED, LEAST_AGREEING * len(judged)):
         raise differ
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
     both_say, disagreement = fused(before, theirs, stayed)
-    if disagreement > INLIER_GATE**2:
+    if disagreement > INLIER**2:
         raise differ
     now = both_say.at_home(place.origin)
     both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}
@@ -284,7 +284,7 @@ def _missed(place: Place, told: Told) -> dict[str, float]:
 
 def _well_placed(some: JointMap) -> set[str]:
     """Return the landmarks that are placed well enough for bearings to be linear in their error."""
-    most = SAME_PLACE * 0.5 * some.size
+    most = CLOSE * 0.5 * some.size
     return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
 
 
@@ -293,7 +293,7 @@ def _with_stored(place: Place, told: Told) -> Place:
     for name, (route, seen) in told.routes.items():
         require_name("route", name, place.routes)
         both = [n for n in seen.names if n in place.standings]
-        if len(both) >= VERIFYING_BEARINGS:
+        if len(both) >= VERIFIED:
             route = route.carried(seen, place.map, both)
             place = replace(place, routes={**place.routes, name: route})
     for name, (stored, answer) in told.homes.items():

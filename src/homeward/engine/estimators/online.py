@@ -28,7 +28,7 @@ from homeward.filters.settings import Engine
 from homeward.naming import natural
 from homeward.reasons import Reason, Rejection
 
-RECENT_SIGHTINGS = 20
+RECENT = 20
 """Whether most sightings are rejected is judged by so many of the last ones."""
 
 
@@ -70,7 +70,7 @@ class OnlineFilter:
         self._twist_t = -math.inf
         self._last_seen = -math.inf
         self._agrees = np.zeros(len(self._ids), dtype=bool)
-        self._recent: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
+        self._recent: deque[bool] = deque(maxlen=RECENT)
 
     @property
     def engine(self) -> Engine:

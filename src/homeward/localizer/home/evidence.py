@@ -134,8 +134,8 @@ class Evidence:
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:
         """Innovations (r,) of the set, each given the others, and their variances."""
         jacobian, residual = self.whitened.weighted[:, HOME], self.whitened.weighted[:, RESIDUAL]
-        left = self.whitened.precision - ((jacobian @ self.covariance) * jacobian).sum(axis=1)
-        variance = 1.0 / np.maximum(left, 1e-9)
+        precision = self.whitened.precision - ((jacobian @ self.covariance) * jacobian).sum(axis=1)
+        variance = 1.0 / np.maximum(precision, 1e-9)
         return (residual - jacobian @ self.step) * variance, variance
 
     @cached_property

@@ -20,12 +20,8 @@ from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
-from homeward.localizer.home.resection import (
-    innovations_from,
-    mixture_scores,
-    poses_from_triples,
-)
-from homeward.localizer.tunables import IMPROBABLE, MIN_BEARINGS, NOISE_SCALES
+from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
+from homeward.localizer.tunables import IMPROBABLE, MINIMAL, NOISE_SCALES
 
 Seed = tuple[np.ndarray, np.ndarray, float]
 """Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and the noise
@@ -71,9 +67,9 @@ class Hypotheses:
     @cached_property
     def unconverged_probability(self) -> float:
         """Approximate probability of the unconverged sets, the best one aside."""
-        first, at_rest = self.best.log_evidence, 1.0 / float(self.weights[0])
+        first, converged = self.best.log_evidence, 1.0 / float(self.weights[0])
         unconverged = sum(math.exp(min(f.log_evidence - first, 500.0)) for f in self.unconverged)
-        return unconverged / (unconverged + at_rest)
+        return unconverged / (unconverged + converged)
 
     @cached_property
     def max_log_evidence(self) -> float:
@@ -197,8 +193,8 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
         Their probabilities do not change.
     """
     fits = [propagated(f, problem) for f in hypotheses.fits]
-    there = tuple(f for f in fits if f is not None)
-    return Hypotheses(there, hypotheses.weights) if len(there) == len(fits) else None
+    kept = tuple(f for f in fits if f is not None)
+    return Hypotheses(kept, hypotheses.weights) if len(kept) == len(fits) else None
 
 
 def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
@@ -208,9 +204,7 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
-    cameras = (
-        poses_from_triples(points, problem.bearings) if q >= MIN_BEARINGS else np.zeros((0, 3))
-    )
+    cameras = poses_from_triples(points, problem.bearings) if q >= MINIMAL else np.zeros((0, 3))
     each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     innovations = innovations_from(cameras, points, marginals, problem.bearings)
@@ -225,16 +219,13 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
 
 
 def _best_of_triples(
-    cameras: np.ndarray,
-    innovations: tuple[np.ndarray, np.ndarray],
-    problem: HomeProblem,
-    most: int,
+    cameras: np.ndarray, innovations: tuple[np.ndarray, np.ndarray], problem: HomeProblem, most: int
 ) -> list[Seed]:
     """Return the best `most` of home's cameras (k, 3), with the inliers of each."""
     scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
-    for i in best[np.count_nonzero(inliers[best], axis=1) >= MIN_BEARINGS].tolist():
+    for i in best[np.count_nonzero(inliers[best], axis=1) >= MINIMAL].tolist():
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:most]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
@@ -279,8 +270,8 @@ def _best_flip(problem: HomeProblem, now: HomeFit) -> np.ndarray | None:
 def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     """Return fits as hypotheses: with the best one's neighbours, without improbable ones.
 
-    The evidence of an unconverged fit is not comparable. If it is larger nevertheless, the set is
-    kept aside, since home may be anywhere along the iteration.
+    The evidence of an unconverged fit is not comparable. If it is not improbable, the set is kept
+    aside, since home may be anywhere along the iteration.
     """
     converged = {key: f for key, f in found.items() if f.converged} or found
     best = max(converged.values(), key=lambda f: f.log_evidence)
@@ -289,10 +280,10 @@ def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
     weights = np.exp(np.array([f.log_evidence for f in fits]) - fits[0].log_evidence)
     keep = weights > IMPROBABLE
     weights = weights[keep] / weights[keep].sum()
-    at_rest = tuple(f for f, k in zip(fits, keep, strict=True) if k)
+    kept = tuple(f for f, k in zip(fits, keep, strict=True) if k)
     least = best.log_evidence + math.log(IMPROBABLE)
     unconverged = [f for f in found.values() if not f.converged and f.log_evidence > least]
-    return Hypotheses(at_rest, weights, tuple(unconverged) if best.converged else ())
+    return Hypotheses(kept, weights, tuple(unconverged) if best.converged else ())
 
 
 def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:

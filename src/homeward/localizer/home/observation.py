@@ -63,7 +63,7 @@ class HomeObservation:
         at = slice(3 + CAMERA_X, 3 + CAMERA_Y + 1)
         return marginal.covariance[at, at] if self._same_camera else np.zeros((2, 2))
 
-    def given_noise(self, noise: BearingNoise) -> dict[str, HomeBearing]:
+    def with_noise(self, noise: BearingNoise) -> dict[str, HomeBearing]:
         """Return the home bearings with their present standard deviations."""
         names = list(self.bearings)
         columns = (column.tolist() for column in self._columns(names, noise))

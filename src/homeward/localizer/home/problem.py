@@ -12,13 +12,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.localizer.geometry import between, lever, rotation
-from homeward.localizer.tunables import (
-    HOME_DISTANCE,
-    MAX_HOME_DISTANCE,
-    MIN_BEARINGS,
-    NOISE_SCALE_PRIOR,
-    NOISE_SCALES,
-)
+from homeward.localizer.tunables import HOME_DISTANCE, MAX_RANGE, MINIMAL, NOISE_SCALES, NOISY_PRIOR
 
 POSE_AND_YAW = 4
 """Length of the state before the landmarks: newest pose (3) and camera yaw (1)."""
@@ -78,7 +72,7 @@ class HomeProblem:
     def log_noise_prior(self) -> float:
         """Log prior of the noise scale."""
         wrong = self.noise_scale != 1.0
-        return math.log(NOISE_SCALE_PRIOR / len(NOISE_SCALES) if wrong else 1.0 - NOISE_SCALE_PRIOR)
+        return math.log(NOISY_PRIOR / len(NOISE_SCALES) if wrong else 1.0 - NOISY_PRIOR)
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -134,14 +128,14 @@ class HomeProblem:
             return True
         x, y = self.centre
         off = max(abs(float(home[0]) - x), abs(float(home[1]) - y))
-        return off < MAX_HOME_DISTANCE * self.extent
+        return off < MAX_RANGE * self.extent
 
     @cached_property
     def weak_prior(self) -> np.ndarray:
         """(3, 3): weak prior information on home: in sight of its landmarks."""
         if self.prior_information is not None or not self.bearings.size:
             return np.zeros((3, 3))
-        near = (0.5 * MAX_HOME_DISTANCE * max(self.extent, 1e-3)) ** -2
+        near = (0.5 * MAX_RANGE * max(self.extent, 1e-3)) ** -2
         return np.array([[near, 0.0, 0.0], [0.0, near, 0.0], [0.0, 0.0, math.pi**-2]])
 
     @property
@@ -159,7 +153,7 @@ class HomeProblem:
     @property
     def min_inliers(self) -> int:
         """Home bearings that determine home."""
-        return MIN_BEARINGS if self.prior is None else 0
+        return MINIMAL if self.prior is None else 0
 
 
 def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | None:

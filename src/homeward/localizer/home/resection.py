@@ -16,7 +16,7 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import sight
 from homeward.localizer.home.evidence import moved_share
-from homeward.localizer.tunables import MAX_HOME_DISTANCE
+from homeward.localizer.tunables import MAX_RANGE
 
 MAX_TRIPLES = 600
 """Largest number of triples; if there are more, they are drawn with a fixed seed."""
@@ -53,7 +53,7 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
         y = points[b, 1] + k31 * (x23 - x12) / determinant
         eyes = np.stack([x, y, bearings[a]], axis=1)
         eyes[:, 2] = wrap(sight(eyes, points[a]).bearing)
-    reach = MAX_HOME_DISTANCE * np.ptp(points, axis=0).max()
+    reach = MAX_RANGE * np.ptp(points, axis=0).max()
     near = np.abs(eyes[:, :2] - points.mean(axis=0)).max(axis=1) < reach
     return np.asarray(eyes[np.isfinite(eyes).all(axis=1) & near])
 

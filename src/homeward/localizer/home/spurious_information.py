@@ -39,11 +39,11 @@ def spurious_covariance(
         If home is not determined.
     """
     whole = information + linear.problem.weak_prior
-    left = whole.copy()
+    reduced = whole.copy()
     if members.size:
-        left[:2, :2] -= _spurious(information, *_by_curvature(linear, members, landmarks))
+        reduced[:2, :2] -= _spurious(information, *_by_curvature(linear, members, landmarks))
     # Both with the weak prior: then the difference is a covariance in any case.
-    return np.asarray(inverted(left)[0] - inverted(whole)[0])
+    return np.asarray(inverted(reduced)[0] - inverted(whole)[0])
 
 
 def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:

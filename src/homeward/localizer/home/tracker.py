@@ -27,7 +27,7 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import INLIER_GATE
+from homeward.localizer.tunables import INLIER
 
 SEARCH_EVERY = 40
 """Keyframes between two searches from scratch ..."""
@@ -132,7 +132,7 @@ class HomeTracker:
 
     def _number_of_seeds(self, now: Hypotheses) -> int:
         """Return the number of seeds of a search: more while home is ambiguous."""
-        doubted = now.rivals(INLIER_GATE) > 1.0 - self._sure
+        doubted = now.rivals(INLIER) > 1.0 - self._sure
         return MAX_SEEDS_IN_DOUBT if doubted else MAX_SEEDS
 
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:

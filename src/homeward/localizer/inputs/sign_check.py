@@ -16,7 +16,7 @@ MIN_TURN, MAX_INTERVAL_S = 0.1, 5.0
 time [s]."""
 MIN_ASIDE = 0.1
 """Landmarks nearer than this to straight ahead or behind are on neither side [rad]."""
-MIN_COMPARISONS, CERTAIN_COMPARISONS = 30, 120
+MIN_COUNT, CERTAIN = 30, 120
 """Comparisons before a verdict; and before the signs are taken as right for good."""
 MINORITY = 1.0 / 3.0
 """Largest share of right comparisons that noise cannot explain [1]."""
@@ -35,15 +35,13 @@ class SignCheck:
         self._yaw = yaw
         self._reference: dict[str, tuple[float, float, float]] = {}
         """Reference sighting of each landmark: time [s], heading and bearing [rad]."""
-        self._agrees: deque[bool] = deque(maxlen=CERTAIN_COMPARISONS)
+        self._agrees: deque[bool] = deque(maxlen=CERTAIN)
         self._known = False
 
     @property
     def reversed(self) -> bool:
         """Whether most bearings turn in the wrong sense."""
-        return len(self._agrees) >= MIN_COMPARISONS and sum(self._agrees) <= MINORITY * len(
-            self._agrees
-        )
+        return len(self._agrees) >= MIN_COUNT and sum(self._agrees) <= MINORITY * len(self._agrees)
 
     def bearings(self, t: float, sightings: Mapping[str, float], heading: float, v: float) -> None:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
@@ -60,10 +58,7 @@ class SignCheck:
                 self._reference[name] = now
                 if t - before[0] <= MAX_INTERVAL_S and _is_informative(turn, v, before[2], now[2]):
                     self._agrees.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
-        if (
-            len(self._agrees) == CERTAIN_COMPARISONS
-            and sum(self._agrees) > (1.0 - MINORITY) * CERTAIN_COMPARISONS
-        ):
+        if len(self._agrees) == CERTAIN and sum(self._agrees) > (1.0 - MINORITY) * CERTAIN:
             self._known = True
             self._reference.clear()
 

@@ -147,11 +147,11 @@ def _banded(own: np.ndarray, following: np.ndarray) -> np.ndarray:
     return band.reshape(BAND, -1)
 
 
-def _substitute(left: Elimination, whitened: np.ndarray) -> np.ndarray:
+def _substitute(eliminated: Elimination, whitened: np.ndarray) -> np.ndarray:
     """Return the eliminated poses by back substitution."""
     if not whitened.size:
         return whitened
-    return np.asarray(lapack.dtbtrs(left.factor, whitened, uplo="L", trans="T")[0])
+    return np.asarray(lapack.dtbtrs(eliminated.factor, whitened, uplo="L", trans="T")[0])
 
 
 def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -166,13 +166,13 @@ def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     common : ndarray, shape (a, a)
         Covariance of the shared unknowns.
     """
-    left = eliminate(e)
-    newest = np.linalg.inv(left.information[:3, :3])
-    by_shared = newest @ left.information[:3, 3:]
-    couplings = left.couplings
-    gains = _substitute(left, couplings[:, 3:-1] - couplings[:, :3] @ by_shared)
+    eliminated = eliminate(e)
+    newest = np.linalg.inv(eliminated.information[:3, :3])
+    by_shared = newest @ eliminated.information[:3, 3:]
+    couplings = eliminated.couplings
+    gains = _substitute(eliminated, couplings[:, 3:-1] - couplings[:, :3] @ by_shared)
     lever = np.concatenate([gains, by_shared]).reshape(e.shared.shape)
-    common = positive_inverse(left.information)[3:, 3:]
+    common = positive_inverse(eliminated.information)[3:, 3:]
     own = _diagonal_of_inverse(e.own, e.next, newest)
     own += lever @ common @ lever.transpose(0, 2, 1)
     return own, lever, common
@@ -252,7 +252,7 @@ class Prior:
         self._gradient = gradient[keep] - gain @ gradient[out]
         self._at = now[keep]
 
-    def replace(self, left: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
+    def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
         """Replace it by an elimination, linearised at `at`.
 
         The calibration drifts meanwhile by variances (8,): the old one is marginalised, and the new
@@ -260,7 +260,7 @@ class Prior:
         """
         c = slice(3, HEAD)
         inverse = np.diag(1.0 / (drift + 1e-16))
-        information, gradient = left.information, left.gradient
+        information, gradient = eliminated.information, eliminated.gradient
         gain = np.linalg.inv(information[c, c] + inverse)
         by_new = information[:, c] @ gain
         new = information - by_new @ information[c, :]

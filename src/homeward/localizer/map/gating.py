@@ -21,14 +21,7 @@ from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import HEAD, Marginal, Prediction
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.tunables import (
-    BASELINE_RATIO,
-    FALSE_ALARM,
-    GATE_INFLATION,
-    MAJORITY,
-    MAX_MOTION_SIGMA,
-    MIN_BEARINGS,
-)
+from homeward.localizer.tunables import BASELINE, FALSE_ALARM, INFLATION, MAJORITY, MINIMAL, VAGUE
 
 MIN_SIGMA, ROUNDING = 1e-6, 1e-10
 """Smallest standard deviation of a bearing [rad]; smallest share of the largest variance [1]."""
@@ -88,11 +81,11 @@ def gate_bearings(
     (along, _, _), (_, across, _), (_, _, turn) = motion.covariance.tolist()
     drift = turn + (along + across) * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
     variance = prediction.innovation_covariance.diagonal() + (0.0 if new_keyframe else drift)
-    widened = np.sqrt(variance + (GATE_INFLATION**2 - 1.0) * drift)
+    widened = np.sqrt(variance + (INFLATION**2 - 1.0) * drift)
     accepted = np.abs(prediction.residual) <= gate * widened
-    if np.count_nonzero(accepted) >= MIN_BEARINGS:
+    if np.count_nonzero(accepted) >= MINIMAL:
         among = prediction.only(accepted)
-        by_motion = (GATE_INFLATION**2 - new_keyframe) * _motion_covariance(motion, heading, among)
+        by_motion = (INFLATION**2 - new_keyframe) * _motion_covariance(motion, heading, among)
         likely = np.abs(among.residual) <= gate * np.sqrt(variance[accepted])
         accepted[accepted] = consistent_subset(
             among.residual, among.innovation_covariance + by_motion, gate, likely
@@ -103,8 +96,7 @@ def gate_bearings(
 def contradicts_motion(prediction: Prediction, motion: Motion, heading: float) -> bool:
     """Test accepted bearings jointly against the motion (chi-square); return whether it fails.
 
-    Each may pass the gate although the motion is wrong: wheels slip, or stand while the robot
-    moves.
+    Each may pass the gate although the motion is wrong: wheels slip, or stand while it moves.
 
     Parameters
     ----------
@@ -116,7 +108,7 @@ def contradicts_motion(prediction: Prediction, motion: Motion, heading: float) -
         At the start of it [rad].
     """
     count = prediction.residual.size
-    if count < MIN_BEARINGS:
+    if count < MINIMAL:
         return False
     covariance = prediction.innovation_covariance + _motion_covariance(motion, heading, prediction)
     _, weighted, vague = lapack.dposv(covariance, prediction.residual)
@@ -159,11 +151,11 @@ def inflate_by_odometry(
         return sigmas
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
     distances = marginal.distances
-    if not distances.size and across > (motion.path / BASELINE_RATIO) ** 2:
+    if not distances.size and across > (motion.path / BASELINE) ** 2:
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * median(by_shift.tolist()) > (MAX_MOTION_SIGMA * median(sigmas.tolist())) ** 2:
+    if across * median(by_shift.tolist()) > (VAGUE * median(sigmas.tolist())) ** 2:
         return None
     shared = (stamp + 1) * known.size * across * by_shift
     return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))
@@ -200,7 +192,7 @@ def consistent_subset(
     _data_snooping(kept, residual, innovation_covariance, gate)
     if np.count_nonzero(kept) >= MAJORITY * m:
         return kept
-    enough = np.count_nonzero(likely) >= max(MIN_BEARINGS, 0.5 * m)
+    enough = np.count_nonzero(likely) >= max(MINIMAL, 0.5 * m)
     return likely if enough else np.ones(m, bool)
 
 
@@ -212,7 +204,7 @@ def _data_snooping(
         information = positive_inverse(innovation_covariance)
     except np.linalg.LinAlgError:  # no test is possible
         return
-    while np.count_nonzero(kept) >= MIN_BEARINGS:
+    while np.count_nonzero(kept) >= MINIMAL:
         squares = np.square(information @ residual) / np.where(kept, information.diagonal(), np.inf)
         worst = int(squares.argmax())
         if not squares[worst] > gate**2:

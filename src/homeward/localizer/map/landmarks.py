@@ -13,21 +13,15 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
-from homeward.localizer.map.sightings import (
-    BEARING,
-    KEYFRAME,
-    LANDMARK,
-    SIGMA,
-    scale_noise,
-)
+from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
-    BASELINE_RATIO,
-    ESTABLISHED_SIGHTINGS,
+    BASELINE,
+    ESTABLISHED,
     GATE,
-    INLIER_GATE,
-    LINEAR_RANGE,
+    INLIER,
+    LINEAR,
     MAJORITY,
     MIN_SIGHTINGS,
     NEGLIGIBLE,
@@ -39,7 +33,7 @@ MAX_TRIALS = 6
 RETRY_GROWTH = 1.1
 """A failed candidate is tried again once it has this many times more sightings."""
 MAX_HOME_LANDMARKS = 48
-"""Landmarks used for the resection of home; those that came first are the nearest."""
+"""Landmarks used for the resection of home; the oldest are the nearest."""
 
 
 @dataclass
@@ -71,7 +65,7 @@ class Landmark:
     @property
     def established(self) -> bool:
         """Whether it has the sightings and the parallax needed to declare it moved."""
-        return self.parallax >= LINEAR_RANGE and self.sightings >= ESTABLISHED_SIGHTINGS
+        return self.parallax >= LINEAR and self.sightings >= ESTABLISHED
 
     def count_sighting(self, direction: float) -> None:
         """Count a sighting, along a direction in the odometry frame [rad]."""
@@ -120,8 +114,8 @@ class Landmarks:
 
     def shared_with_home(self, home: Collection[str]) -> list[str]:
         """Return landmarks that home saw and that are or were mapped, oldest first."""
-        came = {**self.former, **self.mapped}
-        return [name for name in came if name in home][:MAX_HOME_LANDMARKS]
+        known = {**self.former, **self.mapped}
+        return [name for name in known if name in home][:MAX_HOME_LANDMARKS]
 
     def ids(self, names: Iterable[str]) -> np.ndarray:
         """Return the smoother's ids of landmarks, shape (m,); -1 of those not mapped."""
@@ -228,7 +222,7 @@ class Landmarks:
         """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
         rows = np.array(self._candidates[name].rows)
         eyes = self.smoother.cameras(rows)[0]
-        mapped = np.hypot(*(self.smoother.positions - eyes[-1, :2]).T)
+        mapped = np.hypot(*(self.smoother.state.positions - eyes[-1, :2]).T)
         scale = float(np.median(mapped)) if mapped.size else math.nan
         now = self.smoother.state.covariance[:3, :3]
         seen = range_mixture(eyes, rows[:, BEARING], self._line_sigmas(rows), now, scale)
@@ -240,7 +234,7 @@ class Landmarks:
         place = self.expected.get(name)
         if place is None or name in self.mapped:
             return None
-        tolerance = INLIER_GATE * self._line_sigmas(rows) + NEGLIGIBLE
+        tolerance = INLIER * self._line_sigmas(rows) + NEGLIGIBLE
         agree = self._residuals(rows, place[None])[0] < tolerance
         return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
 
@@ -249,27 +243,27 @@ class Landmarks:
         eyes = self.smoother.cameras(rows)[0]
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
-        if base < BASELINE_RATIO * math.sqrt(sum(self.smoother.shift_variances[since:])):
+        if base < BASELINE * math.sqrt(sum(self.smoother.shift_variances[since:])):
             return None
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
     def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
         """Return whether sightings that agree on a position (2,) prove that a landmark moved."""
-        return len(rows) >= ESTABLISHED_SIGHTINGS and not self._is_swapped(name, rows, position)
+        return len(rows) >= ESTABLISHED and not self._is_swapped(name, rows, position)
 
     def _fits_old_sightings(self, name: str, position: np.ndarray) -> bool:
         """Return whether the sightings before fit a new position (2,) of a landmark as well."""
         rows = self.smoother.sightings
         rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
         off = self._residuals(rows, position[None])[0]
-        return bool((off < INLIER_GATE * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
+        return bool((off < INLIER * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
 
     def _has_returned(self, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings fit the former position of a landmark declared moved."""
         if name not in self.former:
             return False
         off = self._residuals(rows, self.places([self.former[name]])[0])[0]
-        return bool((off < INLIER_GATE * self._line_sigmas(rows)).mean() >= MAJORITY)
+        return bool((off < INLIER * self._line_sigmas(rows)).mean() >= MAJORITY)
 
     def _restore(self, name: str) -> None:
         """Restore a landmark to its former position."""
@@ -328,7 +322,7 @@ class Landmarks:
         residuals : ndarray, shape (m,)
             Of all sightings in the window [rad].
         """
-        rows, n = self.smoother.sightings, len(self.smoother.positions)
+        rows, n = self.smoother.sightings, len(self.smoother.state.positions)
         index = self.smoother.index(rows[:, LANDMARK])
         off = np.abs(residuals) > GATE * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)

@@ -18,12 +18,7 @@ from homeward.localizer.map.gating import (
 )
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
-from homeward.localizer.map.sightings import (
-    GAP,
-    LANDMARK,
-    SIGMA,
-    sighting_rows,
-)
+from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.state import Marginal, Prediction
 from homeward.localizer.map.survey.registration import Registration
@@ -89,7 +84,7 @@ class Map:
         self.begun = t
         self.solved = True
         """Whether the state is a solution of the whole window, not an EKF update."""
-        self._solved_at, self._solved_positions = 0, self.smoother.positions
+        self._solved_at, self._solved_positions = 0, self.smoother.state.positions
         self.busy = False
         """Whether the newest frame has taken long already: for a solution, or learning from one."""
         self._unlearnt_solution = False
@@ -115,8 +110,8 @@ class Map:
     @property
     def scale_variance(self) -> float:
         """Variance of the map's scale by slips that leave no residuals [1]."""
-        uncounted = self._process_noise.common_slip_variance
-        return uncounted / max(self._scale_information, uncounted)
+        common_slip = self._process_noise.common_slip_variance
+        return common_slip / max(self._scale_information, common_slip)
 
     def camera(self, motion: Motion) -> Motion:
         """Return the motion from the newest keyframe to the camera after the robot's motion."""
@@ -133,9 +128,9 @@ class Map:
             Probability that each walks, and second moment of its offset if so [m^2].
         """
         known = self.landmarks
-        there = [known.former.get(n) or known.mapped[n] for n in names]
-        walk_moment = np.array([m.walk_moment for m in there]).reshape(-1, 2, 2)
-        return known.index(there), known.walking_probabilities(there), walk_moment
+        landmarks = [known.former.get(n) or known.mapped[n] for n in names]
+        walk_moment = np.array([m.walk_moment for m in landmarks]).reshape(-1, 2, 2)
+        return known.index(landmarks), known.walking_probabilities(landmarks), walk_moment
 
     def learn(self) -> None:
         """Learn from the residuals of the last solution, unless that was done.
@@ -156,11 +151,11 @@ class Map:
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or has stopped."""
-        rests, self._last_path = 0.0 < motion.path == self._last_path, motion.path
+        stopped, self._last_path = 0.0 < motion.path == self._last_path, motion.path
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
         scale = self.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
-        return due and (rests or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
+        return due and (stopped or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
 
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Add a keyframe at `t` [s], and propagate the state to it."""
@@ -209,8 +204,8 @@ class Map:
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
-        denies = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
-        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, denies)
+        contradicted = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
+        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, contradicted)
 
     def drop_frame(self) -> None:
         """Drop the frame that was gated last, before an update with it."""
@@ -231,14 +226,14 @@ class Map:
         gated.rows[:, SIGMA] = widened
         return True
 
-    def update(self, gated: Gated, refused: list[str]) -> bool:
+    def update(self, gated: Gated, moved: list[str]) -> bool:
         """Update the map by accepted bearings; return whether there is a new solution.
 
         Parameters
         ----------
         gated : Gated
             The gated frame.
-        refused : list of str
+        moved : list of str
             Landmarks that are not where they were mapped; they are reinitialised.
 
         Raises
@@ -246,13 +241,13 @@ class Map:
         numpy.linalg.LinAlgError
             When the map has become singular.
         """
-        if self.solved and gated.new_keyframe:  # the keyframe that is solved takes long enough
+        if self.solved and gated.new_keyframe:  # one later: a solution takes long enough
             self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
         kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
-        changed = self.landmarks.reinitialise(refused) or fixed
-        rests = gated.motion.path == 0.0 and bool(kept.any())  # and sees more
+        changed = self.landmarks.reinitialise(moved) or fixed
+        rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:
             self._correct(None if changed else self._effective(prediction, rows, kept))
@@ -307,13 +302,13 @@ class Map:
         fits: Mapping[str, bool],
     ) -> np.ndarray:
         """Add accepted sightings to the window, others to candidates; return which, (m,) bool."""
-        t, names, stands = frame.t, frame.names, 0
+        t, names, skipped = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
         rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
         for i, name in enumerate(names):
             taken = self._counts_here[name] = self._counts_here.get(name, 0) + 1
             if taken > MAX_PER_KEYFRAME:
-                stands += 1
+                skipped += 1
                 continue
             self._last_seen[name] = t
             if not fits.get(name, True):
@@ -321,14 +316,14 @@ class Map:
                 self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
-        self._counts.reject(Rejection.STANDING, stands)
+        self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))
-        if stands == len(names):
+        if skipped == len(names):
             self.smoother.frames.drop_newest()
-        mine = rows[kept]
+        accepted = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
-        self.landmarks.add_accepted(t, fitting, mine, directions[kept])
-        self._pending_rows.append(mine[mine[:, LANDMARK] >= 0])
+        self.landmarks.add_accepted(t, fitting, accepted, directions[kept])
+        self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
         return kept
 
     def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:
@@ -374,8 +369,8 @@ class Map:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
         self.solved = self._unlearnt_solution = True
-        self._solved_at, self._solved_positions = smoother.newest, smoother.positions
-        if len(smoother.stamps) < self._settings.window:  # quick enough
+        self._solved_at, self._solved_positions = smoother.newest, smoother.state.positions
+        if len(smoother.stamps) < self._settings.window:  # takes no time
             self.learn()
 
     def _marginalise_old(self) -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.tunables import INLIER_GATE, MAJORITY, MIN_SIGHTINGS
+from homeward.localizer.tunables import INLIER, MAJORITY, MIN_SIGHTINGS
 
 MIN_RATIO, MAX_RATIO, DISTANCES = 0.1, 30.0, 24
 """Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
@@ -63,12 +63,12 @@ def range_mixture(
     directions = np.full(DISTANCES, lines[-1])
     for _ in range(STEPS):
         off, lever = _residuals(cameras, lines, distances, directions)
-        weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (INLIER_GATE * sigmas))) ** 2
+        weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (INLIER * sigmas))) ** 2
         directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)
-    share = np.abs(_residuals(cameras, lines, distances, directions)[0]) / (INLIER_GATE * sigmas)
+    share = np.abs(_residuals(cameras, lines, distances, directions)[0]) / (INLIER * sigmas)
     if (share < 1.0).mean(axis=1).max() < MAJORITY:
         return None
-    cost = 0.5 * INLIER_GATE**2 * MIN_SIGHTINGS * np.minimum(share**2, 1.0).mean(axis=1)
+    cost = 0.5 * INLIER**2 * MIN_SIGHTINGS * np.minimum(share**2, 1.0).mean(axis=1)
     weights = np.exp(cost.min() - cost)
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

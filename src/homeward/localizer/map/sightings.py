@@ -121,10 +121,7 @@ def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray
 
 
 def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:
-    """Return effective standard deviations of rows (m, COLUMNS), (m,) [rad].
-
-    They are larger where errors are correlated with those of earlier sightings.
-    """
+    """Return effective standard deviations of rows (m,) [rad]: larger for correlated errors."""
     excess = correlated.excess(rows[:, GAP])
     return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + rows[:, OWN] ** 2 * excess))
 

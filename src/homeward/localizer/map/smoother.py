@@ -54,7 +54,7 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
     Motion,
 )
-from homeward.localizer.tunables import LINEAR_RANGE
+from homeward.localizer.tunables import LINEAR
 
 STEPS = 5
 """Largest number of Gauss-Newton steps."""
@@ -172,16 +172,6 @@ class Smoother:
         return np.concatenate([self._older, self.state.mean[None, :3]])
 
     @property
-    def calibration(self) -> np.ndarray:
-        """(8,): calibration of odometry and camera."""
-        return self.state.calibration
-
-    @property
-    def positions(self) -> np.ndarray:
-        """(n, 2): positions of the landmarks in the odometry frame [m]."""
-        return self.state.positions
-
-    @property
     def newest(self) -> int:
         """Number of the newest keyframe."""
         return self.first + len(self._older)
@@ -195,7 +185,7 @@ class Smoother:
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
         some = self.frames.since(begin)
-        eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.calibration)
+        eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.state.calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
     def add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray = NO_TAIL) -> None:
@@ -241,7 +231,7 @@ class Smoother:
 
     def odometry_errors(self) -> OdometryErrors:
         """Return the residuals of the motions between keyframes in the window, linearised."""
-        return odometry_errors(self.poses, self.calibration, self._steps)
+        return odometry_errors(self.poses, self.state.calibration, self._steps)
 
     def drop_landmark(self, number: int) -> None:
         """Marginalise the landmark of an id: the information on the others is kept."""
@@ -271,7 +261,7 @@ class Smoother:
                 raise np.linalg.LinAlgError("a step is not finite")
             constrained = self._slip_is_negative
             small = self._move(poses, common, covariance) < CONVERGED
-            slip = float(self.calibration[TURN_SLIP])
+            slip = float(self.state.calibration[TURN_SLIP])
             self.converged = small and (slip <= 0.0 if constrained else slip > -MAX_GAIN_M)
             if self.converged:
                 break
@@ -299,7 +289,7 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        left = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
+        eliminated = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         frames = self.frames.take_before(first)
         if self._closed is not None:
@@ -311,12 +301,12 @@ class Smoother:
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
-        self._prior.replace(left, self._linearisation_point(), drift)
+        self._prior.replace(eliminated, self._linearisation_point(), drift)
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
         rows = self.sightings
-        seen = sight(self.cameras(rows)[0], self.positions[self.index(rows[:, LANDMARK])])
+        seen = sight(self.cameras(rows)[0], self.state.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
@@ -331,13 +321,15 @@ class Smoother:
         """Return the normal equations and the weighted sightings at the present estimate."""
         seen = self._weighed(self.sightings)
         equations = self._equations_without_survey(seen)
-        self.survey.add_to(equations, self.positions, self.ids)
+        self.survey.add_to(equations, self.state.positions, self.ids)
         return equations, seen
 
     def _weighed(self, rows: np.ndarray) -> WeighedSightings:
         """Return rows of the table as factors, linearised and weighted."""
         pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        seen = bearing_residuals(rows[:, BEARING], *self.cameras(rows), self.positions[landmark])
+        seen = bearing_residuals(
+            rows[:, BEARING], *self.cameras(rows), self.state.positions[landmark]
+        )
         sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
         return weigh_sightings(*seen, *sigmas, pose, landmark)
 
@@ -350,7 +342,7 @@ class Smoother:
         landmarks = common[NC:].reshape(-1, 2)
         turn = float(np.abs(poses[:, 2]).max())
         share = float((np.hypot(*landmarks.T) / self.state.reach).max(initial=0.0))
-        scale = 1.0 / max(1.0, max(turn, share) / LINEAR_RANGE)
+        scale = 1.0 / max(1.0, max(turn, share) / LINEAR)
         self._older = self._older + scale * poses[:-1]
         shift = max(np.abs(poses[:, :2]).max(), np.abs(common[CAMERA_X:NC]).max())
         size = max(turn, share, shift / self.state.scale, np.abs(common[:CAMERA_X]).max())
@@ -363,16 +355,16 @@ class Smoother:
 
         The priors on extrinsics and slip are not among them, since they may change.
         """
-        equations = NormalEquations.zeros(w, NC + self.positions.size)
+        equations = NormalEquations.zeros(w, NC + self.state.positions.size)
         self._prior.add_to(equations, self._linearisation_point())
-        add_odometry(equations, self.poses[:w], self.calibration, self._steps[: w - 1])
+        add_odometry(equations, self.poses[:w], self.state.calibration, self._steps[: w - 1])
         add_sightings(equations, seen)
         return equations
 
     @property
     def _slip_is_negative(self) -> bool:
         """Whether slip is negative, so that wheels would gain way in bends, which is impossible."""
-        return bool(self.calibration[TURN_SLIP] < 0.0)
+        return bool(self.state.calibration[TURN_SLIP] < 0.0)
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
@@ -380,8 +372,10 @@ class Smoother:
         at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
         information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information
-        equations.common_slope[at] -= information * self.calibration[at]
+        equations.common_slope[at] -= information * self.state.calibration[at]
         if self._slip_is_negative:
             equations.common[TURN_SLIP, TURN_SLIP] += MAX_GAIN_M**-2.0
-            equations.common_slope[TURN_SLIP] -= MAX_GAIN_M**-2.0 * self.calibration[TURN_SLIP]
+            equations.common_slope[TURN_SLIP] -= (
+                MAX_GAIN_M**-2.0 * self.state.calibration[TURN_SLIP]
+            )
         return equations

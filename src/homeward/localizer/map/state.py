@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from homeward.localizer.geometry import composition, rotation
 from homeward.localizer.map.sightings import bearing_residuals
 from homeward.localizer.motion.preintegration import NC, Motion
-from homeward.localizer.tunables import GATE, SAME_PLACE
+from homeward.localizer.tunables import CLOSE, GATE
 
 HEAD = 3 + NC
 """Length of the state before the landmarks: newest pose and calibration."""
@@ -87,8 +87,8 @@ class Marginal:
 
     @property
     def reach(self) -> np.ndarray:
-        """(n,): distances, bounded below by `SAME_PLACE` for landmarks next to the robot [m]."""
-        return self.distances + SAME_PLACE * self.scale
+        """(n,): distances, bounded below by `CLOSE` for landmarks next to the robot [m]."""
+        return self.distances + CLOSE * self.scale
 
     def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""

@@ -6,14 +6,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import position_sigma
-from homeward.localizer.tunables import (
-    INLIER_GATE,
-    LINEAR_RANGE,
-    MAJORITY,
-    RIVAL_DISTANCE,
-    RIVAL_MARGIN,
-    SAME_PLACE,
-)
+from homeward.localizer.tunables import CLOSE, INLIER, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
 
 MIN_LINES = 3
 """Smallest number of lines that agree."""
@@ -59,17 +52,17 @@ def triangulate(
     if not len(points):
         return None
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
-    agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
+    agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     for _ in range(STEPS):
         if agree.sum() < MIN_LINES:
             return None
         position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
-        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER_GATE * sigmas
+        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
     enough = agree.sum() >= max(MIN_LINES, MAJORITY * lines.size)
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
-    if not position_sigma(np.linalg.inv(information)) < LINEAR_RANGE * distance:
+    if not position_sigma(np.linalg.inv(information)) < LINEAR * distance:
         return None
     none_wrong = agree.all() and not _is_next_to_camera(position, cameras)
     if not none_wrong:
@@ -78,7 +71,7 @@ def triangulate(
         middle = cameras[agree, :2].mean(axis=0)
         rivals = _rivals(np.concatenate([points, ends]), position, middle)
         costs = _costs(np.concatenate([position[None], rivals]), cameras, lines, sigmas)
-        if (costs[1:] < costs[0] + RIVAL_MARGIN).any():
+        if (costs[1:] < costs[0] + MARGIN).any():
             return None
     return position, agree
 
@@ -92,13 +85,13 @@ def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
 def _is_next_to_camera(position: np.ndarray, cameras: np.ndarray) -> bool:
     """Return whether a camera is so near to a position that its line fits any bearing."""
     apart = np.hypot(*np.ptp(cameras[:, :2], axis=0))
-    return bool(np.hypot(*(cameras[:, :2] - position).T).min() < SAME_PLACE * apart)
+    return bool(np.hypot(*(cameras[:, :2] - position).T).min() < CLOSE * apart)
 
 
 def _rivals(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """Return the points (k, 2) that are, from `eye`, at another place than `position`."""
     off, distance = np.hypot(*(points - position).T), np.hypot(*(points - eye).T)
-    return np.asarray(points[off > RIVAL_DISTANCE * distance])
+    return np.asarray(points[off > RIVAL_SHARE * distance])
 
 
 def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:
@@ -125,7 +118,7 @@ def _costs(
 ) -> np.ndarray:
     """Return the truncated squared residuals of each point, (k,): lines not explained."""
     residuals = _residuals(points, cameras, lines)
-    return np.asarray(np.minimum((residuals / (INLIER_GATE * sigmas)) ** 2, 1.0).sum(axis=1))
+    return np.asarray(np.minimum((residuals / (INLIER * sigmas)) ** 2, 1.0).sum(axis=1))
 
 
 def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:

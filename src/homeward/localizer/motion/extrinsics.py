@@ -13,19 +13,13 @@ from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import (
-    CONTRADICTION_GATE,
-    LINEAR_RANGE,
-    NEGLIGIBLE,
-    SAME_PLACE,
-    STANDSTILL,
-)
+from homeward.localizer.tunables import CLOSE, FINAL_GATE, LINEAR, NEGLIGIBLE, STANDSTILL
 
 CONTRADICTION = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
     "under sensor in drive.yaml, about right would be {}."
 )
-MIN_SIGMA_RAD, FIXED_SIGMA_M = 1e-6, 1e-4
+MIN_RAD, FIXED_M = 1e-6, 1e-4
 """Prior standard deviations of fixed extrinsics [rad, m]."""
 
 
@@ -41,9 +35,7 @@ class Extrinsics:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
-        self.sigmas = np.array(
-            [max(settings.camera_yaw_sigma, MIN_SIGMA_RAD), FIXED_SIGMA_M, FIXED_SIGMA_M]
-        )
+        self.sigmas = np.array([max(settings.camera_yaw_sigma, MIN_RAD), FIXED_M, FIXED_M])
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""
         self.contradicted = False
         """Whether the bearings have contradicted the assumed values."""
@@ -87,15 +79,14 @@ class Extrinsics:
         if self.contradicted or not self._not_given.any():
             return False
         tolerance = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
-        wide = np.array([LINEAR_RANGE, SAME_PLACE * scale, SAME_PLACE * scale])
+        wide = np.array([LINEAR, CLOSE * scale, CLOSE * scale])
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         own = precision - self.sigmas**-2.0
         observable = self._not_given & (own > wide**-2.0)
         own[~observable] = np.inf
         off = np.abs(mean) * precision / own
-        self.contradicted = bool(
-            (observable & (off > np.maximum(CONTRADICTION_GATE * own**-0.5, tolerance))).any()
-        )
+        fails = observable & (off > np.maximum(FINAL_GATE * own**-0.5, tolerance))
+        self.contradicted = bool(fails.any())
         if self.contradicted:
             self.sigmas, self._tolerance = np.where(self._not_given, wide, self.sigmas), tolerance
         return self.contradicted

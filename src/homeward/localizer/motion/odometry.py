@@ -19,9 +19,9 @@ from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
-    MIN_USUAL_SPEED,
-    MIN_USUAL_TURN_RATE,
-    MOTION_MEMORY_S,
+    MEMORY_S,
+    MIN_SPEED,
+    MIN_TURN_RATE,
     SPEED_TIME_S,
     TURN_TIME_S,
 )
@@ -82,7 +82,7 @@ class MotionPrior:
 
     def count(self, moving: float, path: float, turned: float) -> None:
         """Add time spent moving [s], with the path [m] and the turns [rad] made in it."""
-        keep = math.exp(-moving / MOTION_MEMORY_S)
+        keep = math.exp(-moving / MEMORY_S)
         self._moving = keep * self._moving + moving
         self._path = keep * self._path + path
         self._turned = keep * self._turned + turned
@@ -96,8 +96,8 @@ class MotionPrior:
             How long odometry was silent before, and for how much longer [s].
         """
         moving = max(self._moving, 1e-9)
-        speed = max(MIN_USUAL_SPEED, self._path / moving)
-        turn_rate = max(MIN_USUAL_TURN_RATE, self._turned / moving)
+        speed = max(MIN_SPEED, self._path / moving)
+        turn_rate = max(MIN_TURN_RATE, self._turned / moving)
         shift, turn = (_variance(silent, time, lasts) for lasts in (SPEED_TIME_S, TURN_TIME_S))
         return speed**2 * shift, turn_rate**2 * turn
 
@@ -125,7 +125,8 @@ class Odometry:
     def __init__(self, twists: Twists, noise: ProcessNoise) -> None:
         self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
-        self._end = self._since = -math.inf
+        self.end = self._since = -math.inf
+        """Time up to which the twists are integrated, and of the keyframe [s]."""
         self._path_by_bend = np.zeros(BENDS)
         self._path_by_bend[0] = INITIAL_STRAIGHT_M
         self._straightest = 0.0
@@ -134,12 +135,12 @@ class Odometry:
 
     def rewind(self, t: float) -> None:
         """Rewind to before `t` [s], where a late twist came."""
-        while self._saved and t < self._end:
-            self._end, self._motion, self._path_by_bend, self._motion_prior = self._saved.pop()
+        while self._saved and t < self.end:
+            self.end, self._motion, self._path_by_bend, self._motion_prior = self._saved.pop()
 
     def restart(self, t: float) -> None:
         """Restart the motion at `t` [s], a new keyframe."""
-        self._motion, self._end, self._since = Motion.identity(), t, t
+        self._motion, self.end, self._since = Motion.identity(), t, t
         self._saved.clear()
         share = self._path_by_bend.cumsum() / self._path_by_bend.sum()
         straight = int((share >= STRAIGHTEST_SHARE).argmax())
@@ -155,9 +156,9 @@ class Odometry:
         calibration : ndarray, shape (8,)
             Where to linearise.
         """
-        if t <= self._end:
+        if t <= self.end:
             return self._motion
-        pieces = self._pieces(self._end, t, calibration)
+        pieces = self._pieces(self.end, t, calibration)
         return self._motion.compose(
             integrate(pieces, calibration, self._noise.rates, self._straightest)[0]
         )
@@ -172,7 +173,7 @@ class Odometry:
     def run_ahead(self, t: float, calibration: np.ndarray) -> None:
         """Integrate up to `t` [s], so that twists up to `LATE_S` late can still be inserted."""
         done = self._path_by_bend.copy(), copy.copy(self._motion_prior)
-        self._saved.append(_Checkpoint(self._end, self._motion, *done))
+        self._saved.append(_Checkpoint(self.end, self._motion, *done))
         while len(self._saved) > 1 and self._saved[1].t <= t - LATE_S:
             self._saved.popleft()
         self._integrate(t, calibration)
@@ -185,25 +186,20 @@ class Odometry:
 
     def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] is not too late: no later motion was used."""
-        return not self._twists or t >= (self._saved[0].t if self._saved else self._end)
+        return not self._twists or t >= (self._saved[0].t if self._saved else self.end)
 
     @property
     def needed_since(self) -> float:
         """Oldest stamp of the twists that are still needed [s]."""
-        return (self._saved[0].t if self._saved else self._end) - 2.0 * MAX_LAG_S - STEADY_S
-
-    @property
-    def end(self) -> float:
-        """Time up to which the twists are integrated [s]."""
-        return self._end
+        return (self._saved[0].t if self._saved else self.end) - 2.0 * MAX_LAG_S - STEADY_S
 
     def _integrate(self, t: float, calibration: np.ndarray) -> None:
         """Extend the integration to `t` [s]."""
-        if t <= self._end:
+        if t <= self.end:
             return
-        pieces = self._pieces(self._end, t, calibration)
+        pieces = self._pieces(self.end, t, calibration)
         motion, path = integrate(pieces, calibration, self._noise.rates, self._straightest)
-        self._motion, self._end = self._motion.compose(motion), t
+        self._motion, self.end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
 

@@ -11,9 +11,8 @@ turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from its g
 whose twist is exactly zero stands still, and gathers neither drift nor noise.
 
 In the slip, r is the turn per metre of this robot where it drives straightest. The speed is right
-there, and slip is zero for a robot that always turns alike. Otherwise slip could be traded for the
-scale of the map, which nothing else determines, and the map would shrink, since small maps fit
-noise better.
+there, and slip is zero for a robot that always turns alike; else slip could be traded for the scale
+of the map, which nothing else determines: it would shrink, since small maps fit noise better.
 """
 
 from __future__ import annotations

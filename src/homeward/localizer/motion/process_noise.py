@@ -13,12 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import (
-    GATE_INFLATION,
-    MAX_NOISE_RATIO,
-    NOISE_MEMORY,
-    NOISE_PRIOR_MOTIONS,
-)
+from homeward.localizer.tunables import INFLATION, MAX_NOISE_RATIO, NOISE_MEMORY, NOISE_PRIOR
 
 NOTABLE_RATIO = 2.0
 """Ratio of standard deviations that the user is told of [1]."""
@@ -61,8 +56,8 @@ class ProcessNoise:
         gate allows.
         """
         squares, redundancy = self._squares[1, 0], self._redundancies[1, 0]
-        before = NOISE_PRIOR_MOTIONS * self._prior_scales[0] * GATE_INFLATION**2
-        of_all = (before + squares) / (NOISE_PRIOR_MOTIONS + redundancy)
+        before = NOISE_PRIOR * self._prior_scales[0] * INFLATION**2
+        of_all = (before + squares) / (NOISE_PRIOR + redundancy)
         return max(0.0, float(of_all - self.scales[0, 0]))
 
     @property
@@ -109,8 +104,8 @@ class ProcessNoise:
 
     def _update_scales(self) -> np.ndarray:
         """Combine the residuals with the prior, counted as motions; return the inflation."""
-        known = NOISE_PRIOR_MOTIONS + self._redundancies
-        now = (NOISE_PRIOR_MOTIONS * self._prior_scales + self._squares) / known
+        known = NOISE_PRIOR + self._redundancies
+        now = (NOISE_PRIOR * self._prior_scales + self._squares) / known
         now[1] = np.maximum(now[0], now[1])
         doubted = (now > MAX_NOISE_RATIO**2) | (self.scales > 1.0)
         given = np.where(doubted, np.maximum(now, 1.0), 1.0)

@@ -14,7 +14,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME, inverted
 from homeward.localizer.output.tails import missing_tails
-from homeward.localizer.tunables import INLIER_GATE, OUTLIER_SIGMA
+from homeward.localizer.tunables import INLIER, OUTLIER_SIGMA
 
 CENTRE_STEPS = 20
 CONVERGED = 1e-3
@@ -145,7 +145,7 @@ def combined_estimate(
 def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the robust centre of weighted points: mean of near ones, median of far ones.
 
-    It minimises the mean of sqrt(d^2 + INLIER_GATE^2), a pseudo-Huber loss of the distance d in
+    It minimises the mean of sqrt(d^2 + INLIER^2), a pseudo-Huber loss of the distance d in
     standard deviations (Weiszfeld's iteration). Similar hypotheses are averaged, which has the
     least error; and unlike the mean, the centre does not follow an improbable one far away.
 
@@ -161,7 +161,7 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
         return np.asarray(points[0])
     # The centre is a weighted mean of the points: their products give all distances.
     products, share = points @ inverted(covariance)[0] @ points.T, weights
-    squares = products.diagonal() + INLIER_GATE**2
+    squares = products.diagonal() + INLIER**2
     for _ in range(CENTRE_STEPS):
         towards = products @ share
         pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)

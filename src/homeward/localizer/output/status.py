@@ -21,7 +21,7 @@ from homeward.localizer.output.pose import (
     uncheckable_outliers,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import FIX_HYSTERESIS, INLIER_GATE, MIN_BEARINGS, SAME_PLACE
+from homeward.localizer.tunables import CLOSE, FIX_HYSTERESIS, INLIER, MINIMAL
 from homeward.reasons import Reason
 
 
@@ -41,15 +41,15 @@ def why_home_is_not_found(
     has_odometry : bool
         Whether odometry has come yet.
     """
-    if len(home) < MIN_BEARINGS:
-        return f"home saw only {len(home)} landmarks; {MIN_BEARINGS} are needed"
+    if len(home) < MINIMAL:
+        return f"home saw only {len(home)} landmarks; {MINIMAL} are needed"
     if not has_odometry:
         return "no odometry has come yet; without it no landmark can be mapped"
     if not mapped:
         return "no landmark is mapped yet; drive an arc to see them from other places"
-    if not used and len(mapped) >= MIN_BEARINGS:
+    if not used and len(mapped) >= MINIMAL:
         return f"none of the {len(mapped)} landmarks that are mapped was seen from home"
-    needed = f"{MIN_BEARINGS} are needed; drive an arc"
+    needed = f"{MINIMAL} are needed; drive an arc"
     return f"{len(used)} of the landmarks that home saw are mapped; {needed}"
 
 
@@ -127,7 +127,7 @@ class IntegrityMonitor:
         if solved or not self.fixed:
             converged = self.fixed or (now.best.converged and now.unconverged_probability < 0.5)
             self.fixed = converged and self._is_fixed(now.best)
-            self._rival_probability = now.rivals(INLIER_GATE)
+            self._rival_probability = now.rivals(INLIER)
         outliers = uncheckable_outliers(now.best, self._checked)
         if outliers is not None:
             self._estimate = combined_estimate(now.best, self._others, outliers)
@@ -184,7 +184,7 @@ class IntegrityMonitor:
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
-        if stayed < MIN_BEARINGS:
+        if stayed < MINIMAL:
             words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
             return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
         if self._rival_probability > 1.0 - self._settings.sure:
@@ -205,7 +205,7 @@ class IntegrityMonitor:
         # For a wrong home far away the landmarks would be distant; for the robot they are not.
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
-        self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, SAME_PLACE * distance
+        self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, CLOSE * distance
         most = self._max_sigma if self.fixed else reach
         # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance

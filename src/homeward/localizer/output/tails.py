@@ -2,7 +2,7 @@
 
 The second moment of a mixture is its mean squared error, not a bound: a component of 3 % that lies
 elsewhere is 5.7 standard deviations of the mixture away, where no Gaussian has 3 %. So the
-covariance is inflated until `INLIER_GATE` deviations contain all but `FALSE_ALARM` of the mixture,
+covariance is inflated until `INLIER` deviations contain all but `FALSE_ALARM` of the mixture,
 towards each of its components and along the axes.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from homeward.localizer.tunables import FALSE_ALARM, INLIER_GATE
+from homeward.localizer.tunables import FALSE_ALARM, INLIER
 
 HALVINGS = 8
 """Bisections for a quantile, which is then known to 0.5 % of a deviation."""
@@ -45,14 +45,14 @@ def missing_tails(
     apart = away > 1.0
     towards = np.concatenate([unit, off[apart] / away[apart, None]])
     at, sigma = towards @ off.T, np.sqrt(((towards @ covariances) * towards).sum(axis=2)).T
-    lacks = _beyond(np.full(len(at), INLIER_GATE), at, sigma, weights) > FALSE_ALARM
+    lacks = _beyond(np.full(len(at), INLIER), at, sigma, weights) > FALSE_ALARM
     if not lacks.any():
         return None
     towards, quantile = towards[lacks], _quantile(at[lacks], sigma[lacks], weights)
     wide = unit.copy()
     for i in np.argsort(-quantile).tolist():
         along = wide @ towards[i]
-        variance, needed = float(towards[i] @ along), (quantile[i] / INLIER_GATE) ** 2
+        variance, needed = float(towards[i] @ along), (quantile[i] / INLIER) ** 2
         if needed > variance:
             wide += (needed - variance) / variance**2 * along[:, None] * along
     return np.asarray(root @ (wide - unit) @ root.T)

@@ -15,7 +15,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.tunables import INLIER_GATE, SAME_PLACE
+from homeward.localizer.tunables import CLOSE, INLIER
 
 MIN_TOGETHER = 3
 """Landmarks that must have moved together: two always do, but for their distance."""
@@ -87,7 +87,7 @@ def moved_together(displaced: Displaced) -> np.ndarray:
     """Return the largest set of landmarks that moved by one rigid motion, shape (k,), bool."""
     before, now = displaced.before, displaced.now
     most = np.zeros(len(before), bool)
-    reach = SAME_PLACE * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
+    reach = CLOSE * float(np.hypot(*np.ptp(before, axis=0))) if len(before) else 0.0
     for i, j in combinations(range(len(before)), 2):
         a, b = before[j] - before[i], now[j] - now[i]
         turn = wrap(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0]))
@@ -99,7 +99,7 @@ def moved_together(displaced: Displaced) -> np.ndarray:
         pair = displaced.variance[i] + displaced.variance[j]
         sigma = np.sqrt(displaced.variance + pair * (0.25 + lever**2))
         off = np.hypot(*(now - there).T)
-        fits = off < np.minimum(INLIER_GATE * sigma, reach)
+        fits = off < np.minimum(INLIER * sigma, reach)
         if fits[i] and fits[j] and fits.sum() > most.sum():
             most = fits
     return most

@@ -18,12 +18,12 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.search import Search
 from homeward.localizer.tunables import (
-    INLIER_GATE,
-    LINEAR_RANGE,
+    INLIER,
+    LINEAR,
     MAJORITY,
-    MAX_MOTION_SIGMA,
-    MIN_BEARINGS,
-    RECENT_SIGHTINGS,
+    MINIMAL,
+    RECENT,
+    VAGUE,
 )
 
 
@@ -31,7 +31,7 @@ class KidnapDetector:
     """Kidnapped-robot detector: the share of recent bearings that the map rejects."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT_SIGHTINGS)
+        self._recent: deque[tuple[str, bool]] = deque(maxlen=RECENT)
 
     def clear(self) -> None:
         """Forget all sightings."""
@@ -42,14 +42,14 @@ class KidnapDetector:
         self._recent.extend((i.landmark, i.accepted) for i in innovations)
         wrong = [name for name, accepted in self._recent if not accepted]
         # By chance, as many fit from anywhere.
-        few = RECENT_SIGHTINGS - len(wrong) < MIN_BEARINGS
-        return len(self._recent) == RECENT_SIGHTINGS and few and len(set(wrong)) >= 2
+        few = RECENT - len(wrong) < MINIMAL
+        return len(self._recent) == RECENT and few and len(set(wrong)) >= 2
 
     @property
     def fit_share(self) -> float:
         """Share of the recent sightings that fit [1]; NaN while there are too few."""
-        full = len(self._recent) == RECENT_SIGHTINGS
-        return sum(fits for _, fits in self._recent) / RECENT_SIGHTINGS if full else math.nan
+        full = len(self._recent) == RECENT
+        return sum(fits for _, fits in self._recent) / RECENT if full else math.nan
 
     def others_fit(self, names: list[str]) -> bool:
         """Return whether recent sightings of all landmarks but these fitted."""
@@ -68,7 +68,7 @@ class SlipDetector:
     def __init__(self) -> None:
         self.search: Search | None = None
         """Search for that pose; None where there is no suspicion."""
-        self._fits: deque[bool] = deque(maxlen=RECENT_SIGHTINGS)
+        self._fits: deque[bool] = deque(maxlen=RECENT)
 
     def clear(self) -> None:
         """Drop the suspicion, if any."""
@@ -85,13 +85,13 @@ class SlipDetector:
         motion : Motion
             ... and the motion to it from the newest keyframe.
         """
-        fits = [abs(i.value) <= INLIER_GATE * i.sigma for i in innovations]
+        fits = [abs(i.value) <= INLIER * i.sigma for i in innovations]
         if self.search is None:
             if not fits or 2 * sum(fits) > len(fits):
                 return False
             self.search = Search(motion)
         self._fits.extend(fits)
-        holds = self.search.motion_since(motion).covariance[2, 2] < LINEAR_RANGE**2
+        holds = self.search.motion_since(motion).covariance[2, 2] < LINEAR**2
         if not holds or sum(self._fits) >= MAJORITY * len(self._fits):
             self.clear()
             return False
@@ -142,8 +142,8 @@ class SceneChangeDetector:
             return False
         off = place - self._from
         distances = np.hypot(*(landmarks - self._from[:2]).T)
-        near = np.hypot(*off[:2]) < LINEAR_RANGE * np.median(distances)
-        return bool(near and abs(wrap(off[2])) < LINEAR_RANGE)
+        near = np.hypot(*off[:2]) < LINEAR * np.median(distances)
+        return bool(near and abs(wrap(off[2])) < LINEAR)
 
 
 def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
@@ -157,4 +157,4 @@ def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
         The state at that keyframe.
     """
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
-    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > MAX_MOTION_SIGMA**2)
+    return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > VAGUE**2)

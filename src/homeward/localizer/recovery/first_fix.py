@@ -13,7 +13,7 @@ from homeward.localizer.geometry import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import FALSE_ALARM, INLIER_GATE, MIN_BEARINGS, VERIFYING_BEARINGS
+from homeward.localizer.tunables import FALSE_ALARM, INLIER, MINIMAL, VERIFIED
 
 VIEW_ANGLE = math.pi
 """Width of the sector in which landmarks are seen [rad]."""
@@ -61,7 +61,7 @@ class FirstFix:
                 kept = self._seen.setdefault(name, deque(maxlen=KEPT_PER_LANDMARK))
                 kept.append((eye, float(bearing), float(sigma), variances))
         self._wait -= 1
-        if len(self._seen) < VERIFYING_BEARINGS or self._wait > 0:
+        if len(self._seen) < VERIFIED or self._wait > 0:
             return None
         self._tries += 1
         self._wait = self._tries // PATIENCE
@@ -104,13 +104,13 @@ class FirstFix:
             np.abs(wrap(lines.bearings - seen.bearing)),
             np.sqrt(lines.sigmas**2 + variances),
         )
-        fits = off < INLIER_GATE * sigmas
+        fits = off < INLIER * sigmas
         names = [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
-        if len(names) < VERIFYING_BEARINGS:
+        if len(names) < VERIFIED:
             return names, 1.0
-        by_chance = min(2.0 * INLIER_GATE * float(np.median(sigmas)) / VIEW_ANGLE, 1.0)
-        others = len(self._seen) - MIN_BEARINGS
-        tail = bdtrc(len(names) - MIN_BEARINGS - 1, others, by_chance)
+        by_chance = min(2.0 * INLIER * float(np.median(sigmas)) / VIEW_ANGLE, 1.0)
+        others = len(self._seen) - MINIMAL
+        tail = bdtrc(len(names) - MINIMAL - 1, others, by_chance)
         stay = np.mean([self._survey.p_stayed(n) for n in self._seen])
         no_rival = bdtr(len(names) - 2, len(self._seen), stay)
-        return names, math.comb(len(self._seen), MIN_BEARINGS) * float(tail * no_rival)
+        return names, math.comb(len(self._seen), MINIMAL) * float(tail * no_rival)

@@ -20,7 +20,7 @@ from homeward.localizer.recovery.detectors import (
     odometry_lost,
 )
 from homeward.localizer.recovery.search import Search
-from homeward.localizer.tunables import LINEAR_RANGE, MAJORITY, MAX_MOTION_SIGMA, RECENT_SIGHTINGS
+from homeward.localizer.tunables import LINEAR, MAJORITY, RECENT, VAGUE
 from homeward.reasons import Reason
 
 
@@ -83,10 +83,10 @@ class Monitor:
         marginal = known.state
         dropped_out = not self.is_lost and odometry_lost(motion, marginal)
         # All that is mapped from an uncertain origin would be as uncertain, and nothing linear.
-        no_origin = not self._origin_given and marginal.covariance[2, 2] > MAX_MOTION_SIGMA**2
+        no_origin = not self._origin_given and marginal.covariance[2, 2] > VAGUE**2
         if not known.landmarks.mapped and (dropped_out or no_origin):
             return Health.NO_MAP
-        if self.is_lost and motion.covariance[2, 2] <= LINEAR_RANGE**2:
+        if self.is_lost and motion.covariance[2, 2] <= LINEAR**2:
             return Health.LOST
         return Health.ODOMETRY_LOST if dropped_out or self.is_lost else Health.OK
 
@@ -109,9 +109,9 @@ class Monitor:
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 
-    def moved_landmarks(self, refused: list[str]) -> list[str]:
+    def moved_landmarks(self, rejected: list[str]) -> list[str]:
         """Return which of these landmarks moved, the robot being where the map has it."""
-        return refused if refused and self._kidnap.others_fit(refused) else []
+        return rejected if rejected and self._kidnap.others_fit(rejected) else []
 
     def begin_search(self, t: float, why: Health) -> None:
         """Declare the robot lost from `t` [s] on, or restart the search if it is lost already."""
@@ -162,4 +162,4 @@ class Monitor:
     @property
     def fits_well(self) -> bool:
         """Whether all recent sightings but one fit."""
-        return not self.is_lost and self._kidnap.fit_share >= 1.0 - 1.0 / RECENT_SIGHTINGS
+        return not self.is_lost and self._kidnap.fit_share >= 1.0 - 1.0 / RECENT

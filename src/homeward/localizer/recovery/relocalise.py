@@ -21,11 +21,11 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.localizer.geometry import compose, lever, sight
 from homeward.localizer.tunables import (
+    CLOSE,
     FALSE_ALARM,
-    INLIER_GATE,
-    LINEAR_RANGE,
-    MIN_BEARINGS,
-    SAME_PLACE,
+    INLIER,
+    LINEAR,
+    MINIMAL,
     UPHEAVAL,
 )
 
@@ -92,7 +92,7 @@ def relocalise(
     covariance : ndarray, shape (3, 3)
         None instead of both if the pose is undetermined or ambiguous, or may be the expected one.
     """
-    if np.unique(lines.names).size < MIN_BEARINGS:
+    if np.unique(lines.names).size < MINIMAL:
         return None
     found: list[tuple[float, Located]] = []
     for start in _candidates(lines):
@@ -100,7 +100,7 @@ def relocalise(
         if located is None:
             continue
         distance = float(_distances(located.pose[None], lines)[0])
-        if not any(_same(located.pose, f.pose, SAME_PLACE * distance) for _, f in found):
+        if not any(_same(located.pose, f.pose, CLOSE * distance) for _, f in found):
             anywhere = -math.log(TWO_PI * math.pi * distance**2)  # in sight of its landmarks
             found.append((located.log_evidence(anywhere), located))
     if not found:
@@ -112,7 +112,7 @@ def relocalise(
         rivals.append(_log_evidence_of(*expected, lines))
     if log_evidence - float(np.logaddexp.reduce(rivals)) < MIN_LOG_ODDS:
         return None
-    most = SAME_PLACE * float(_distances(best.pose[None], lines)[0])
+    most = CLOSE * float(_distances(best.pose[None], lines)[0])
     uncertain = np.diag(best.covariance)[:2].max() >= most**2
     return None if uncertain else (best.pose, best.covariance)
 
@@ -152,11 +152,11 @@ def _candidates(lines: SightLines) -> np.ndarray:
     poses = np.asarray(poses[np.isfinite(poses).all(axis=1)])
     if not len(poses):
         return poses
-    tolerance = INLIER_GATE * lines.sigmas + TWO_PI / HEADINGS
+    tolerance = INLIER * lines.sigmas + TWO_PI / HEADINGS
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
-    for pose, within in zip(best, (SAME_PLACE * _distances(best, lines)).tolist(), strict=True):
+    for pose, within in zip(best, (CLOSE * _distances(best, lines)).tolist(), strict=True):
         if not any(_same(pose, p, within) for p in chosen):
             chosen.append(pose)
         if len(chosen) == MAX_CANDIDATES:
@@ -172,21 +172,21 @@ def _residuals(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.nda
 
 
 def _refine(start: np.ndarray, lines: SightLines) -> Located | None:
-    """Refine a pose by robust Gauss-Newton (Huber's weights)."""
-    pose, longest = start.copy(), LINEAR_RANGE * np.ones(3)
+    """Refine a pose by robust Gauss-Newton (a redescending M-estimator)."""
+    pose, longest = start.copy(), LINEAR * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
         variance = _variances(by_place, lines)
         by_eye = np.column_stack([-by_place, -np.ones(len(r))])
         jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
-        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER_GATE**2), 1.0))
+        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER**2), 1.0))
         information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
         covariance = np.linalg.inv(information)
         step = covariance @ (jacobian.T @ (weight * r))
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
-    inliers = np.abs(r) < INLIER_GATE * np.sqrt(variance)
-    if np.unique(lines.names[inliers]).size < MIN_BEARINGS:
+    inliers = np.abs(r) < INLIER * np.sqrt(variance)
+    if np.unique(lines.names[inliers]).size < MINIMAL:
         return None
     return Located(pose, covariance, _log_likelihood(pose, lines))
 
@@ -204,7 +204,7 @@ def _log_likelihood(pose: np.ndarray, lines: SightLines) -> float:
     about its distance. Most of its lines must be inliers.
     """
     r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
-    inliers = np.abs(r) < INLIER_GATE * np.sqrt(_variances(by_place, lines))
+    inliers = np.abs(r) < INLIER * np.sqrt(_variances(by_place, lines))
     _, first, landmark = np.unique(lines.names, return_index=True, return_inverse=True)
     weighted = by_place * (inliers / lines.sigmas**2)[:, None]
     information, slope = np.zeros((len(first), 2, 2)), np.zeros((len(first), 2))
@@ -240,4 +240,4 @@ def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
 def _same(a: np.ndarray, b: np.ndarray, within: float) -> bool:
     """Return whether two poses, within `within` [m], are the same solution."""
     near = np.hypot(a[0] - b[0], a[1] - b[1]) < within
-    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR_RANGE)
+    return bool(near and abs(wrap(a[2] - b[2])) < LINEAR)

@@ -12,7 +12,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import RECENT_SIGHTINGS, SAME_PLACE
+from homeward.localizer.tunables import CLOSE, RECENT
 
 
 class Search:
@@ -27,7 +27,7 @@ class Search:
     def __init__(self, begin: Motion | None = None) -> None:
         self._lost = begin is None
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT_SIGHTINGS)
+        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, by that since the newest keyframe."""
@@ -46,7 +46,7 @@ class Search:
         for name, bearing, sigma in each:
             if name in landmarks.mapped:
                 last = next((seen for seen in reversed(self._seen) if seen[0] == name), None)
-                if last is not None and abs(_parallax(last, bearing, camera)) < SAME_PLACE:
+                if last is not None and abs(_parallax(last, bearing, camera)) < CLOSE:
                     self._seen.remove(last)
                 self._seen.append((name, bearing, sigma, camera))
 

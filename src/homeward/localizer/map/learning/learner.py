@@ -75,8 +75,8 @@ class Learner:
         since = newest - self._odometry_updated_at
         if since >= ODOMETRY_EVERY and smoother.converged and landmarks.mapped:
             self._odometry_updated_at = newest
-            left, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
-            smoother.scale_odometry(self._process_noise.update(*left, motions, min(since, motions)))
+            sums, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
+            smoother.scale_odometry(self._process_noise.update(*sums, motions, min(since, motions)))
 
     def frees_extrinsics(self, smoother: Smoother) -> bool:
         """Free the extrinsics if the bearings contradict the assumed ones; return whether so.

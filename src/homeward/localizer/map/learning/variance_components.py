@@ -82,16 +82,13 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    eliminated: Elimination,
-    steps: OdometryErrors,
-    seen: BearingErrors,
-    rng: np.random.Generator,
+    eliminated: Elimination, steps: OdometryErrors, seen: BearingErrors, rng: np.random.Generator
 ) -> Misfit:
     """Compare the residuals of motions with their expectation.
 
     Parameters
     ----------
-    left : Elimination
+    eliminated : Elimination
         Elimination of all normal equations, at the solution.
     steps : OdometryErrors
         The motions between all its poses.
@@ -123,9 +120,9 @@ def misfit(
 
 def _robust_share(redundancy: float) -> float:
     """Return the share of the squares of Gaussian motions that robust weights leave [1]."""
-    left = max(redundancy, 1e-3) * CHI_SQUARES
-    weight = cauchy_weights(left)
-    return float((weight**2 * left).mean() / (weight.mean() * left.mean()))
+    squares = max(redundancy, 1e-3) * CHI_SQUARES
+    weight = cauchy_weights(squares)
+    return float((weight**2 * squares).mean() / (weight.mean() * squares.mean()))
 
 
 def _absorbed(

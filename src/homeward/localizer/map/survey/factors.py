@@ -157,10 +157,10 @@ def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) ->
     datum = factors.datum(state.positions, index)
     points = np.zeros((1 + len(ids), 3))
     points[0], points[1:, :2] = state.mean[:3], state.positions
-    there = between(datum.pose, points)
+    transformed = between(datum.pose, points)
     back = rotation(datum.pose[2]).T
     mean, jacobian = state.mean.copy(), np.eye(state.mean.size)
-    mean[:3], mean[HEAD:] = there[0], there[1:, :2].ravel()
+    mean[:3], mean[HEAD:] = transformed[0], transformed[1:, :2].ravel()
     by_datum = np.zeros((state.mean.size, 3))
     by_datum[:3] = -back @ lever(points[0] - datum.pose)
     by_datum[HEAD:] = (-back @ lever(points[1:] - datum.pose))[:, :2].reshape(-1, 3)

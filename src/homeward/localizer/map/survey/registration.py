@@ -12,7 +12,7 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.factors import in_survey_frame
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.tunables import MIN_BEARINGS
+from homeward.localizer.tunables import MINIMAL
 
 
 class Registration:
@@ -77,7 +77,7 @@ class Registration:
         """
         mapped, smoother = self._landmarks.mapped, self._smoother
         names = [n for n in self._landmarks.expected if n in mapped]
-        if len(names) >= MIN_BEARINGS and not smoother.survey.ids.size:
+        if len(names) >= MINIMAL and not smoother.survey.ids.size:
             order = sorted(names, key=lambda n: mapped[n].number)
             numbers = {n: mapped[n].number for n in order}
             smoother.survey = self.survey.factors(order, [], numbers)
@@ -87,15 +87,15 @@ class Registration:
         if not self.survey.known.tells:
             return
         smoother, before = self._smoother, self._smoother.survey
-        came = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
-        numbers = {name: landmark.number for name, landmark in came.items()}
+        landmarks = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
+        numbers = {name: landmark.number for name, landmark in landmarks.items()}
         try:
             now = self.survey.evaluate(self.without_survey(), numbers, smoother.ids)
         except np.linalg.LinAlgError:  # too uncertain for a test: keep the present inliers
             return
         smoother.survey = now
-        if now.ids.size >= MIN_BEARINGS:
-            datum = now.datum(smoother.positions, smoother.index(now.ids))
+        if now.ids.size >= MINIMAL:
+            datum = now.datum(smoother.state.positions, smoother.index(now.ids))
             self.expect(datum.pose, set(self.survey.places))
         same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
         if not same:

@@ -98,8 +98,8 @@ class Survey:
 
     def p_stayed(self, name: str) -> float:
         """Return the prior probability that a landmark is still where it was surveyed."""
-        told = self.known.landmarks[name].stays
-        return 1.0 - self._prior if told is None else told
+        given = self.known.landmarks[name].stays
+        return 1.0 - self._prior if given is None else given
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
         """Return the covariance of surveyed coordinates, (2 k, 2 k) [m^2]."""
