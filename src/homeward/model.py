@@ -1,8 +1,8 @@
 """The unicycle and its bearings, once, symbolically: every filter and every bound is made of this.
 
 The state is the paper's, X = [R, theta, alpha, beta_1 .. beta_q], the input U = [v, omega]; the
-distances of the landmarks are eliminated by their stored home bearings beta*_i (MATH.md, section
-2). An augmented state carries some of the beta*_i behind it, as constants to be estimated.
+distances of the landmarks are eliminated by their stored home bearings beta*_i. An augmented state
+carries some of the beta*_i behind it, as constants to be estimated.
 """
 
 from __future__ import annotations
