@@ -15,7 +15,7 @@ from homeward.vision.features.detection import View
 from homeward.vision.features.match_propagation import propagate_matches, thinned
 from homeward.vision.features.matching import RATIO
 from homeward.vision.features.moved_groups import moved_groups
-from homeward.vision.features.patch_alignment import Alignment, align_features
+from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
 from homeward.vision.features.self_similarity import self_similar
 from homeward.vision.geometry.a_contrario import WITHIN, Acceptance, assess, assess_unrepeated
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
@@ -236,7 +236,8 @@ def _paired(
     growth = now.size[j] / home.size[i]
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
-    laid = align_features(home.pyramid, now.pyramid, at_home, at_now, home.size[i], growth, turn)
+    begun = similarity(at_now, growth, turn)
+    laid = align_patches(home.pyramid, now.pyramid, at_home, home.size[i], begun)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
     larger = growth**2 if home.finder.tells_size else laid.area
     pairs = _pairs(directions, now, laid, np.log(larger) / 2, camera)

@@ -1,4 +1,7 @@
-"""The C of an exported filter: templates with the symbolic source put in."""
+"""An exported filter: templates of C with the symbolic source put in, and the folder around them.
+
+The folder is that of a library, as Arduino and PlatformIO lay one out.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import casadi as ca
 
 from homeward.engine.estimators.runner import LARGEST
 from homeward.engine.native.split import Split, emit_split, split_step
+from homeward.errors import InputError
 from homeward.estimator import CHECKED
 from homeward.filters.carrier import LOST_SIGMA
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -27,6 +31,18 @@ from homeward.filters.steps import named_function
 from homeward.frames import Polar, Pose, between, from_polar, to_polar
 from homeward.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
 
+MARKER = "library.properties"
+"""The file that tells an earlier export."""
+MOST_LANDMARKS = 32
+"""What has been seen is a word of so many bits."""
+_FILES = {
+    "examples/cortex_m4f/main.c": "main.c",
+    "examples/cortex_m4f/startup.c": "startup.c",
+    "examples/cortex_m4f/mps2_an386.ld": "mps2_an386.ld",
+    "examples/homing/homing.ino": "homing.ino",
+    "library.json": "library.json",
+    MARKER: MARKER,
+}
 FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
 """All that is called of libm, before the suffix of floats."""
 STRETCHES = 16
@@ -36,6 +52,23 @@ GATE = 0.999
 """Share of right home bearings that agree with the right place of home."""
 CHANCE = 0.1
 """A home bearing counts as evidence where a wrong one agrees with no larger probability."""
+
+
+def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
+    """Return all files of an exported EKF of q landmarks, by their place in the folder.
+
+    Its defaults are the settings; numbers are floats (`single`) or doubles.
+
+    Raises
+    ------
+    InputError
+        For a number of landmarks that it cannot have.
+    """
+    if not 1 <= q <= MOST_LANDMARKS:
+        raise InputError(f"an exported filter has 1 to {MOST_LANDMARKS} landmarks, not {q}")
+    values = {"version": version("homeward"), "landmarks": q}
+    texts = {f"src/{k}": text for k, text in sources(q, settings, single).items()}
+    return texts | {place: filled(name, values) for place, name in _FILES.items()}
 
 
 def filled(name: str, values: Mapping[str, object]) -> str:
