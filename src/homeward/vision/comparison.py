@@ -162,7 +162,7 @@ def compare_once(
     if fit is not None:
         if acceptance.accepted:
             fits = fit.inlier
-            (column, row), there = propagate_matches(home, now, i[fits], laid[fits])
+            (column, row), there = propagate_matches(home, now, i[fits], laid.rows(fits))
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
@@ -242,7 +242,7 @@ def _paired(
     larger = growth**2 if home.finder.tells_size else laid.area
     pairs = _pairs(directions, now, laid, np.log(larger) / 2, camera)
     found = laid.found
-    return rows[kept][found], pairs[found], laid[found], quality[kept][found]
+    return rows[kept][found], pairs[found], laid.rows(found), quality[kept][found]
 
 
 def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:

@@ -10,12 +10,12 @@ ones, look-alikes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from ctypes import CDLL
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.drives.drive import Columns
 from homeward.vision.compiled import compiled
 from homeward.vision.features.pyramid import Pyramid
 
@@ -54,7 +54,7 @@ _PRIOR = np.array([1e-6, 1e-6, *4 * [STIFFNESS]])
 
 
 @dataclass(frozen=True)
-class Alignment:
+class Alignment(Columns):
     """Where n patches of home lie now."""
 
     column: np.ndarray
@@ -82,15 +82,6 @@ class Alignment:
     def area(self) -> np.ndarray:
         """How many times larger an area is now, (n,)."""
         return areas(self.shape)
-
-    def __getitem__(self, rows: np.ndarray) -> Alignment:
-        return Alignment(*(getattr(self, part.name)[rows] for part in fields(self)))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Alignment]) -> Alignment:
-        """Return several, one after another."""
-        names = [part.name for part in fields(cls)]
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
 def align_patches(

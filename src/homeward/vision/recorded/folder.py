@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +22,9 @@ from homeward.drives.folder import (
 from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.text.files import is_there, require_folder
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.checks.camera_settings import better_settings
 from homeward.vision.checks.seam import require_panoramas
 from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDetector
@@ -101,7 +100,9 @@ def see_folder(
     camera = settings.panorama
     picture, home = read_view(place, camera, mask=settings.mask, finder=settings.finder)
     if camera.seen is None and not (force or settings.force):
-        _require_panoramas(picture, images.files, camera, folder)
+        with speaking_of(folder):
+            some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
+            require_panoramas([picture, *(camera.panorama(read_grey(f)) for f in some)], camera)
     if ready is not None:
         ready()
     front_end = FrontEnd(home, camera, settings.landmarks)
@@ -145,14 +146,9 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     return file_within(folder, found[0].name, "home", folder)
 
 
-def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, folder: Path) -> None:
-    """Raise InputError when home's panorama and some of the others are none."""
-    some = np.unique(np.linspace(0, len(files) - 1, TESTED_SEAMS).astype(int)).tolist()
-    pictures = [home, *(camera.panorama(read_grey(files[k])) for k in some)]
-    try:
-        require_panoramas(pictures, camera)
-    except InputError as error:
-        raise InputError(error.what, folder) from None
+def _evenly(things: Sequence[object], number: int) -> list[int]:
+    """Return the numbers of at most so many things, from the first to the last."""
+    return [int(k) for k in np.unique(np.linspace(0, len(things) - 1, number).astype(int))]
 
 
 def span(t: np.ndarray) -> tuple[float, float]:
@@ -197,8 +193,7 @@ def _check_camera_settings(
         return {}
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
     like = [pair for pair in tried if pair[1].accepted][:1]
-    some = np.unique(np.linspace(0, len(tried) - 1, TESTED_SETTINGS).astype(int)).tolist()
-    for file, seen in like or [tried[k] for k in some]:
+    for file, seen in like or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
         picture, view = read_view(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
         if words := better_settings(seen, (home, picture), views, front_end.camera):

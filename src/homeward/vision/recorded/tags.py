@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
@@ -21,12 +19,12 @@ from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image, span
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
-from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
+from homeward.vision.tags.front_end import TagFrontEnd
 from homeward.vision.tags.messages import tag_eye
 
 Tell = Callable[[float], None]
@@ -94,17 +92,11 @@ def see_tags_in_log(
 
 def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:
     place = home_image(folder, settings)
-    home = _look(eye, read_grey(place), str(place)).home
+    with speaking_of(place):
+        home = eye.see(read_grey(place)).home
     if not home:
         raise InputError("no tag in the home image", place)
     return home
-
-
-def _look(eye: TagFrontEnd, picture: np.ndarray, name: str) -> TagBearings:
-    try:
-        return eye.see(picture)
-    except InputError as error:
-        raise InputError(error.what, Path(name)) from None
 
 
 def _sightings(
@@ -114,7 +106,8 @@ def _sightings(
     rows: list[tuple[float, str, float, float]] = []
     counts: Counter[str] = Counter()
     for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
-        seen = _look(eye, frame, f"picture at {t:g} s")
+        with speaking_of(Path(f"picture at {t:g} s")):
+            seen = eye.see(frame)
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
         counts[TWICE] += len(seen.tags.twice)
         counts[NO_TAGS] += not seen.bearings

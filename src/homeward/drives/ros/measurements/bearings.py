@@ -237,8 +237,7 @@ class SightingRows:
         bearing, sigma = self._measured()
         if self.told.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
-        ids = np.empty(len(self._kept), object)
-        ids[:] = [seen.landmark for seen in self._kept]
+        ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
         columns |= {"bearing": bearing, "sigma": sigma}
         # A lens that folds over has no ray for pixels beyond.
