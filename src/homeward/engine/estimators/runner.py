@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.engine.kernels import filter_kernels
 from homeward.engine.program.generic import BELIEF
-from homeward.filters.carrier import LOST_SIGMA, Known
+from homeward.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, Pose, from_polar, polar_covariance_to_pose
@@ -115,9 +114,7 @@ class FilterRunner:
         np.fill_diagonal(belief.covariance, tuning.variance)
         return belief
 
-    def predict(
-        self, belief: Numbers, interval: float, twist: tuple[float, float] | None
-    ) -> Numbers:
+    def predict(self, belief: Numbers, interval: float, twist: Held) -> Numbers:
         """Return the belief `interval` [s] later; the same unless that is positive."""
         for step in in_steps(interval):
             self._set_step(step, twist)
@@ -147,7 +144,7 @@ class FilterRunner:
             np.sqrt(np.maximum(variances, 0.0)),
         )
 
-    def _set_step(self, dt: float, twist: tuple[float, float] | None) -> None:
+    def _set_step(self, dt: float, twist: Held) -> None:
         """Set what a prediction depends on besides the belief."""
         given, tuning = self._predict.inputs, self.tuning
         given["control"][:] = twist or (0.0, 0.0)
@@ -160,9 +157,7 @@ class FilterRunner:
         given["state_variance"][:] = tuning.state_density * dt
         given["proportional"][...] = tuning.proportional * dt
 
-    def update(
-        self, belief: Numbers, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Numbers, Mapping[str, np.ndarray]]:
+    def update(self, belief: Numbers, seen: Angles, sigmas: Angles) -> tuple[Numbers, Outputs]:
         """Return the belief after the sightings of one stamp, and what the step said of them."""
         given = self._update.inputs
         self._update.given[: self._size] = belief.memory

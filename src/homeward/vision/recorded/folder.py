@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import Sightings
+from homeward.drives.drive import Drive, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
@@ -90,12 +90,7 @@ def see_folder(
     images = read_images(folder, remarks)
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
-    odometry = read_odometry(folder / ODOMETRY, remarks)
-    # Before images are looked at, which takes long.
-    spans = {"the odometry": span(odometry.t), "the images": span(images.t)}
-    require_overlap(spans, OTHER_CLOCK, folder)
-    sensor = read_drive_settings(folder / SETTINGS)
-    truth = read_truth(folder / TRUTH, remarks)
+    blind = drive_beside(folder, images.t, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
     picture, home = read_view(place, camera, mask=settings.mask, finder=settings.finder)
@@ -106,22 +101,47 @@ def see_folder(
     if ready is not None:
         ready()
     front_end = FrontEnd(home, camera, settings.landmarks)
-    headings = dead_reckoning(odometry, images.t).heading
+    headings = dead_reckoning(blind.odometry, images.t).heading
     found = cached(
         lambda: cache_key([place, *images.files], settings, images.t, headings),
         lambda: _found(picture, front_end, images, headings, progress),
     )
     if progress is not None:
         progress(1.0)
-    return ImageDrive(
+    pictures = tuple(zip(images.t.tolist(), found.pictures, strict=True))
+    seen = {"sightings": found.sightings, "home": found.home, "pictures": pictures}
+    return ImageDrive(**{**vars(blind), **seen, "remarks": remarks | found.remarks})
+
+
+def drive_beside(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
+    """Return what a folder tells beside its pictures: a drive without bearings and home.
+
+    Parameters
+    ----------
+    folder : Path
+        With odometry.csv, and perhaps drive.yaml and truth.csv.
+    t : ndarray, shape (n,)
+        Stamps of the pictures [s], which are looked at later, since that takes long.
+    remarks : dict of str to int
+        Takes what is to be said; the drive's.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+    """
+    odometry = read_odometry(folder / ODOMETRY, remarks)
+    spans = {"the odometry": odometry.t, "the images": t}
+    ends = {name: (float(stamps[0]), float(stamps[-1])) for name, stamps in spans.items()}
+    require_overlap(ends, OTHER_CLOCK, folder)
+    return Drive(
         name=folder.resolve().name,
         odometry=odometry,
-        sightings=found.sightings,
-        home=found.home,
-        settings=sensor,
-        truth=truth,
-        remarks=remarks | found.remarks,
-        pictures=tuple(zip(images.t.tolist(), found.pictures, strict=True)),
+        sightings=Sightings.of_rows(()),
+        home={},
+        settings=read_drive_settings(folder / SETTINGS),
+        truth=read_truth(folder / TRUTH, remarks),
+        remarks=remarks,
     )
 
 
@@ -149,11 +169,6 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
 def _evenly(things: Sequence[object], number: int) -> list[int]:
     """Return the numbers of at most so many things, from the first to the last."""
     return [int(k) for k in np.unique(np.linspace(0, len(things) - 1, number).astype(int))]
-
-
-def span(t: np.ndarray) -> tuple[float, float]:
-    """Return the first and the last of times in order [s]."""
-    return float(t[0]), float(t[-1])
 
 
 def _found(

@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings
-from homeward.drives.folder import (
-    ODOMETRY,
-    SETTINGS,
-    TRUTH,
-    read_drive_settings,
-    read_odometry,
-    read_truth,
-)
-from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image, span
+from homeward.vision.recorded.folder import IMAGE_SETTINGS, drive_beside, home_image
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 from homeward.vision.tags.front_end import TagFrontEnd
@@ -63,21 +55,10 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     frames = Video(path) if video else PictureFiles(folder, remarks)
     if not frames.t.size:
         raise InputError("no pictures in it", path)
-    odometry = read_odometry(folder / ODOMETRY, remarks)
-    spans = {"the odometry": span(odometry.t), "the images": span(frames.t)}
-    require_overlap(spans, OTHER_CLOCK, folder)
-    robot = read_drive_settings(folder / SETTINGS)
-    home = _home(eye, folder, settings) if robot.home is None else {}
-    sightings = _sightings(eye, frames, remarks, tell)
-    return Drive(
-        name=path.resolve().stem,
-        odometry=odometry,
-        sightings=sightings,
-        home=home,
-        settings=robot,
-        truth=read_truth(folder / TRUTH, remarks),
-        remarks=remarks,
-    )
+    blind = drive_beside(folder, frames.t, remarks)
+    home = _home(eye, folder, settings) if blind.settings.home is None else {}
+    seen = _sightings(eye, frames, remarks, tell)
+    return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
 
 
 def see_tags_in_log(
