@@ -25,7 +25,7 @@ from homeward.drives.drive import Drive
 from homeward.engine.export.source import project
 from homeward.filters.settings import FilterSettings
 from homeward.registry import make_estimator
-from homeward.simulation.presets import PAPER_HOMING
+from homeward.simulation.files import PAPER_HOMING
 from homeward.simulation.scenario import Moved
 from homeward.simulation.simulate import Simulation, simulate
 

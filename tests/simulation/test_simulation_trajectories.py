@@ -7,8 +7,7 @@ import pytest
 
 from homeward.control import Twist, advance
 from homeward.frames import Pose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.presets import WAREHOUSE
+from homeward.simulation.files import WAREHOUSE, load_scenario
 from homeward.simulation.scenario import Room
 from homeward.simulation.simulate import Ending, simulate
 from homeward.simulation.trajectories import (
