@@ -1,4 +1,4 @@
-"""A filter's belief carried through time by its kernels: numbers only, no ids and no answers."""
+"""A filter's belief carried through time by its kernels, compiled or not: numbers, no answers."""
 
 from __future__ import annotations
 
