@@ -155,7 +155,7 @@ def _carry(
     tunings = [runner.tuning for runner in runners]
     variance = np.empty(bearings.shape)
     for r, own in enumerate(steps):
-        table[r, : len(own)] = own
+        table[r, : len(own)] = np.reshape(own, (-1, 4))  # none at all has no columns, either
         variance[r] = tunings[r].bearing_sigma ** 2
         if tables:
             seen, k = tables[r], len(own)
