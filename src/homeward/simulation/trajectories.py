@@ -9,7 +9,7 @@ from typing import Protocol, assert_never
 
 import numpy as np
 
-from homeward.control import Twist, arrived, homing
+from homeward.control import Twist, homing
 from homeward.errors import InputError
 from homeward.following import COAST_S, Follower, Path, State
 from homeward.frames import Polar, Pose, bearing, between, to_polar
@@ -169,11 +169,12 @@ class HomingControl(Control):
         if pose is None or (self._look_s and not sure):
             return self._search.twist(t)
         polar = to_polar(pose)
-        if self._home_since is None and sure and arrived(polar, self._trajectory.stop_radius):
+        arrived = self._trajectory.stop_radius > polar.R
+        if self._home_since is None and sure and arrived:
             self._home_since = t
         if self._home_since is not None and t < self._home_since + self._look_s:
             return Twist(0.0, LOOK_RATE)
-        if not arrived(polar, self._trajectory.stop_radius):
+        if not arrived:
             self._nearest = math.inf
         elif not sure:
             return self._search.twist(t)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.ros.measurements.bearings import TWICE
-from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.image_files import read_grey
@@ -17,7 +16,6 @@ from homeward.vision.recorded.folder import IMAGE_SETTINGS, drive_beside, home_i
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 from homeward.vision.tags.front_end import TagFrontEnd
-from homeward.vision.tags.messages import tag_eye
 
 Tell = Callable[[float], None]
 NO_TAGS = "pictures without a tag"
@@ -59,16 +57,6 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     home = _home(eye, folder, settings) if blind.settings.home is None else {}
     seen = _sightings(eye, frames, remarks, tell)
     return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
-
-
-def see_tags_in_log(
-    path: Path, family: str, topics: Path | None = None, tell: Tell | None = None
-) -> Drive:
-    """Turn a log with a topic of pictures into a drive; otherwise as `read_log`.
-
-    The camera comes from CameraInfo or the topics file, as for tags that a log has already.
-    """
-    return read_log(path, topics, tell, tag_eye(family))
 
 
 def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:
