@@ -11,8 +11,6 @@ from homeward.engine.native.library import is_kept
 from homeward.engine.native.source import Source
 from homeward.filters.settings import Engine
 
-__all__ = ["Engine", "choose"]
-
 COMPILING_S = 25e-6
 """What compiling takes for each character of C [s]."""
 

@@ -132,11 +132,7 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
         if tell is not None and number % TELL_EVERY == 0:
             tell(log.done)
     topics = (
-        Topic(name, kind, _array(receive), None if header is None else _array(header))
+        Topic(name, kind, np.array(receive), None if header is None else np.array(header))
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
     )
     return Survey(log, tuple(topics), kept)
-
-
-def _array(values: array[int]) -> np.ndarray:
-    return np.frombuffer(values, np.int64) if values else np.empty(0, np.int64)
