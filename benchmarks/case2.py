@@ -15,7 +15,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
 from homeward.registry import make_estimator
-from homeward.simulation.presets import PAPER_HOMING
+from homeward.simulation.files import PAPER_HOMING
 from homeward.simulation.scenario import Moved, Scenario
 from homeward.simulation.simulate import Simulation, simulate
 from homeward.studies.study.trial import simulation_bound

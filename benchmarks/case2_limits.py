@@ -15,8 +15,9 @@ import numpy as np
 from benchmarks.case2 import bound, final_error, scenario
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
+from homeward.simulation.course import Ending
 from homeward.simulation.scenario import Moved, Ring, Scenario
-from homeward.simulation.simulate import Ending, prepare, simulate
+from homeward.simulation.simulate import prepare, simulate
 
 PARTS = {
     "small": ("2 faults of 0.05 to 0.2 rad", {"moved": Moved(count=2, fault=(0.05, 0.2))}),

@@ -43,8 +43,7 @@ from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import HomewardError
 from homeward.frames import Pose
 from homeward.registry import make_estimator
-from homeward.simulation.files import load_scenario, scenario_yaml
-from homeward.simulation.presets import PRESETS
+from homeward.simulation.files import PRESETS, load_scenario, scenario_yaml
 from homeward.simulation.render.room.presets import load_room, room
 from homeward.studies.blocks.store import BlockStore
 from homeward.studies.planning.settings import load_plan

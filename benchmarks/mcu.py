@@ -22,10 +22,10 @@ import numpy as np
 
 from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive
-from homeward.engine.export.project import project
+from homeward.engine.export.source import project
 from homeward.filters.settings import FilterSettings
 from homeward.registry import make_estimator
-from homeward.simulation.presets import PAPER_HOMING
+from homeward.simulation.files import PAPER_HOMING
 from homeward.simulation.scenario import Moved
 from homeward.simulation.simulate import Simulation, simulate
 

@@ -72,7 +72,7 @@ class Step(NamedTuple):
 def step() -> Step:
     """Return the work of one step, from the symbolic graph."""
     flops = numbers = values = 0
-    for stage in filter_program(EKF).advance:
+    for (stage,) in filter_program(EKF).parts.values():
         code = Code(stage.function)
         ops = Counter(node.op for node in code.nodes)
         flops += sum(FUNCTIONS.get(op, int(op not in FREE)) * k for op, k in ops.items())

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from homeward.control import STOP_RADIUS, arrived, homing
+from homeward.control import homing
 from homeward.frames import Polar
 
 
@@ -35,14 +35,6 @@ def test_is_the_same_on_arrays_and_symbols():
     on_array = homing(Polar(1.0, theta, alpha), 0.3).omega
     np.testing.assert_array_equal(on_array, each)
     polar = Polar(*(ca.SX.sym(name) for name in ("R", "theta", "alpha")))
-    function = ca.Function("law", list(polar), [homing(polar, 0.3).omega, arrived(polar)])
-    on_symbols = [float(function(1.0, a, b)[0]) for a, b in zip(theta, alpha, strict=True)]
+    function = ca.Function("law", list(polar), [homing(polar, 0.3).omega])
+    on_symbols = [float(function(1.0, a, b)) for a, b in zip(theta, alpha, strict=True)]
     np.testing.assert_allclose(on_symbols, each, atol=1e-14)
-    assert bool(function(0.049, 0.0, 0.0)[1])
-    assert not bool(function(0.051, 0.0, 0.0)[1])
-
-
-def test_arrives_inside_the_stop_radius_only():
-    R = np.array([0.0, 0.049, STOP_RADIUS, 1.0])
-    np.testing.assert_array_equal(arrived(Polar(R, 0.0, 0.0)), [True, True, False, False])
-    assert arrived(Polar(0.9, 0.0, 0.0), stop_radius=1.0)

@@ -9,8 +9,9 @@ from homeward.control import advance
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.laws import LAWS, average_landmark_vector, squared_angles, steer, way_home
+from homeward.simulation.course import Ending
 from homeward.simulation.files import load_scenario
-from homeward.simulation.simulate import Ending, simulate
+from homeward.simulation.simulate import simulate
 
 TERMS = {
     average_landmark_vector: lambda d: 1 - np.cos(d),

@@ -135,6 +135,11 @@ def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path
     assert "cannot smooth" in refused(call("run", short, "--estimator", "mine:make", "--smooth"))
 
 
+def test_an_estimator_without_settings_refuses_any(mine, short):
+    words = refused(call("run", short, "--estimator", "mine:Mine", "--set", "y=1"))
+    assert "y: there is no such key" in words
+
+
 @pytest.mark.parametrize(
     ("word", "told"),
     [

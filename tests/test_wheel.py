@@ -52,7 +52,7 @@ import numpy as np
 
 from homeward.frames import Polar, from_polar
 from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rays.compiled import compiled as rays
+from homeward.simulation.render.rays.raycast import compiled as rays
 from homeward.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.compiled import compiled as vision

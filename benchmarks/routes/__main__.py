@@ -32,8 +32,9 @@ from homeward.places.route import stands
 from homeward.places.telling import told_by
 from homeward.places.visiting import first_place
 from homeward.registry import make_estimator
+from homeward.simulation.course import Ending
 from homeward.simulation.scenario import Push, Repeat, Scenario, StartPose, Teach
-from homeward.simulation.simulate import Ending, Simulation, prepare, simulate
+from homeward.simulation.simulate import Simulation, prepare, simulate
 from homeward.track import run
 
 POINTS = ((1.5, 10.5), (10.0, 10.5), (10.0, 6.0), (18.5, 6.0), (18.5, 1.5))

@@ -7,6 +7,8 @@ landmarks marginalised. Home is the origin of the frame and known.
 
 from __future__ import annotations
 
+from typing import Required, TypedDict, Unpack
+
 import numpy as np
 
 from homeward.frames import Pose, compose
@@ -16,6 +18,26 @@ AT_ONCE = 128
 """Stamps whose matrices are held, and inverted, together: 2 MB with 20 landmarks."""
 
 
+class Known(TypedDict, total=False):
+    """What is known of a drive, beside where robot and landmarks truly are."""
+
+    bearing_sigma: Required[float]
+    """Of a bearing [rad]."""
+    home_sigma: Required[float]
+    """Of a home bearing [rad]."""
+    speed_sigma: Required[float]
+    """White noise of the odometry's speed [m/s/sqrt(Hz)]."""
+    turn_sigma: Required[float]
+    """And of its turn rate [rad/s/sqrt(Hz)]."""
+    moved: np.ndarray | None
+    """(q,), bool, landmarks whose home bearings are wrong, known to be so, and left out; none by
+    default."""
+    start_covariance: np.ndarray | None
+    """(3, 3), of a prior on the first pose, (x, y, heading); without one there is none."""
+    mount: Pose
+    """The camera on the robot, at home too [m, m, rad]; at its centre by default."""
+
+
 def posterior_bound(
     poses: np.ndarray,
     twists: np.ndarray,
@@ -23,14 +45,8 @@ def posterior_bound(
     landmarks: np.ndarray,
     visible: np.ndarray,
     *,
-    bearing_sigma: float,
-    home_sigma: float,
-    speed_sigma: float,
-    turn_sigma: float,
-    moved: np.ndarray | None = None,
-    start_covariance: np.ndarray | None = None,
-    mount: Pose = CENTRE,
     carried: np.ndarray | None = None,
+    **known: Unpack[Known],
 ) -> np.ndarray:
     """Return the least covariance of the pose at each time, given everything up to then.
 
@@ -46,35 +62,18 @@ def posterior_bound(
         True positions [m]; there is no prior on them.
     visible : ndarray, shape (n, q), bool
         Which are seen when.
-    bearing_sigma, home_sigma : float
-        Of a bearing and of a home bearing [rad].
-    speed_sigma, turn_sigma : float
-        White noise of the odometry [m/s/sqrt(Hz)], [rad/s/sqrt(Hz)].
-    moved : ndarray, shape (q,), bool, optional
-        Landmarks whose home bearings are wrong, known to be so, and left out; none by default.
-    start_covariance : ndarray, shape (3, 3), optional
-        Of a prior on the first pose, (x, y, heading); without one there is none.
-    mount : Pose, optional
-        The camera on the robot, at home too [m, m, rad]; at its centre by default.
     carried : ndarray, shape (n - 1,), bool, optional
         Steps on which the robot was carried, so that nothing is known of the motion; none by
         default.
+    **known : Known
+        Noise, what moved, a start prior, and where the camera sits.
 
     Returns
     -------
     ndarray, shape (n, 3, 3)
         Covariances of (x, y, heading); infinite while the pose is not fixed.
     """
-    bound = RunningBound(
-        landmarks,
-        bearing_sigma=bearing_sigma,
-        home_sigma=home_sigma,
-        speed_sigma=speed_sigma,
-        turn_sigma=turn_sigma,
-        moved=moved,
-        start_covariance=start_covariance,
-        mount=mount,
-    )
+    bound = RunningBound(landmarks, **known)
     bounds = [np.empty((0, 3, 3))]
     for first in range(0, len(poses), AT_ONCE):
         told = bound.told_by(poses[first : first + AT_ONCE], landmarks, visible[first:])
@@ -92,27 +91,17 @@ def posterior_bound(
 class RunningBound:
     """The posterior bound as a drive goes on; parameters as those of `posterior_bound`."""
 
-    def __init__(
-        self,
-        landmarks: np.ndarray,
-        *,
-        bearing_sigma: float,
-        home_sigma: float,
-        speed_sigma: float,
-        turn_sigma: float,
-        moved: np.ndarray | None = None,
-        start_covariance: np.ndarray | None = None,
-        mount: Pose = CENTRE,
-    ) -> None:
-        self.bearing_sigma, self._sigmas = bearing_sigma, (speed_sigma, turn_sigma)
-        self.mount = mount
+    def __init__(self, landmarks: np.ndarray, **known: Unpack[Known]) -> None:
+        self.bearing_sigma, self.mount = known["bearing_sigma"], known.get("mount", CENTRE)
+        self._sigmas = known["speed_sigma"], known["turn_sigma"]
+        moved, start = known.get("moved"), known.get("start_covariance")
         right = np.ones(len(landmarks), bool) if moved is None else ~moved
-        jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, mount)[0, right]
+        jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, self.mount)[0, right]
         jacobian[:, :3] = 0.0  # home itself is known
-        self.information = jacobian.T @ jacobian / home_sigma**2
+        self.information = jacobian.T @ jacobian / known["home_sigma"] ** 2
         """On the pose and the landmarks, (3 + 2 q, 3 + 2 q)."""
-        if start_covariance is not None:
-            self.information[:3, :3] += np.linalg.inv(start_covariance)
+        if start is not None:
+            self.information[:3, :3] += np.linalg.inv(start)
 
     def drive(self, before: np.ndarray, after: np.ndarray, twist: np.ndarray, dt: float) -> None:
         """Carry the information over a motion between poses (3,), by a twist (2,) over `dt` [s].

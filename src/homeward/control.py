@@ -65,8 +65,3 @@ def homing(polar: Polar, speed: Any) -> Twist:
     Conditions".
     """
     return Twist(speed, wrap(math.pi - (polar.alpha - polar.theta)))
-
-
-def arrived(polar: Polar, stop_radius: float = STOP_RADIUS) -> Any:
-    """Say whether home is nearer than `stop_radius` [m]; floats, arrays or symbols."""
-    return polar.R < stop_radius  # noqa: SIM300

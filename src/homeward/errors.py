@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -38,6 +40,17 @@ class InputError(HomewardError):
         place = "" if file is None else f"{file}" + ("" if row is None else f", row {row}") + ": "
         super().__init__(place + what)
         self.what, self.file, self.row = what, file, row
+
+
+@contextmanager
+def speaking_of(file: Path) -> Iterator[None]:
+    """Let an `InputError` of a block that names no file speak of this one."""
+    try:
+        yield
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(error.what, file) from error
 
 
 _OF_EXTRAS = {

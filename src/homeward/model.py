@@ -1,8 +1,8 @@
 """The unicycle and its bearings, once, symbolically: every filter and every bound is made of this.
 
 The state is the paper's, X = [R, theta, alpha, beta_1 .. beta_q], the input U = [v, omega]; the
-distances of the landmarks are eliminated by their stored home bearings beta*_i (MATH.md, section
-2). An augmented state carries some of the beta*_i behind it, as constants to be estimated.
+distances of the landmarks are eliminated by their stored home bearings beta*_i. An augmented state
+carries some of the beta*_i behind it, as constants to be estimated.
 """
 
 from __future__ import annotations
@@ -165,7 +165,8 @@ def discretise(
     x = ca.SX.sym("x", state.shape[0])
     u = ca.SX.sym("u", control.shape[0])
     f = rates(x, u)
-    free = [s for s in ca.symvar(f) if not _among(s, x, u)]
+    own = [v[i] for v in (x, u) for i in range(v.shape[0])]
+    free = [s for s in ca.symvar(f) if not any(ca.is_equal(s, mine) for mine in own)]
     stage = ca.Function("stage", [x, u, *free], [f, _by_rows(f, x), _by_rows(f, u)])
 
     n, m = x.shape[0], u.shape[0]
@@ -188,10 +189,6 @@ def discretise(
 def _by_rows(f: ca.SX, x: ca.SX) -> ca.SX:
     """Return df/dx row by row, in reverse: what the entries of a row share is computed once."""
     return ca.sparsify(ca.vertcat(*(ca.gradient(f[i], x).T for i in range(f.shape[0]))))
-
-
-def _among(symbol: ca.SX, *vectors: ca.SX) -> bool:
-    return any(ca.is_equal(symbol, v[i]) for v in vectors for i in range(v.shape[0]))
 
 
 def unicycle_rates(pose: ca.SX, control: ca.SX) -> ca.SX:

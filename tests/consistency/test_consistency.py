@@ -17,7 +17,7 @@ from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import lagging, slipping, untold
 from homeward.estimator import Counts, Estimate, Status
 from homeward.frames import Pose
-from homeward.simulation.presets import PRESETS
+from homeward.simulation.files import PRESETS
 from homeward.simulation.simulate import simulate
 from homeward.track import track_of
 

@@ -64,6 +64,15 @@ def test_side_by_side_is_sample_after_sample(name, drive):
         assert_equal(track, run(d, make_estimator(name, d)))
 
 
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_drive_that_is_over_at_once_is_run_too(others):
+    first = driven().odometry.rows(np.arange(1))
+    over = replace(driven(), odometry=first, sightings=driven().sightings.rows(np.arange(0)))
+    drives = [over, over, *[driven()] * others]
+    tracks = run_side_by_side(drives, [make_estimator("ekf", d) for d in drives], "native")
+    assert_equal(tracks[0], run(over, make_estimator("ekf", over)))
+
+
 def test_a_filter_is_the_same_in_any_company():
     drives = [driven(seed) for seed in range(5)]
     all_of_them = run_side_by_side(drives, [make_estimator("ekf", d) for d in drives], "native")

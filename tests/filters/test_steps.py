@@ -6,7 +6,7 @@ from numpy_oracle import Oracle
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.engine.kernels import filter_kernels
+from homeward.engine.estimators.runner import filter_kernels
 from homeward.engine.program.generic import BELIEF, GenericPredict, GenericUpdate, UnscentedPredict
 from homeward.engine.program.interpreter import Interpreter
 from homeward.filters.augmented import augmented_ekf

@@ -6,6 +6,7 @@ import pytest
 from live_rig import Rig, driving
 
 from homeward import HomeLooks, InputError, Localizer
+from homeward.angles import wrap
 from homeward.estimator import Status
 from homeward.live.messages import (
     Answer,
@@ -164,6 +165,18 @@ def test_from_python():
     home = looks.home()
     assert {i: h.bearing for i, h in home.items()} == pytest.approx(BEARINGS, abs=0.01)
     Localizer(home, sensor={"bearing_sigma": 0.01})
+
+
+def test_looks_at_no_time_are_left_out():
+    looks = HomeLooks()
+    looks.odometry(math.nan, 0.0, 0.0)
+    for k in range(200):
+        turned = 0.03 * k
+        looks.odometry(0.05 * k, 0.0, 0.6)
+        looks.bearings(
+            0.05 * k, {"door": float(wrap(1.0 - turned)), "desk": float(wrap(-2.0 - turned))}
+        )
+    assert looks.home()["door"].bearing == pytest.approx(1.0, abs=0.01)
 
 
 def test_looks_that_never_end_are_refused_and_so_are_none():

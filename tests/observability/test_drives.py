@@ -10,7 +10,7 @@ from homeward.drives.drive import HomeBearing, Sightings
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.frames import Pose
-from homeward.simulation.presets import CIRCLE
+from homeward.simulation.files import CIRCLE
 from homeward.simulation.scenario import Noise, OdometryErrors
 from homeward.simulation.simulate import simulate
 from homeward.studies.observing import observe_drive

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.simulation.render.rays.compiled import compiled
-from homeward.simulation.render.rays.raycast import Rays, cast, points, trace, viewpoint
+from homeward.simulation.render.rays.raycast import Rays, cast, compiled, points, trace, viewpoint
 from homeward.simulation.render.rays.surfaces import Skin, Surfaces, block, rectangle, upright
 
 SKIN = Skin(0, 1.0)

@@ -14,6 +14,7 @@ from homeward.places.persistence import Standing
 from homeward.places.place import Place, StoredHome, Visit
 from homeward.places.route import Node, Route, stands
 from homeward.registry import make_estimator
+from homeward.simulation.course import Ending
 from homeward.simulation.files import changed_scenario, load_scenario, scenario_yaml
 from homeward.simulation.repeating import settled
 from homeward.simulation.scenario import (
@@ -26,7 +27,7 @@ from homeward.simulation.scenario import (
     StartPose,
     Teach,
 )
-from homeward.simulation.simulate import Ending, prepare, simulate
+from homeward.simulation.simulate import prepare, simulate
 
 CORNERS = np.array([[0.0, 0.0], [2.5, 0.0], [2.5, 2.0]])
 LANDMARKS = 16

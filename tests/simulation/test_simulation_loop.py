@@ -12,8 +12,9 @@ from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
 from homeward.frames import Pose, from_polar, to_polar
 from homeward.registry import make_estimator
+from homeward.simulation.course import Ending
 from homeward.simulation.files import load_scenario
-from homeward.simulation.simulate import Ending, prepare, simulate
+from homeward.simulation.simulate import prepare, simulate
 from homeward.simulation.trajectories import SEARCH_RADIUS
 
 SHORT = {"trajectory.duration": 10.0}

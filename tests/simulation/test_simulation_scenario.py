@@ -5,8 +5,7 @@ import math
 import pytest
 
 from homeward.errors import InputError
-from homeward.simulation.files import load_scenario, scenario_yaml, write_simulation
-from homeward.simulation.presets import PRESETS
+from homeward.simulation.files import PRESETS, load_scenario, scenario_yaml, write_simulation
 from homeward.simulation.simulate import simulate
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from homeward.control import Twist, advance
 from homeward.frames import Pose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.presets import WAREHOUSE
+from homeward.simulation.course import Ending
+from homeward.simulation.files import WAREHOUSE, load_scenario
 from homeward.simulation.scenario import Room
-from homeward.simulation.simulate import Ending, simulate
+from homeward.simulation.simulate import simulate
 from homeward.simulation.trajectories import (
     LOOK_RATE,
     LOOKAHEAD,

@@ -6,10 +6,10 @@ import pytest
 pytest.importorskip("cv2")
 
 import cv2
+from vision_scene import align_features
 
 from homeward.vision import Equirectangular, look
 from homeward.vision.features.match_propagation import propagate_matches
-from homeward.vision.features.patch_alignment import align_features
 
 WIDTH, HEIGHT = 512, 128
 MIDDLE = (255.5, 63.5)

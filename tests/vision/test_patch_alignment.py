@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("cv2")
 
 import cv2
+from vision_scene import align_features
 
-from homeward.vision.features.patch_alignment import align_features
 from homeward.vision.features.pyramid import Pyramid
 
 WIDTH, HEIGHT = 256, 96

@@ -21,10 +21,10 @@ from homeward.drives.opening import open_drive
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.localizer.localizer import Localizer
-from homeward.vision.cameras.messages import picture_of
 from homeward.vision.recorded.recording import see_recording
 from homeward.vision.tags.detector import TagDetector
 from homeward.vision.tags.front_end import TagFrontEnd
+from homeward.vision.tags.messages import picture_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 SHAPE = (240, 320)

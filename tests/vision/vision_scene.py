@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from homeward.vision.features.patch_alignment import align_patches, similarity
+
 PER_M = 60
 """Texture pixels per metre."""
 
@@ -118,3 +120,8 @@ def look(
     image = cv2.GaussianBlur(grey, (0, 0), 0.6)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape)
     return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def align_features(home, now, at_home, at_now, size, growth, turn):
+    """Align patches about features, (n, 2), with those of their matches, grown and turned."""
+    return align_patches(home, now, at_home, size, similarity(at_now, growth, turn))

@@ -27,7 +27,7 @@ def export(
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
     from homeward.drives.text.settings import validated
-    from homeward.engine.export.project import MARKER, project
+    from homeward.engine.export.source import MARKER, project
     from homeward.engine.export.work import most_work
     from homeward.filters.settings import FilterSettings
     from homeward.report.output import check_output, whole_folder

@@ -48,7 +48,7 @@ def studio(
     from homeward.drives.ros.info import log_info
     from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model
-    from homeward.simulation.presets import PRESETS
+    from homeward.simulation.files import PRESETS
     from homeward.studio.replay import Replay
     from homeward.studio.scenes import open_scene
     from homeward.studio.server import Played, Studio

@@ -252,6 +252,12 @@ class Columns:
         """Return some rows: a mask (n,), or their numbers."""
         return type(self)(*(getattr(self, f.name)[use] for f in fields(cast(Any, self))))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the rows of several tables, one after another."""
+        names = [f.name for f in fields(cast(Any, cls))]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
 
 @dataclass(frozen=True)
 class Odometry(Columns):
@@ -281,8 +287,7 @@ class Sightings(Columns):
     @classmethod
     def of_rows(cls, rows: Sequence[tuple[float, str, float, float]]) -> Self:
         """Return those of rows (t, landmark, bearing, sigma), in order of time."""
-        ids = np.empty(len(rows), object)
-        ids[:] = [landmark for _, landmark, _, _ in rows]
+        ids = np.array([landmark for _, landmark, _, _ in rows], object)
         numbers = np.array([(t, b, s) for t, _, b, s in rows], float).reshape(-1, 3)
         return cls(numbers[:, 0], ids, numbers[:, 1], numbers[:, 2])
 

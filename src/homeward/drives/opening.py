@@ -16,7 +16,7 @@ from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.files import is_there, shipped
 from homeward.drives.text.settings import validated
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.frames import Pose
 
 SAMPLE = "sample"
@@ -99,10 +99,8 @@ def open_drive(
         when = validated(HomeWhen, {"spin": home_spin})
     elif when is not None and drive.home:
         raise InputError(f"home is told twice: in {HOME} and under home in {SETTINGS}", place)
-    try:
+    with speaking_of(place):
         return drive if when is None else with_home(drive, when)
-    except InputError as error:
-        raise InputError(error.what, place) from error
 
 
 def located(path: str | os.PathLike[str]) -> Path:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
+from homeward.engine.native.cache import default_folder
 from homeward.engine.native.compiler import NativeError
-from homeward.engine.native.library import any_kept, is_kept
+from homeward.engine.native.library import is_kept
 from homeward.engine.native.source import Source
 from homeward.filters.settings import Engine
-
-__all__ = ["Engine", "choose"]
 
 COMPILING_S = 25e-6
 """What compiling takes for each character of C [s]."""
@@ -61,7 +60,7 @@ def choose(
 
 def _pays(saved: float, source: Callable[[], Source]) -> bool:
     """Tell whether compiling pays, or has been paid for before."""
-    if not (_worth_a_word(saved) or any_kept()):
+    if not (_worth_a_word(saved) or any(default_folder().glob("*.so"))):
         return False
     text = source().text
     return saved > COMPILING_S * len(text) or is_kept(text)

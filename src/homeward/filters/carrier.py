@@ -13,6 +13,10 @@ from homeward.frames import Pose
 LOST_SIGMA = 0.5
 """White noise of speed [m/s/sqrt(Hz)] and turn rate [rad/s/sqrt(Hz)] without odometry."""
 
+Held = tuple[float, float] | None
+"""What a robot drives by: v [m/s] and omega [rad/s]; None: nobody knows."""
+Angles = Mapping[int, float]
+"""By the landmarks' indices [rad]."""
 Outputs = Mapping[str, np.ndarray]
 """Of an update, (q,) each: innovation [rad], innovation_variance [rad^2], accepted (0 or 1)."""
 
@@ -52,19 +56,17 @@ class Carrier(Protocol):
     def start(self) -> Any:
         """Return the belief of the start prior, before any landmark is seen."""
 
-    def predict(self, belief: Any, interval: float, twist: tuple[float, float] | None) -> Any:
-        """Return the belief `interval` [s] later, driven by v [m/s] and omega [rad/s].
+    def predict(self, belief: Any, interval: float, twist: Held) -> Any:
+        """Return the belief `interval` [s] later.
 
         Without a twist the robot stands, with the noise `LOST_SIGMA`.
         """
 
-    def update(
-        self, belief: Any, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Any, Outputs]:
+    def update(self, belief: Any, seen: Angles, sigmas: Angles) -> tuple[Any, Outputs]:
         """Return the belief after the sightings of one stamp, and what the step said of them.
 
-        `seen` has the bearing from the robot's heading [rad] of each landmark by its index,
-        `sigmas` the standard deviation [rad] of those that have one of their own.
+        `seen` has the bearing of each landmark from the robot's heading, `sigmas` the standard
+        deviation of those that have one of their own.
         """
 
     def pose(self, belief: Any) -> tuple[Pose, np.ndarray]:

@@ -15,7 +15,7 @@ from homeward.model import POLAR, PolarModel, Step, discretise
 
 @dataclass(frozen=True)
 class ExtendedKalmanFilter:
-    """The paper's EKF as two symbolic steps (MATH.md, section 3).
+    """The paper's EKF as two symbolic steps.
 
     The augmented filter is the same on a model some of whose home bearings are states; the
     proportional-integral filter adds its correction to both steps.

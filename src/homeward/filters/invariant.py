@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -10,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.filters.carrier import LOST_SIGMA, Known, Outputs, nothing_said
+from homeward.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
 from homeward.filters.settings import Engine
 from homeward.frames import Pose
 from homeward.model import INPUTS, discretise, home_anchored_bearing, unicycle_rates
@@ -146,9 +145,7 @@ class InvariantFilter:
         inverse = np.full(q, prior.inverse_distance)
         return CartesianBelief(np.array(prior.pose), prior.home, inverse, covariance, np.zeros(q))
 
-    def predict(
-        self, belief: CartesianBelief, interval: float, twist: tuple[float, float] | None
-    ) -> CartesianBelief:
+    def predict(self, belief: CartesianBelief, interval: float, twist: Held) -> CartesianBelief:
         """Return the belief `interval` [s] later; only the noise of the input is added."""
         if interval <= 0.0:
             return belief
@@ -160,7 +157,7 @@ class InvariantFilter:
         return replace(belief, pose=np.asarray(after)[:, 0], covariance=covariance)
 
     def update(
-        self, belief: CartesianBelief, seen: Mapping[int, float], sigmas: Mapping[int, float]
+        self, belief: CartesianBelief, seen: Angles, sigmas: Angles
     ) -> tuple[CartesianBelief, Outputs]:
         """Return the belief after one stamp, and what the step said of each landmark."""
         out = nothing_said(self.stored.size)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.control import Twist, advance
-from homeward.filters.carrier import LOST_SIGMA, Known, Outputs, nothing_said
+from homeward.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
 from homeward.filters.invariant import SensorNoise
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, Pose, from_polar
@@ -107,9 +106,7 @@ class ParticleFilter:
         pose = np.array(from_polar(Polar(*drawn)))
         return Particles(pose, even, mark, spread, np.zeros(self.stored.size), 1)
 
-    def predict(
-        self, belief: Particles, interval: float, twist: tuple[float, float] | None
-    ) -> Particles:
+    def predict(self, belief: Particles, interval: float, twist: Held) -> Particles:
         """Return the belief `interval` [s] later: every particle has a motion of its own."""
         if interval <= 0.0:
             return belief
@@ -119,9 +116,7 @@ class ParticleFilter:
         pose = np.stack(advance(Pose(*belief.pose), Twist(v, omega), interval))
         return replace(belief, pose=pose, draws=belief.draws + 1)
 
-    def update(
-        self, belief: Particles, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Particles, Outputs]:
+    def update(self, belief: Particles, seen: Angles, sigmas: Angles) -> tuple[Particles, Outputs]:
         """Return the belief after one stamp, and what all particles together say of it."""
         out = nothing_said(self.stored.size)
         if len(seen) < max(self.minimum_visible, 1):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
@@ -20,6 +22,7 @@ from homeward.drives.drive import (
     Sightings,
     Start,
 )
+from homeward.estimator import Estimate
 from homeward.frames import Polar, Pose, compose, from_polar, to_polar
 from homeward.simulation.log import Log, stamps, within
 from homeward.simulation.scenario import Course, Repeat
@@ -40,6 +43,24 @@ class Ending(enum.Enum):
     """It got nowhere."""
     TIME_UP = "time up"
     """The longest duration was reached."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What came of a simulated drive."""
+
+    drive: Drive
+    """With truth in the home frame."""
+    ending: Ending
+    final_pose: Pose
+    """True pose in the home frame where the drive ended."""
+    estimates: list[Estimate]
+    """What the estimator in the loop answered to each stamp of bearings; empty without one."""
+
+    @property
+    def final_distance(self) -> float:
+        """True distance from home at the end [m]."""
+        return math.hypot(self.final_pose.x, self.final_pose.y)
 
 
 def drive_course(

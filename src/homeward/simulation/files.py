@@ -9,17 +9,30 @@ from typing import Any, TypeVar
 import yaml
 
 from homeward.drives.folder import write_folder
-from homeward.drives.text.files import is_there, naming
+from homeward.drives.text.files import is_there, naming, shipped
 from homeward.drives.text.settings import key_parts, read_settings, validated
 from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
-from homeward.simulation.presets import PRESETS
-from homeward.simulation.scenario import Course, Scenario
+from homeward.simulation.scenario import Circle, Course, Moved, Scenario
 from homeward.simulation.simulate import Simulation
 from homeward.simulation.world import World, quantise
 
 Driven = TypeVar("Driven", bound=Course)
 SCENARIO, WORLD = "scenario.yaml", "world.csv"
+WAREHOUSE, PAPER_HOMING = (
+    read_settings(shipped("scenarios", f"{name}.yaml"), Scenario)
+    for name in ("warehouse", "paper-homing")
+)
+CIRCLE = PAPER_HOMING.model_copy(
+    update={
+        "name": "circle",
+        "moved": Moved(),
+        "trajectory": Circle(speed=0.125, omega=0.25, duration=60.0),
+    }
+)
+"""The paper's Case 4, open loop, with the same noise; its turn rate is not printed."""
+PRESETS = {scenario.name: scenario for scenario in (WAREHOUSE, PAPER_HOMING, CIRCLE)}
+"""Scenarios that come with homeward, by name: files of data/scenarios, as users write them."""
 
 
 def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scenario:

@@ -8,15 +8,14 @@ An estimator in the loop gets these very numbers, so that a replay of the drive 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
-from homeward.estimator import Estimate, Estimator
+from homeward.estimator import Estimator
 from homeward.frames import Pose
-from homeward.simulation.course import Ending, before, drive_course
+from homeward.simulation.course import Driven, before, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.repeating import as_visitor
 from homeward.simulation.scenario import Scenario
@@ -25,25 +24,13 @@ from homeward.simulation.world import World, build_world, home_bearings
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Driven):
     """A simulated drive, and the truth about it."""
 
     scenario: Scenario
-    drive: Drive
-    """With truth in the home frame."""
     world: World
-    ending: Ending
-    final_pose: Pose
-    """True pose in the home frame where the drive ended."""
-    estimates: list[Estimate] = field(default_factory=list)
-    """What the estimator in the loop answered to each stamp of bearings; empty without one."""
-    reason: str = ""
+    reason: str
     """Why the robot gave up, if it did."""
-
-    @property
-    def final_distance(self) -> float:
-        """True distance from home at the end [m]."""
-        return math.hypot(self.final_pose.x, self.final_pose.y)
 
 
 def prepare(scenario: Scenario) -> Drive:
@@ -93,7 +80,7 @@ def simulate(
 
     ending, pose = drive_course(scenario, log, look, before.home_bearings(), progress)
     drive = log.fill(before)
-    return Simulation(scenario, drive, world, ending, pose, log.estimates, log.last_words)
+    return Simulation(drive, ending, pose, log.estimates, scenario, world, log.last_words)
 
 
 def _prepare(scenario: Scenario, world: World) -> Drive:

@@ -9,7 +9,7 @@ from typing import Protocol, assert_never
 
 import numpy as np
 
-from homeward.control import Twist, arrived, homing
+from homeward.control import Twist, homing
 from homeward.errors import InputError
 from homeward.following import COAST_S, Follower, Path, State
 from homeward.frames import Polar, Pose, bearing, between, to_polar
@@ -17,8 +17,11 @@ from homeward.laws import Slope, law_named, steer, way_home
 from homeward.simulation.repeating import place_of
 from homeward.simulation.scenario import ByPoints, Circle, Course, Homing, Repeat, Teach, Waypoints
 
-NOTHING: Mapping[str, float] = MappingProxyType({})
-"""Seen."""
+Command = Twist | None
+"""None where the drive is done."""
+Seen = Mapping[str, float]
+"""Id to direction in the home frame [rad] of what was seen last."""
+UNSEEN: Seen = MappingProxyType({})
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 SAME_CIRCLES = 3
@@ -52,10 +55,8 @@ class Control(Protocol):
     gave_up: str = ""
     """Why, where it gave up."""
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
-        """Return the command, or None when the drive is done.
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
+        """Return the command.
 
         Parameters
         ----------
@@ -65,8 +66,8 @@ class Control(Protocol):
             Where the robot believes it is in the home frame; None when it does not know.
         sure : bool
             Whether that pose is one to rely on.
-        seen : mapping of str to float
-            Id to direction in the home frame [rad] of what was seen last.
+        seen : Seen
+            What was seen last.
         """
 
 
@@ -107,9 +108,7 @@ class SpinFirst(Control):
     def __init__(self, rate: float, then: Control) -> None:
         self._rate, self._then, self._turns_s = rate, then, math.tau / abs(rate)
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         if t < self._turns_s + 1.0:
             return Twist(0.0, self._rate if t < self._turns_s else 0.0)
@@ -162,18 +161,17 @@ class HomingControl(Control):
         self._look_s = math.tau / LOOK_RATE if view < NARROW and not exact else 0.0
         self._home_since: float | None = None
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         if pose is None or (self._look_s and not sure):
             return self._search.twist(t)
         polar = to_polar(pose)
-        if self._home_since is None and sure and arrived(polar, self._trajectory.stop_radius):
+        arrived = self._trajectory.stop_radius > polar.R
+        if self._home_since is None and sure and arrived:
             self._home_since = t
         if self._home_since is not None and t < self._home_since + self._look_s:
             return Twist(0.0, LOOK_RATE)
-        if not arrived(polar, self._trajectory.stop_radius):
+        if not arrived:
             self._nearest = math.inf
         elif not sure:
             return self._search.twist(t)
@@ -213,9 +211,7 @@ class BearingControl(Control):
         self._trajectory, self._slope, self._home = trajectory, slope, home
         self._search = Search(trajectory.speed)
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         drive = self._trajectory
         way = way_home(self._slope, seen, self._home, drive.landmark_distance)
@@ -233,9 +229,7 @@ class CircleControl(Control):
     def __init__(self, trajectory: Circle) -> None:
         self._twist = Twist(trajectory.speed, trajectory.omega)
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         return self._twist
 
@@ -253,9 +247,7 @@ class WaypointControl(Control):
         self._last_t, self._last_omega = 0.0, 0.0
         self._search = Search(trajectory.speed)
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         if pose is None:
             wanted = self._search.twist(t).omega
@@ -316,9 +308,7 @@ class PathControl(Control):
         self._exact, self._sure_at = exact, -math.inf
         self._search = Search(trajectory.speed, view)
 
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, seen: Mapping[str, float] = NOTHING
-    ) -> Twist | None:
+    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
         """Return the command; see `Control`."""
         begin, end = self._blocked or (math.inf, math.inf)
         blocked, sure = begin <= t < end, sure and (self._exact or bool(seen))

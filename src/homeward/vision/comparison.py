@@ -15,7 +15,7 @@ from homeward.vision.features.detection import View
 from homeward.vision.features.match_propagation import propagate_matches, thinned
 from homeward.vision.features.matching import RATIO
 from homeward.vision.features.moved_groups import moved_groups
-from homeward.vision.features.patch_alignment import Alignment, align_features
+from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
 from homeward.vision.features.self_similarity import self_similar
 from homeward.vision.geometry.a_contrario import WITHIN, Acceptance, assess, assess_unrepeated
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
@@ -162,7 +162,7 @@ def compare_once(
     if fit is not None:
         if acceptance.accepted:
             fits = fit.inlier
-            (column, row), there = propagate_matches(home, now, i[fits], laid[fits])
+            (column, row), there = propagate_matches(home, now, i[fits], laid.rows(fits))
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, spread = _sharpened(fit, pairs, beside, camera)
@@ -236,12 +236,13 @@ def _paired(
     growth = now.size[j] / home.size[i]
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
-    laid = align_features(home.pyramid, now.pyramid, at_home, at_now, home.size[i], growth, turn)
+    begun = similarity(at_now, growth, turn)
+    laid = align_patches(home.pyramid, now.pyramid, at_home, home.size[i], begun)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
     larger = growth**2 if home.finder.tells_size else laid.area
     pairs = _pairs(directions, now, laid, np.log(larger) / 2, camera)
     found = laid.found
-    return rows[kept][found], pairs[found], laid[found], quality[kept][found]
+    return rows[kept][found], pairs[found], laid.rows(found), quality[kept][found]
 
 
 def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:

@@ -7,7 +7,7 @@ So landmarks that home saw keep their names where home itself is out of sight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,7 +69,6 @@ def home_name(row: int) -> str:
     return f"h{row}"
 
 
-@dataclass
 class FrontEnd:
     """Turns the panoramas of one drive into bearings of landmarks.
 
@@ -83,19 +82,13 @@ class FrontEnd:
         How many landmarks at most are passed on from one frame.
     """
 
-    home: View
-    camera: Panorama
-    most: int = 30
-    _keyframes: list[Keyframe] = field(init=False)
-    _sightings: dict[int, int] = field(init=False, default_factory=dict)
-    _next: int = field(init=False)
-    _lost: int = field(init=False, default=0)
-    _turn: int = field(init=False, default=0)
-    _home_seen: bool = field(init=False, default=True)
-
-    def __post_init__(self) -> None:
-        self._keyframes = [Keyframe(self.home, np.arange(len(self.home)), np.zeros(len(self.home)))]
-        self._next = len(self.home)
+    def __init__(self, home: View, camera: Panorama, most: int = 30) -> None:
+        self.home, self.camera, self.most = home, camera, most
+        self._keyframes = [Keyframe(home, np.arange(len(home)), np.zeros(len(home)))]
+        self._sightings: dict[int, int] = {}
+        self._next = len(home)
+        self._lost = self._turn = 0
+        self._home_seen = True
 
     @property
     def home_bearings(self) -> dict[str, HomeBearing]:

@@ -9,7 +9,7 @@ from homeward.drives.home.choosing import with_home
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.frames import Pose, between
-from homeward.simulation.presets import PRESETS
+from homeward.simulation.files import PRESETS
 from homeward.simulation.simulate import simulate
 
 WHEN = HomeWhen(spin=(0.0, 16.0))

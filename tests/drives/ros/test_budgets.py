@@ -249,6 +249,14 @@ def test_text_in_a_database_that_is_no_utf8(tmp_path):
     assert "sqlite" in refusal(open_drive, path)
 
 
+def test_a_message_whose_number_is_text(tmp_path):
+    path = tmp_path / "log.db3"
+    table = crafted.MESSAGES.replace("id INTEGER PRIMARY KEY", "id TEXT")
+    message = ("INSERT INTO messages VALUES ('one', 1, 1, ?)", (FIVE_CDR[0],))
+    crafted.database(path, crafted.TOPICS, crafted.ODOM, table, message)
+    assert "'one' for its number" in refusal(open_drive, path)
+
+
 def test_reading_changes_nothing_and_runs_no_trigger(tmp_path):
     path = tmp_path / "log.db3"
     message = ("INSERT INTO messages VALUES (1, 1, 1, ?)", (FIVE_CDR[0],))

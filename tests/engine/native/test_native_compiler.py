@@ -12,7 +12,7 @@ from native_rig import COMPILER, answer, toy
 from test_steps import run
 
 from homeward.engine.choice import choose
-from homeward.engine.kernels import filter_kernels
+from homeward.engine.estimators.runner import filter_kernels
 from homeward.engine.native import compiler, library
 from homeward.engine.native.compiler import NativeError, find_compiler
 from homeward.filters.ekf import ExtendedKalmanFilter

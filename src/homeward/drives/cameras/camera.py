@@ -16,6 +16,12 @@ from pydantic import Field
 from homeward.angles import wrap
 from homeward.drives.drive import Strict
 
+Shape = tuple[int, int]
+"""Height and width of an image [px]."""
+Pixels = tuple[np.ndarray, np.ndarray]
+"""Columns and rows, which need not be whole [px]."""
+Directions = tuple[np.ndarray, np.ndarray]
+"""Azimuths and elevations [rad]."""
 Tilt = Annotated[float, Field(ge=-math.pi / 3, le=math.pi / 3)]
 
 
@@ -29,9 +35,7 @@ class Camera(Strict):
     tilt_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02
     """How far the tilt may differ from that, from image to image [rad]."""
 
-    def directions(
-        self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def directions(self, columns: np.ndarray, rows: np.ndarray, shape: Shape) -> Directions:
         """Return azimuth and elevation [rad] of pixels, the known tilt taken out.
 
         Parameters
@@ -49,9 +53,7 @@ class Camera(Strict):
         """
         raise NotImplementedError
 
-    def pixels(
-        self, azimuth: np.ndarray, elevation: np.ndarray, shape: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(self, azimuth: np.ndarray, elevation: np.ndarray, shape: Shape) -> Pixels:
         """Return columns and rows [px] of directions [rad]; the inverse of `directions`.
 
         NaN where the camera cannot see; what lies outside of the image has coordinates, too.
@@ -59,7 +61,7 @@ class Camera(Strict):
         raise NotImplementedError
 
     def directions_and_slope(
-        self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
+        self, columns: np.ndarray, rows: np.ndarray, shape: Shape
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return `directions`, (n, 2), and their derivatives by column and row, (n, 2, 2)."""
         right, down = np.array([[0.0, 0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.0, 0.5, -0.5]])[..., None]
@@ -77,25 +79,23 @@ class Camera(Strict):
         """
         return np.asarray((np.tan(elevation) * self.tilt_sigma) ** 2)
 
-    def _level(self, azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _level(self, azimuth: np.ndarray, elevation: np.ndarray) -> Directions:
         """Turn directions from the tilted camera's frame into the level one."""
         return turned(azimuth, elevation, tilt_matrix(self.roll, self.pitch))
 
-    def _tilted(self, azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _tilted(self, azimuth: np.ndarray, elevation: np.ndarray) -> Directions:
         """Turn directions from the level frame into the tilted camera's."""
         return turned(azimuth, elevation, tilt_matrix(self.roll, self.pitch).T)
 
 
-def turned(
-    azimuth: np.ndarray, elevation: np.ndarray, rotation: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def turned(azimuth: np.ndarray, elevation: np.ndarray, rotation: np.ndarray) -> Directions:
     """Return azimuth and elevation [rad], (n,), of directions after a rotation (3, 3)."""
     if np.array_equal(rotation, np.eye(3)):
         return azimuth, elevation
     return angles(unit_vectors(azimuth, elevation) @ rotation.T)
 
 
-def angles(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def angles(rays: np.ndarray) -> Directions:
     """Return azimuth and elevation [rad], (...), of rays (..., 3) of any length but 0."""
     x, y, z = np.moveaxis(rays, -1, 0)
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.cameras.camera import Camera, angles, unit_vectors
+from homeward.drives.cameras.camera import Camera, Directions, Shape, angles, unit_vectors
 
 FLAT = 1e-10
 """Least product of a tag's diagonals and the sine between them [rad^2]."""
@@ -49,9 +49,7 @@ def tag_bearings(
     return azimuth[0], np.sqrt(variance + camera.bearing_variance(elevation[0]))
 
 
-def _middle(
-    corners: np.ndarray, camera: Camera, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
+def _middle(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:
     """Return azimuth and elevation [rad], (...), of the middles of tags (..., 4, 2) [px]."""
     seen = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
     rays = unit_vectors(*seen).reshape(*corners.shape[:-1], 3)

@@ -7,13 +7,17 @@ import math
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeWhen, Truth
+from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry, Truth
 from homeward.drives.home.spin import Spin, spin
-from homeward.drives.home.standing import home_during
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.estimator import HOLD_S
 from homeward.frames import Pose, between
 
+STILL_M = 0.05
+"""A robot that goes further does not stand [m]."""
+STILL_RAD = 0.05
+"""Nor one that turns by more [rad]."""
 FOUND = (
     "home bearings by a turn of {:.0f} degrees, good to {:.2g} degrees in the median; home's "
     "heading is that at its beginning to {:.2g} degrees"
@@ -29,7 +33,7 @@ def with_home(drive: Drive, when: HomeWhen) -> Drive:
     Raises
     ------
     InputError
-        When the robot was not at home then, or saw nothing; see `home_during` and `spin`.
+        When the robot was not at home then, or saw nothing; see `spin`.
     """
     span = when.during or when.spin
     if span is None:
@@ -43,11 +47,36 @@ def with_home(drive: Drive, when: HomeWhen) -> Drive:
         drive = _seen_from(drive, first)
     told = drive.settings.model_copy(update={"home": None})
     if when.during is not None:
-        home = home_during(when.during, drive.odometry, drive.sightings)
+        _require_still(first, last, drive.odometry)
+        home = _mean_directions(drive, first, last)
+        if not home:
+            raise InputError(f"nothing was seen during home's {span[0]:g} to {span[1]:g} s")
         return dataclasses.replace(drive, home=home, settings=told)
     found = spin((first, last), drive.odometry, drive.sightings, told)
     remarks = {**drive.remarks, **_remarks(found)}
     return dataclasses.replace(drive, home=found.home, settings=told, remarks=remarks)
+
+
+def _require_still(first: float, last: float, odometry: Odometry) -> None:
+    """Refuse an interval [s] in which the odometry moves."""
+    ends = np.minimum(np.append(odometry.t[1:], np.inf), odometry.t + HOLD_S)
+    within = np.clip(np.minimum(ends, last) - np.maximum(odometry.t, first), 0.0, None)
+    way, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
+    if way > STILL_M or turn > STILL_RAD:
+        raise InputError(
+            f"the robot does not stand at home: meanwhile it drives {way:.2f} m and turns "
+            f"{turn:.2f} rad"
+        )
+
+
+def _mean_directions(drive: Drive, first: float, last: float) -> dict[str, HomeBearing]:
+    """Return the mean direction of each landmark that was seen in an interval [s]."""
+    seen, home = drive.sightings, dict[str, HomeBearing]()
+    at_home = seen.rows((seen.t >= first) & (seen.t <= last))
+    for landmark in dict.fromkeys(at_home.landmark.tolist()):
+        mine = at_home.bearing[at_home.landmark == landmark]
+        home[landmark] = HomeBearing(float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum())))
+    return home
 
 
 def _seen_from(drive: Drive, t: float) -> Drive:

@@ -75,6 +75,8 @@ class HomeLooks:
         return self.spin().home
 
     def _takes(self, t: float) -> bool:
+        if not math.isfinite(t):
+            return False
         if self._begun is None:
             self._begun = t
         self._too_long |= not t - self._begun <= LONGEST_S

@@ -70,15 +70,6 @@ class LogFile:
 
 
 @contextmanager
-def _naming_sqlite(path: Path) -> Iterator[None]:
-    """Make an InputError of what sqlite says, which is no OSError when the disk is full."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        raise InputError(f"cannot be written: {error}", path) from error
-
-
-@contextmanager
 def writing(path: Path) -> Iterator[LogFile]:
     """Lend a log that becomes the file `path` when the block ends without an error.
 
@@ -91,20 +82,23 @@ def writing(path: Path) -> Iterator[LogFile]:
     """
     if is_there(path):
         raise InputError("exists already; choose another name", path)
-    with naming(path, "cannot be written"), _naming_sqlite(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Beside it, so that moving it into place is no copy.
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as scratch:
-            made = Path(scratch) / "log"
-            if path.suffix == ".bag":
-                with rosbag1.Writer(made) as old:
-                    yield LogFile(old, ros1=True)
-            else:
-                storage = _STORAGE[path.suffix]
-                writer = rosbag2.Writer(made, version=9, storage_plugin=storage)
-                if storage is StoragePlugin.MCAP:
-                    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-                with writer as new:
-                    yield LogFile(new, ros1=False)
-                (made,) = made.glob(f"*{path.suffix}")
-            made.rename(path)
+    with naming(path, "cannot be written"):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # Beside it, so that moving it into place is no copy.
+            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as scratch:
+                made = Path(scratch) / "log"
+                if path.suffix == ".bag":
+                    with rosbag1.Writer(made) as old:
+                        yield LogFile(old, ros1=True)
+                else:
+                    storage = _STORAGE[path.suffix]
+                    writer = rosbag2.Writer(made, version=9, storage_plugin=storage)
+                    if storage is StoragePlugin.MCAP:
+                        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+                    with writer as new:
+                        yield LogFile(new, ros1=False)
+                    (made,) = made.glob(f"*{path.suffix}")
+                made.rename(path)
+        except sqlite3.Error as error:  # no OSError where the disk is full
+            raise InputError(f"cannot be written: {error}", path) from error

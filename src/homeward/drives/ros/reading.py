@@ -28,7 +28,7 @@ from homeward.drives.ros.topics.survey import Survey, Tell, survey
 from homeward.drives.ros.topics.times import Clock
 from homeward.drives.text.settings import parse_settings, read_settings
 from homeward.drives.text.table import Table, quoted
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.frames import Pose, between
 
 Taker: TypeAlias = Callable[[float, Any], None]
@@ -70,11 +70,8 @@ def read_log(
     told = _calibrated(told, path if topics is None else topics)
     known = survey(open_log(path), keep=(OUR_SETTINGS,), tell=first_half)
     plan = choose(known, told, pictures=eye is not None)
-    try:
+    with speaking_of(path):
         return _Reading(known, plan, topics, eye).drive(tell)
-    except InputError as error:
-        # It names the log, unless it names another file already.
-        raise error if error.file is not None else InputError(error.what, path) from error
 
 
 def _calibrated(told: LogSettings, beside: Path) -> LogSettings:

@@ -44,7 +44,8 @@ def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
         raise InputError("there is no odometry to write", path)
     _require_writable(drive, path)
     with writing(path) as log:
-        rows = _in_order(_Rows(log, drive.settings.epoch or 0).of(drive))
+        # In order of their stamps; equal ones stay as they are.
+        rows = sorted(_Rows(log, drive.settings.epoch or 0).of(drive), key=lambda row: row[0])
         for number, (stamp, topic, message) in enumerate(rows):
             log.write(topic, stamp, message)
             if tell is not None and number % 500 == 0:
@@ -62,11 +63,6 @@ def _require_writable(drive: Drive, path: Path) -> None:
     for landmark in {*map(str, drive.sightings.landmark), *drive.home}:
         if not is_identifier(landmark):
             raise InputError(f"landmark {quoted(landmark)} cannot be an id in a file", path)
-
-
-def _in_order(rows: Iterator[tuple[int, str, Any]]) -> list[tuple[int, str, Any]]:
-    """Return rows in order of their stamps; equal ones stay as they are."""
-    return sorted(rows, key=lambda row: row[0])
 
 
 class _Rows:

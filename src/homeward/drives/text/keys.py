@@ -60,7 +60,8 @@ def closest(name: str, model: type[Strict]) -> str | None:
         return near, near_in_all
 
     known = (key.name.split(".") for key in keys(model))
-    best = max((".".join(k[: n + 1]) for k in known for n in range(len(k))), key=likeness)
+    heads = (".".join(k[: n + 1]) for k in known for n in range(len(k)))
+    best = max(heads, key=likeness, default="")
     if likeness(best)[0] < LIKE:
         return None
     given, parts = name.split("."), best.split(".")

@@ -207,9 +207,7 @@ def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path
             trouble = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
             raise InputError(f"{name} {trouble}", path, rows[cells.index(cell)])
     # Objects, not fixed-width text: one long id must not widen every row.
-    values = np.empty(len(cells), object)
-    values[:] = [clean[cell] for cell in cells]
-    return values
+    return np.array([clean[cell] for cell in cells], object)
 
 
 def is_identifier(text: str) -> bool:

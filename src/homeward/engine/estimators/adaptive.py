@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.engine.estimators.runner import FilterRunner, Numbers, Tuning
-from homeward.filters.carrier import Known, Outputs
+from homeward.filters.carrier import Angles, Held, Known, Outputs
 from homeward.filters.settings import Engine
 from homeward.filters.steps import UPDATE_OUTPUTS
 from homeward.frames import Pose
@@ -34,9 +34,9 @@ class Past(NamedTuple):
 
     before: Past | None
     interval: float
-    twist: tuple[float, float] | None
-    seen: Mapping[int, float] | None
-    sigmas: Mapping[int, float]
+    twist: Held
+    seen: Angles | None
+    sigmas: Angles
 
 
 class Adapted(NamedTuple):
@@ -91,9 +91,7 @@ class AdaptiveRunner:
         """Return the belief of the start prior."""
         return Adapted(self._runner.start(), None, 0.0)
 
-    def predict(
-        self, belief: Adapted, interval: float, twist: tuple[float, float] | None
-    ) -> Adapted:
+    def predict(self, belief: Adapted, interval: float, twist: Held) -> Adapted:
         """Return the belief `interval` [s] later."""
         if interval <= 0.0:
             return belief
@@ -103,9 +101,7 @@ class AdaptiveRunner:
             return Adapted(numbers, None, age)
         return Adapted(numbers, Past(belief.past, interval, twist, None, {}), age)
 
-    def update(
-        self, belief: Adapted, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Adapted, Outputs]:
+    def update(self, belief: Adapted, seen: Angles, sigmas: Angles) -> tuple[Adapted, Outputs]:
         """Return the belief after one stamp; when it is time, all noise is identified anew."""
         numbers, found = self._runner.update(belief.numbers, seen, sigmas)
         if self._next > LAST_S:
@@ -177,9 +173,7 @@ def _in_order(past: Past | None) -> Iterator[Past]:
     return reversed(told)
 
 
-def log_likelihood(
-    belief: Numbers, seen: Mapping[int, float], sigmas: Mapping[int, float], tuning: Tuning
-) -> float:
+def log_likelihood(belief: Numbers, seen: Angles, sigmas: Angles, tuning: Tuning) -> float:
     """Return the log-likelihood of the innovations of one stamp, less a constant."""
     rows = np.array([i for i in seen if belief.active[i]], int)
     if len(seen) < tuning.minimum_visible or not rows.size:

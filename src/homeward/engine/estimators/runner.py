@@ -1,17 +1,20 @@
-"""A filter's belief carried through time by its kernels: numbers only, no ids and no answers."""
+"""A filter's belief carried through time by its kernels, compiled or not: numbers, no answers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.engine.kernels import filter_kernels
+from homeward.engine.choice import choose
+from homeward.engine.native.source import NativeProgram, Source, source_of
 from homeward.engine.program.generic import BELIEF
-from homeward.filters.carrier import LOST_SIGMA, Known
+from homeward.engine.program.interpreter import Kernel
+from homeward.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
+from homeward.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
 from homeward.frames import Polar, Pose, from_polar, polar_covariance_to_pose
@@ -23,6 +26,50 @@ MOST_STEPS = 1000
 """But in no more than these, however long the gap."""
 LARGEST = 1e9
 """A belief with a larger number in it (m, rad, or their squares) has diverged."""
+
+
+UNROLLED_UP_TO = 48
+"""States: up to here an unrolled step is built within half a second and runs faster."""
+SAVED_S = 20e-6
+"""What compiled code saves in each step [s]."""
+WRITING_S = 60.0
+"""For more states than that, `auto` wants to save as much [s]: writing the C alone takes long."""
+SLOWER = "which takes up to twice as long"
+
+
+class FilterKernels(NamedTuple):
+    """A filter's two steps, ready to run."""
+
+    predict: Kernel
+    update: Kernel
+    engine: Engine
+    """What executes them: native or interpreter."""
+    notes: tuple[str, ...]
+    """What the user must know of that, each a sentence."""
+
+
+def filter_kernels(
+    kind: ExtendedKalmanFilter, engine: Engine = "auto", steps: int = 0
+) -> FilterKernels:
+    """Return the kernels of a filter; so many `steps` are coming, as far as that is known."""
+
+    def native() -> NativeProgram:
+        return NativeProgram(filter_program(kind))
+
+    def source() -> Source:
+        return source_of(filter_program(kind), single=True)
+
+    saved = SAVED_S * steps
+    if not kind.separable and kind.model.n > COMPILES_UP_TO:
+        engine = "interpreter"  # there are no loops in C for it
+    if engine == "auto" and kind.model.n > UNROLLED_UP_TO and saved < WRITING_S:
+        engine = "interpreter"
+    program, notes = choose(engine, saved, source, native, SLOWER)
+    if program is not None:
+        notes = program.library.notes
+        return FilterKernels(program.part("predict"), program.part("update"), "native", notes)
+    predict, update = (part[0].kernel() for part in filter_parts(kind, UNROLLED_UP_TO).values())
+    return FilterKernels(predict, update, "interpreter", notes)
 
 
 class Numbers:
@@ -115,9 +162,7 @@ class FilterRunner:
         np.fill_diagonal(belief.covariance, tuning.variance)
         return belief
 
-    def predict(
-        self, belief: Numbers, interval: float, twist: tuple[float, float] | None
-    ) -> Numbers:
+    def predict(self, belief: Numbers, interval: float, twist: Held) -> Numbers:
         """Return the belief `interval` [s] later; the same unless that is positive."""
         for step in in_steps(interval):
             self._set_step(step, twist)
@@ -147,7 +192,7 @@ class FilterRunner:
             np.sqrt(np.maximum(variances, 0.0)),
         )
 
-    def _set_step(self, dt: float, twist: tuple[float, float] | None) -> None:
+    def _set_step(self, dt: float, twist: Held) -> None:
         """Set what a prediction depends on besides the belief."""
         given, tuning = self._predict.inputs, self.tuning
         given["control"][:] = twist or (0.0, 0.0)
@@ -160,9 +205,7 @@ class FilterRunner:
         given["state_variance"][:] = tuning.state_density * dt
         given["proportional"][...] = tuning.proportional * dt
 
-    def update(
-        self, belief: Numbers, seen: Mapping[int, float], sigmas: Mapping[int, float]
-    ) -> tuple[Numbers, Mapping[str, np.ndarray]]:
+    def update(self, belief: Numbers, seen: Angles, sigmas: Angles) -> tuple[Numbers, Outputs]:
         """Return the belief after the sightings of one stamp, and what the step said of them."""
         given = self._update.inputs
         self._update.given[: self._size] = belief.memory

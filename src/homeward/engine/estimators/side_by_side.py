@@ -28,7 +28,7 @@ from homeward.filters.belief import prediction_symbols
 from homeward.filters.carrier import LOST_SIGMA
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.settings import Engine
-from homeward.filters.steps import UPDATE_OUTPUTS
+from homeward.filters.steps import UPDATE_OUTPUTS, named_function
 from homeward.frames import Polar, from_polar, polar_covariance_to_pose
 from homeward.model import POLAR
 from homeward.track import Innovations, Track
@@ -104,12 +104,11 @@ def online_program(kind: ExtendedKalmanFilter) -> Program:
     inputs = {"dt": asked.dt, "lost": lost, "input_density": density}
     inputs |= {"state_density": walk, "proportional_density": gain}
     outputs = {
-        "input_covariance_out": ca.diag(ca.if_else(asked.dt > 0, noise, 0.0)),
-        "state_variance_out": walk * asked.dt,
-        "proportional_out": gain * asked.dt,
+        "input_covariance": ca.diag(ca.if_else(asked.dt > 0, noise, 0.0)),
+        "state_variance": walk * asked.dt,
+        "proportional": gain * asked.dt,
     }
-    dense = [ca.densify(v) for v in outputs.values()]
-    pace = ca.Function("pace", list(inputs.values()), dense, list(inputs), list(outputs))
+    pace = named_function("pace", inputs, outputs)
     return Program({"pace": (Symbolic(pace),)} | filter_parts(kind))
 
 
@@ -156,7 +155,7 @@ def _carry(
     tunings = [runner.tuning for runner in runners]
     variance = np.empty(bearings.shape)
     for r, own in enumerate(steps):
-        table[r, : len(own)] = own
+        table[r, : len(own)] = np.reshape(own, (-1, 4))  # none at all has no columns, either
         variance[r] = tunings[r].bearing_sigma ** 2
         if tables:
             seen, k = tables[r], len(own)
@@ -178,19 +177,12 @@ def _carry(
 
     job = Job(
         program=program,
-        extra={},
         runs=runs,
         steps=longest,
-        first_run=0,
-        seed=0,
         start=tuple(given(k, v) for k, v in start.items()),
         series=tuple(given(k, v, longest) for k, v in series.items()),
-        draws=(),
-        guarded=("state", "covariance"),
-        sums=(),
         final=(),
         history=KEPT,
-        stop=None,
     )
     saved = more * SAVED_S * runs * longest
     result, _ = choose(

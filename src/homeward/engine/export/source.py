@@ -1,4 +1,7 @@
-"""The C of an exported filter: templates with the symbolic source put in."""
+"""An exported filter: templates of C with the symbolic source put in, and the folder around them.
+
+The folder is that of a library, as Arduino and PlatformIO lay one out.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import casadi as ca
 
 from homeward.engine.estimators.runner import LARGEST
 from homeward.engine.native.split import Split, emit_split, split_step
+from homeward.errors import InputError
 from homeward.estimator import CHECKED
 from homeward.filters.carrier import LOST_SIGMA
 from homeward.filters.ekf import ExtendedKalmanFilter
@@ -27,6 +31,18 @@ from homeward.filters.steps import named_function
 from homeward.frames import Polar, Pose, between, from_polar, to_polar
 from homeward.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
 
+MARKER = "library.properties"
+"""The file that tells an earlier export."""
+MOST_LANDMARKS = 32
+"""What has been seen is a word of so many bits."""
+_FILES = {
+    "examples/cortex_m4f/main.c": "main.c",
+    "examples/cortex_m4f/startup.c": "startup.c",
+    "examples/cortex_m4f/mps2_an386.ld": "mps2_an386.ld",
+    "examples/homing/homing.ino": "homing.ino",
+    "library.json": "library.json",
+    MARKER: MARKER,
+}
 FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
 """All that is called of libm, before the suffix of floats."""
 STRETCHES = 16
@@ -36,6 +52,23 @@ GATE = 0.999
 """Share of right home bearings that agree with the right place of home."""
 CHANCE = 0.1
 """A home bearing counts as evidence where a wrong one agrees with no larger probability."""
+
+
+def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
+    """Return all files of an exported EKF of q landmarks, by their place in the folder.
+
+    Its defaults are the settings; numbers are floats (`single`) or doubles.
+
+    Raises
+    ------
+    InputError
+        For a number of landmarks that it cannot have.
+    """
+    if not 1 <= q <= MOST_LANDMARKS:
+        raise InputError(f"an exported filter has 1 to {MOST_LANDMARKS} landmarks, not {q}")
+    values = {"version": version("homeward"), "landmarks": q}
+    texts = {f"src/{k}": text for k, text in sources(q, settings, single).items()}
+    return texts | {place: filled(name, values) for place, name in _FILES.items()}
 
 
 def filled(name: str, values: Mapping[str, object]) -> str:
@@ -52,7 +85,7 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
     """
     kind = ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
     step = step_lines(kind)
-    f = "f" if single else ""
+    f, gate = "f" if single else "", NormalDist().inv_cdf((1 + GATE) / 2)
     values = {
         "version": version("homeward"),
         "landmarks": q,
@@ -66,9 +99,9 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "defaults": _indented(_defaults(settings), 2),
         "stretches": STRETCHES,
         "agreeing": CHECKED,
-        "resection_gate": _quantile(GATE) ** 2,
+        "resection_gate": gate**2,
         "chance": CHANCE,
-        "largest_misfit": math.pi * CHANCE / _quantile(GATE),
+        "largest_misfit": math.pi * CHANCE / gate,
         "largest_determinant": 1e30,
     }
     values |= {k: _indented(block_lines(k), 4 if k == "restart" else 2) for k in BLOCKS}
@@ -82,7 +115,7 @@ def step_lines(kind: ExtendedKalmanFilter) -> Split:
 
 def _pose() -> ca.Function:
     """Return the pose and its covariance to first order, from those of the polar state."""
-    x, covariance = ca.SX.sym("x", POLAR), _symmetric("covariance")
+    x, covariance = ca.SX.sym("x", POLAR), ca.SX.sym("covariance", 6)
     pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
     carried = _carried(pose, x, covariance)
     return named_function(
@@ -94,7 +127,7 @@ def _pose() -> ca.Function:
 
 def _restart() -> ca.Function:
     """Return the polar state and its covariance to first order, from those of the pose."""
-    pose, covariance = ca.SX.sym("pose", 3), _symmetric("covariance")
+    pose, covariance = ca.SX.sym("pose", 3), ca.SX.sym("covariance", 6)
     polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
     carried = _carried(polar, pose, covariance)
     return named_function(
@@ -124,7 +157,7 @@ def _relative() -> ca.Function:
 
 def _reckon() -> ca.Function:
     x, control, dt = ca.SX.sym("x", 3), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
-    covariance, density = _symmetric("covariance"), ca.SX.sym("density", INPUTS)
+    covariance, density = ca.SX.sym("covariance", 6), ca.SX.sym("density", INPUTS)
     step = discretise(unicycle_rates, x, control, dt)
     carried = step.by_state @ _full(covariance) @ step.by_state.T
     carried += step.by_input @ ca.diag(density / dt) @ step.by_input.T
@@ -158,12 +191,8 @@ def block_lines(name: str) -> list[str]:
     return emit_split(BLOCKS[name](), "o", entry, (), entry).shared
 
 
-def _symmetric(name: str) -> ca.SX:
-    """Return the lower triangle of a matrix of three rows, row by row."""
-    return ca.SX.sym(name, 6)
-
-
 def _full(lower: ca.SX) -> ca.SX:
+    """Return a symmetric matrix of three rows from its lower triangle, row by row (6,)."""
     return ca.blockcat(
         [[lower[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for j in range(3)] for i in range(3)]
     )
@@ -177,10 +206,6 @@ def _carried(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
     """Return a covariance carried through a function, to first order."""
     jacobian = ca.jacobian(out, by)
     return _lower(jacobian @ _full(covariance) @ jacobian.T)
-
-
-def _quantile(share: float) -> float:
-    return NormalDist().inv_cdf((1 + share) / 2)
 
 
 def _defaults(settings: FilterSettings) -> list[str]:

@@ -34,11 +34,6 @@ class Library(NamedTuple):
     """What the user should know of how it came about."""
 
 
-def any_kept() -> bool:
-    """Tell whether anything was ever compiled and kept."""
-    return any(default_folder().glob("*.so"))
-
-
 def is_kept(source: str) -> bool:
     """Tell whether the compiled code of a source is at hand, without compiling.
 

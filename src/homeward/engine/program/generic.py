@@ -1,7 +1,7 @@
 """Kernels for many landmarks: the model stays symbolic, the matrices are NumPy's.
 
-An unrolled step grows with q^2 to q^3 (MATH.md and DESIGN.md give sizes); these grow with memory
-alone, and visit only the landmarks in sight. They are tested against the symbolic steps.
+An unrolled step grows with q^2 to q^3; these grow with memory alone, and visit only the landmarks
+in sight. They are tested against the symbolic steps.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -89,16 +89,6 @@ class Program:
     parts: Mapping[str, tuple[Stage, ...]]
     separable: Separable | None = None
     """None where a landmark's row of the step depends on more than the robot and itself."""
-
-    @property
-    def advance(self) -> Iterator[Stage]:
-        """The stages of one advance, in order."""
-        return (s for name, part in self.parts.items() if name != OBSERVE for s in part)
-
-    @property
-    def observe(self) -> tuple[Stage, ...]:
-        """The stages that look at a sample."""
-        return self.parts.get(OBSERVE, ())
 
     @cached_property
     def shapes(self) -> Shapes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -100,12 +101,10 @@ def _image_settings(eye: Eye) -> str:
 
 def _write_logs(drive: Drive, folder: Path) -> None:
     """Write odometry, truth and settings as a drive folder has them."""
-    write_folder(drive, folder / ".logs")
-    for name in (ODOMETRY, TRUTH, SETTINGS):
-        (folder / ".logs" / name).replace(folder / name)
-    for rest in (folder / ".logs").iterdir():
-        rest.unlink()
-    (folder / ".logs").rmdir()
+    with tempfile.TemporaryDirectory(dir=folder) as logs:
+        write_folder(drive, Path(logs))
+        for name in (ODOMETRY, TRUTH, SETTINGS):
+            (Path(logs) / name).replace(folder / name)
 
 
 def _write_points(path: Path, eye: Eye, truth: PixelTruth) -> None:

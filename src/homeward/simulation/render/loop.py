@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -10,10 +9,10 @@ import numpy as np
 
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.estimator import Estimate, Estimator, LandmarkEstimate
+from homeward.estimator import Estimator, LandmarkEstimate
 from homeward.frames import Pose
 from homeward.one_thread import one_thread
-from homeward.simulation.course import Ending, before, drive_course
+from homeward.simulation.course import Driven, before, drive_course
 from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import trace
@@ -30,26 +29,14 @@ Keep = Callable[[float, Pose, np.ndarray], None]
 
 
 @dataclass(frozen=True)
-class ImageDrive:
-    """A drive through a rendered room."""
+class ImageDrive(Driven):
+    """A drive through a rendered room, with what was made of the images."""
 
     eye: Eye
-    drive: Drive
-    """With what was made of the images, and truth in the home frame."""
     images: int
     """How many were taken on the way."""
-    ending: Ending
-    final_pose: Pose
-    """True pose in the home frame where the drive ended."""
-    estimates: list[Estimate]
-    """What the estimator answered to each image in which something was found."""
     landmarks: list[LandmarkEstimate]
-    """What it knew of each landmark at the end."""
-
-    @property
-    def final_distance(self) -> float:
-        """True distance from home at the end [m]."""
-        return math.hypot(self.final_pose.x, self.final_pose.y)
+    """What the estimator knew of each landmark at the end."""
 
 
 class ImageLoop:
@@ -118,7 +105,7 @@ class ImageLoop:
         ending, pose = drive_course(self.eye.scenario, log, see, home, progress)
         drive = log.fill(self.drive)
         known = [] if sight is None else sight.landmarks()
-        return ImageDrive(self.eye, drive, self._taken, ending, pose, log.estimates, known)
+        return ImageDrive(drive, ending, pose, log.estimates, self.eye, self._taken, known)
 
 
 def panorama_of(eye: Eye) -> Panorama:

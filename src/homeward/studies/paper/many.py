@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.engine.batch.homing import Law, homing_program, run_homing
-from homeward.engine.choice import Engine
 from homeward.engine.program.interpreter import allocate
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.filters.settings import Engine
 from homeward.studies.paper.cases import control_law, fill, filter_kind, filter_settings
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World

@@ -8,7 +8,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
-from homeward.control import Twist, advance, arrived, homing
+from homeward.control import Twist, advance, homing
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -83,7 +83,7 @@ def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
         twist = Twist(speed, assumed.circle_turn_rate)
         if case != "4":
             sure = answer.status in (Status.LOCALISED, Status.COASTING)
-            if believed is not None and sure and arrived(believed, assumed.stop_radius):
+            if believed is not None and sure and assumed.stop_radius > believed.R:
                 break
             twist = homing(believed, speed) if believed is not None else Twist(speed, 0.0)
         estimator.odometry(k * dt, float(twist.v), float(twist.omega))
@@ -139,7 +139,7 @@ def _true_path(
         twist = Twist(speed, assumed.circle_turn_rate)
         if case != "4":
             polar = to_polar(pose)
-            if arrived(polar, assumed.stop_radius):
+            if assumed.stop_radius > polar.R:
                 break
             twist = homing(polar, speed)
         pose = advance(pose, Twist(*(np.array(twist) + disturbance)), printed.sample_time)

@@ -15,8 +15,7 @@ from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
 from homeward.registry import settings_model
-from homeward.simulation.files import load_scenario
-from homeward.simulation.presets import PRESETS
+from homeward.simulation.files import PRESETS, load_scenario
 from homeward.studies.study.recordings import Recording
 
 VERSION_KEY = "homeward"

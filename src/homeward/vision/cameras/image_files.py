@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.drives.text.files import naming, opened
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
@@ -92,10 +92,8 @@ def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
             f"{wanted_width}x{wanted_height}",
             path,
         )
-    try:
+    with speaking_of(path):
         return Mask.of(camera.panorama(grey))
-    except InputError as error:
-        raise InputError(error.what, path) from None
 
 
 def _check(image: Image.Image) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from homeward.angles import wrap
-from homeward.drives.cameras.camera import Camera
+from homeward.drives.cameras.camera import Camera, Directions, Pixels, Shape
 from homeward.drives.drive import Finite
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
@@ -29,18 +29,14 @@ class Panorama(Camera):
     horizon: Finite = 0.5
     """Where elevation 0 stands, as a share of the height from the top edge."""
 
-    def directions(
-        self, columns: np.ndarray, rows: np.ndarray, shape: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def directions(self, columns: np.ndarray, rows: np.ndarray, shape: Shape) -> Directions:
         """Return azimuth and elevation [rad] of pixels; as `Camera.directions`."""
         height, width = shape
         azimuth = np.asarray(wrap((self.axis * width - 0.5 - columns) * self.column_angle(width)))
         below = rows - (self.horizon * height - 0.5)
         return self._level(azimuth, self._elevation(-below * self.column_angle(width)))
 
-    def pixels(
-        self, azimuth: np.ndarray, elevation: np.ndarray, shape: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(self, azimuth: np.ndarray, elevation: np.ndarray, shape: Shape) -> Pixels:
         """Return columns and rows [px] of directions [rad]; as `Camera.pixels`."""
         height, width = shape
         azimuth, elevation = self._tilted(azimuth, elevation)

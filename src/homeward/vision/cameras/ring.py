@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.angles import wrap
+from homeward.drives.cameras.camera import Directions
 from homeward.drives.drive import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
@@ -90,9 +91,7 @@ class Ring(Panorama):
         cv2 = opencv()
         return np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR))
 
-    def ring_directions(
-        self, columns: np.ndarray, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def ring_directions(self, columns: np.ndarray, rows: np.ndarray) -> Directions:
         """Return azimuth and elevation [rad] of pixels of the ring image itself, tilted as it is.
 
         NaN beyond the ring's edges.

@@ -123,6 +123,5 @@ def _two_discs(grey: np.ndarray) -> bool:
         (nothing & part).sum(axis=1)[rows] / np.maximum(part.sum(axis=1)[rows], 1)
         for part in (without, within)
     )
-    return bool(
-        np.mean(outside - inside) >= 0.8
-    )  # of the edge has a picture within, nothing without
+    # So much of the edge has a picture within, and nothing without.
+    return bool(np.mean(outside - inside) >= 0.8)

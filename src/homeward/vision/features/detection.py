@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.grey import as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
@@ -228,12 +228,10 @@ def read_view(
         When a file cannot be read, or its size does not suit the camera, home or the picture.
     """
     grey = read_grey(path)
-    try:
+    with speaking_of(path):
         panorama = camera.panorama(grey)
         if like is not None:
             require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)
-    except InputError as error:
-        raise InputError(error.what, path) from None
     masked = like.mask if like is not None else camera.seen
     if mask is not None:
         masked = read_mask(mask, camera, grey.shape)

@@ -63,7 +63,7 @@ def propagate_matches(
         free[guides] = False
         some = thinned(np.arange(len(guides)), MOST_GUIDES)
         others = thinned(np.flatnonzero(free), MOST_PATCHES)
-        guides, laid = _beside(home, now, others, guides[some], laid[some])
+        guides, laid = _beside(home, now, others, guides[some], laid.rows(some))
         found.append((guides, laid))
     rows, parts = zip(*found, strict=True)
     laid = Alignment.joined(parts)
@@ -95,7 +95,7 @@ def _beside(
     alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
     best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
     rows, first = np.unique(which[best_first], return_index=True)
-    return rows, tried[best_first[first]]
+    return rows, tried.rows(best_first[first])
 
 
 def _near(

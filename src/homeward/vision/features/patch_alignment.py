@@ -10,12 +10,12 @@ ones, look-alikes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from ctypes import CDLL
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.drives.drive import Columns
 from homeward.vision.compiled import compiled
 from homeward.vision.features.pyramid import Pyramid
 
@@ -54,7 +54,7 @@ _PRIOR = np.array([1e-6, 1e-6, *4 * [STIFFNESS]])
 
 
 @dataclass(frozen=True)
-class Alignment:
+class Alignment(Columns):
     """Where n patches of home lie now."""
 
     column: np.ndarray
@@ -82,42 +82,6 @@ class Alignment:
     def area(self) -> np.ndarray:
         """How many times larger an area is now, (n,)."""
         return areas(self.shape)
-
-    def __getitem__(self, rows: np.ndarray) -> Alignment:
-        return Alignment(*(getattr(self, part.name)[rows] for part in fields(self)))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Alignment]) -> Alignment:
-        """Return several, one after another."""
-        names = [part.name for part in fields(cls)]
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
-
-
-def align_features(
-    home: Pyramid,
-    now: Pyramid,
-    at_home: np.ndarray,
-    at_now: np.ndarray,
-    size: np.ndarray,
-    growth: np.ndarray,
-    turn: np.ndarray,
-) -> Alignment:
-    """Align the patches about features of home with the panorama now.
-
-    Parameters
-    ----------
-    home, now : Pyramid
-        The two panoramas.
-    at_home, at_now : ndarray, shape (n, 2)
-        Column and row of each feature and of its match [px].
-    size : ndarray, shape (n,)
-        Diameter of the feature at home [px].
-    growth : ndarray, shape (n,)
-        How many times larger it is now.
-    turn : ndarray, shape (n,)
-        And how far it is turned, clockwise [rad].
-    """
-    return align_patches(home, now, at_home, size, _similarity(at_now, growth, turn))
 
 
 def align_patches(
@@ -236,7 +200,7 @@ def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.nda
     only the mean or the length of a patch is taken out, as both are.
     """
     spacing = radius / HALF
-    points = _similarity(at, radius, np.zeros_like(radius)) @ _GRID
+    points = similarity(at, radius, np.zeros_like(radius)) @ _GRID
     patch, length = _normal(home.sample(points, spacing))
     slope = []
     for way in np.eye(2):
@@ -250,8 +214,11 @@ def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.nda
     return patch, slopes
 
 
-def _similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Return maps, (n, 2, 3), from a patch's own coordinates to columns and rows."""
+def similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return similarity maps, (n, 2, 3), of steps to columns and rows about places `at`, (n, 2).
+
+    They grow by a `scale` and turn clockwise by a `turn` [rad], (n,).
+    """
     c, s = scale * np.cos(turn), scale * np.sin(turn)
     return np.stack([np.stack([c, -s, at[:, 0]], -1), np.stack([s, c, at[:, 1]], -1)], axis=1)
 

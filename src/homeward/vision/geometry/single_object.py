@@ -27,7 +27,7 @@ def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.
     Parameters
     ----------
     fit, pairs, heading
-        As for `geometry.a_contrario.judge`.
+        As for `homeward.vision.geometry.a_contrario.assess`.
     """
     rows = np.flatnonzero(fit.inlier)
     thing = np.zeros(len(pairs), bool)

@@ -7,11 +7,12 @@ beside the pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.drive import Columns
 from homeward.frames import Pose
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
@@ -27,7 +28,7 @@ LEAST_NEAR = 0.05
 
 
 @dataclass(frozen=True)
-class HomeLandmarks:
+class HomeLandmarks(Columns):
     """Landmarks of home that are seen now. All arrays have n rows."""
 
     home: np.ndarray
@@ -47,9 +48,6 @@ class HomeLandmarks:
 
     def __len__(self) -> int:
         return self.home.size
-
-    def __getitem__(self, rows: np.ndarray) -> HomeLandmarks:
-        return HomeLandmarks(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resecti
     if len(anchors) < 3:
         return None
     # Guessed distances are worth little afar, much near home: what they hold there, they hold fast.
-    of_map = anchors[anchors.mapped]
+    of_map = anchors.rows(anchors.mapped)
     upright = np.linalg.inv(tilt)
     found = _fit(of_map, seen, upright, _begin(of_map, seen))
     starts = [_begin(anchors, seen), *([] if found is None else [found.x])]

@@ -168,8 +168,7 @@ def _packed(found: Found) -> dict[str, np.ndarray]:
 
 def _unpacked(kept: dict[str, np.ndarray]) -> Found:
     """Return what arrays hold."""
-    names = np.empty(len(kept["landmarks"]), object)
-    names[:] = kept["landmarks"].tolist()
+    names = np.array(kept["landmarks"].tolist(), object)
     t, bearing, sigma = kept["sightings"].T.copy()
     home = zip(kept["home_names"].tolist(), kept["home"].tolist(), strict=True)
     seen = iter(_comparisons(kept))

@@ -11,13 +11,13 @@ from typing import Self
 
 import numpy as np
 
+from homeward.angles import wrap
 from homeward.drives.drive import Drive
-from homeward.estimator import Estimate, Estimator, guarded
+from homeward.estimator import Estimate, Estimator, Status, guarded
 from homeward.frames import Pose, bearing
 from homeward.vision.comparison import LARGEST_DIRECTION_SIGMA, Comparison
-from homeward.vision.homing.contradiction import Contradiction, contradiction, unanswered, unexpired
-from homeward.vision.homing.fix import Fix
-from homeward.vision.homing.visual_homing import VisualHoming
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, Fix
+from homeward.vision.homing.visual_homing import VisualHoming, agree
 
 WAYS = (
     "ahead",
@@ -44,6 +44,54 @@ class ImageDrive(Drive):
         """Return it with bearings and pictures stamped earlier by so long [s]."""
         pictures = tuple((t - by, compared) for t, compared in self.pictures)
         return dataclasses.replace(super().seen_earlier(by), pictures=pictures)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Home's picture says that the robot is not where the map says."""
+
+    t: float
+    """When the picture was taken [s]."""
+    tells_distance: bool
+    """Whether it concerns the distance from home, too, and not the direction alone."""
+    spread: np.ndarray
+    """(3, 3): added to the covariance of the map's pose, it covers the picture's, too; of x [m],
+    y [m], heading [rad]."""
+    reason: str
+    """In words."""
+
+    def applied_to(self, mapped: Estimate) -> Estimate:
+        """Return the map's estimate as unverified."""
+        if mapped.covariance is None:
+            return mapped
+        covariance = mapped.covariance + self.spread
+        return dataclasses.replace(
+            mapped, status=Status.UNVERIFIED, reason=self.reason, covariance=covariance
+        )
+
+
+def contradiction(mapped: Estimate, fix: Fix) -> Contradiction | None:
+    """Compare a fix with a map's pose: where they contradict each other, either may be right.
+
+    Parameters
+    ----------
+    mapped : Estimate
+        What the map says.
+    fix : Fix
+        What home's picture told.
+
+    Returns
+    -------
+    Contradiction or None
+        None where they do not contradict each other, or the map tells no pose.
+    """
+    if mapped.pose is None or (agree(mapped, fix) and not fix.contradicted):
+        return None
+    off = np.array(fix.pose) - np.array(mapped.pose)
+    off[2] = wrap(off[2])
+    spread = (fix.covariance + np.outer(off, off)) / 2
+    words = f"{_words(fix)}; the map contradicts that"
+    return Contradiction(fix.t, fix.tells_distance or fix.contradicted, spread, words)
 
 
 class RecordedVisualHoming(VisualHoming):
@@ -92,8 +140,10 @@ class RecordedVisualHoming(VisualHoming):
         super().home(t, seen)
         fix = self._fix
         if fix is not None and fix is not before:
-            now = contradiction(self._inner.estimate(t), fix, _words(fix))
-            self._doubt = now or unanswered(self._doubt, fix)
+            doubt, told = contradiction(self._inner.estimate(t), fix), self._doubt
+            # One about the distance is not resolved by a direction.
+            lasts = told is not None and told.tells_distance and not fix.tells_distance
+            self._doubt = doubt or (told if lasts else None)
 
     def _look_before(self, t: float) -> None:
         """Take the pictures before `t` [s] that were not yet taken."""
@@ -102,7 +152,7 @@ class RecordedVisualHoming(VisualHoming):
 
     def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
         """Return a fix that tells the distance, too, unless a surer map contradicts it."""
-        doubt = contradiction(mapped, fix, _words(fix))
+        doubt = contradiction(mapped, fix)
         if fix.sure and (doubt is None or _off(fix.covariance) < _off(mapped.covariance)):
             return super()._answer(mapped, fix)
         if doubt is not None:
@@ -111,9 +161,10 @@ class RecordedVisualHoming(VisualHoming):
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture said otherwise, or is not seen."""
-        said = super()._unless_refused(mapped)
-        doubt = unexpired(self._doubt, self._clock.peek(mapped.t))
-        return said if doubt is None else doubt.applied_to(said)
+        said, doubt = super()._unless_refused(mapped), self._doubt
+        if doubt is None or not self._clock.peek(mapped.t) - doubt.t <= DIRECTION_HOLD_S:
+            return said
+        return doubt.applied_to(said)
 
 
 def way_home(pose: Pose, covariance: np.ndarray) -> str | None:

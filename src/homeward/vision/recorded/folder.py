@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import Sightings
+from homeward.drives.drive import Drive, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
@@ -22,10 +22,9 @@ from homeward.drives.folder import (
 from homeward.drives.images import IMAGES, Images, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.text.files import is_there, require_folder
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.checks.camera_settings import better_settings
 from homeward.vision.checks.seam import require_panoramas
 from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDetector
@@ -91,36 +90,58 @@ def see_folder(
     images = read_images(folder, remarks)
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
-    odometry = read_odometry(folder / ODOMETRY, remarks)
-    # Before images are looked at, which takes long.
-    spans = {"the odometry": span(odometry.t), "the images": span(images.t)}
-    require_overlap(spans, OTHER_CLOCK, folder)
-    sensor = read_drive_settings(folder / SETTINGS)
-    truth = read_truth(folder / TRUTH, remarks)
+    blind = drive_beside(folder, images.t, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
     picture, home = read_view(place, camera, mask=settings.mask, finder=settings.finder)
     if camera.seen is None and not (force or settings.force):
-        _require_panoramas(picture, images.files, camera, folder)
+        with speaking_of(folder):
+            some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
+            require_panoramas([picture, *(camera.panorama(read_grey(f)) for f in some)], camera)
     if ready is not None:
         ready()
     front_end = FrontEnd(home, camera, settings.landmarks)
-    headings = dead_reckoning(odometry, images.t).heading
+    headings = dead_reckoning(blind.odometry, images.t).heading
     found = cached(
         lambda: cache_key([place, *images.files], settings, images.t, headings),
         lambda: _found(picture, front_end, images, headings, progress),
     )
     if progress is not None:
         progress(1.0)
-    return ImageDrive(
+    pictures = tuple(zip(images.t.tolist(), found.pictures, strict=True))
+    seen = {"sightings": found.sightings, "home": found.home, "pictures": pictures}
+    return ImageDrive(**{**vars(blind), **seen, "remarks": remarks | found.remarks})
+
+
+def drive_beside(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
+    """Return what a folder tells beside its pictures: a drive without bearings and home.
+
+    Parameters
+    ----------
+    folder : Path
+        With odometry.csv, and perhaps drive.yaml and truth.csv.
+    t : ndarray, shape (n,)
+        Stamps of the pictures [s], which are looked at later, since that takes long.
+    remarks : dict of str to int
+        Takes what is to be said; the drive's.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+    """
+    odometry = read_odometry(folder / ODOMETRY, remarks)
+    spans = {"the odometry": odometry.t, "the images": t}
+    ends = {name: (float(stamps[0]), float(stamps[-1])) for name, stamps in spans.items()}
+    require_overlap(ends, OTHER_CLOCK, folder)
+    return Drive(
         name=folder.resolve().name,
         odometry=odometry,
-        sightings=found.sightings,
-        home=found.home,
-        settings=sensor,
-        truth=truth,
-        remarks=remarks | found.remarks,
-        pictures=tuple(zip(images.t.tolist(), found.pictures, strict=True)),
+        sightings=Sightings.of_rows(()),
+        home={},
+        settings=read_drive_settings(folder / SETTINGS),
+        truth=read_truth(folder / TRUTH, remarks),
+        remarks=remarks,
     )
 
 
@@ -145,19 +166,9 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     return file_within(folder, found[0].name, "home", folder)
 
 
-def _require_panoramas(home: np.ndarray, files: list[Path], camera: Panorama, folder: Path) -> None:
-    """Raise InputError when home's panorama and some of the others are none."""
-    some = np.unique(np.linspace(0, len(files) - 1, TESTED_SEAMS).astype(int)).tolist()
-    pictures = [home, *(camera.panorama(read_grey(files[k])) for k in some)]
-    try:
-        require_panoramas(pictures, camera)
-    except InputError as error:
-        raise InputError(error.what, folder) from None
-
-
-def span(t: np.ndarray) -> tuple[float, float]:
-    """Return the first and the last of times in order [s]."""
-    return float(t[0]), float(t[-1])
+def _evenly(things: Sequence[object], number: int) -> list[int]:
+    """Return the numbers of at most so many things, from the first to the last."""
+    return [int(k) for k in np.unique(np.linspace(0, len(things) - 1, number).astype(int))]
 
 
 def _found(
@@ -197,8 +208,7 @@ def _check_camera_settings(
         return {}
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
     like = [pair for pair in tried if pair[1].accepted][:1]
-    some = np.unique(np.linspace(0, len(tried) - 1, TESTED_SETTINGS).astype(int)).tolist()
-    for file, seen in like or [tried[k] for k in some]:
+    for file, seen in like or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
         picture, view = read_view(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
         if words := better_settings(seen, (home, picture), views, front_end.camera):

@@ -7,12 +7,14 @@ from pathlib import Path
 
 from homeward.drives.drive import Drive
 from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError
 from homeward.vision.recorded.folder import IMAGE_SETTINGS, see_folder
 from homeward.vision.recorded.frames import VIDEOS
 from homeward.vision.recorded.settings import read_image_settings
-from homeward.vision.recorded.tags import see_tags, see_tags_in_log
+from homeward.vision.recorded.tags import see_tags
+from homeward.vision.tags.messages import tag_eye
 
 
 def see_recording(
@@ -49,7 +51,8 @@ def see_recording(
             raise InputError("of pictures in a log only tags are read: --tags 36h11", path)
         if ready is not None:
             ready()
-        return see_tags_in_log(path, tags, topics, tell)
+        # The camera comes from CameraInfo or topics, as for tags that a log has already.
+        return read_log(path, topics, tell, tag_eye(tags))
     if topics is not None:
         raise InputError("there are no topics to choose in images", path)
     told = (path.parent if video else path) / IMAGE_SETTINGS

@@ -4,30 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from homeward.drives.drive import Drive, HomeBearing, Sightings
-from homeward.drives.folder import (
-    ODOMETRY,
-    SETTINGS,
-    TRUTH,
-    read_drive_settings,
-    read_odometry,
-    read_truth,
-)
-from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.ros.measurements.bearings import TWICE
-from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
-from homeward.errors import InputError
+from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.recorded.folder import IMAGE_SETTINGS, home_image, span
+from homeward.vision.recorded.folder import IMAGE_SETTINGS, drive_beside, home_image
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
-from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
-from homeward.vision.tags.messages import tag_eye
+from homeward.vision.tags.front_end import TagFrontEnd
 
 Tell = Callable[[float], None]
 NO_TAGS = "pictures without a tag"
@@ -65,46 +53,19 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     frames = Video(path) if video else PictureFiles(folder, remarks)
     if not frames.t.size:
         raise InputError("no pictures in it", path)
-    odometry = read_odometry(folder / ODOMETRY, remarks)
-    spans = {"the odometry": span(odometry.t), "the images": span(frames.t)}
-    require_overlap(spans, OTHER_CLOCK, folder)
-    robot = read_drive_settings(folder / SETTINGS)
-    home = _home(eye, folder, settings) if robot.home is None else {}
-    sightings = _sightings(eye, frames, remarks, tell)
-    return Drive(
-        name=path.resolve().stem,
-        odometry=odometry,
-        sightings=sightings,
-        home=home,
-        settings=robot,
-        truth=read_truth(folder / TRUTH, remarks),
-        remarks=remarks,
-    )
-
-
-def see_tags_in_log(
-    path: Path, family: str, topics: Path | None = None, tell: Tell | None = None
-) -> Drive:
-    """Turn a log with a topic of pictures into a drive; otherwise as `read_log`.
-
-    The camera comes from CameraInfo or the topics file, as for tags that a log has already.
-    """
-    return read_log(path, topics, tell, tag_eye(family))
+    blind = drive_beside(folder, frames.t, remarks)
+    home = _home(eye, folder, settings) if blind.settings.home is None else {}
+    seen = _sightings(eye, frames, remarks, tell)
+    return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
 
 
 def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:
     place = home_image(folder, settings)
-    home = _look(eye, read_grey(place), str(place)).home
+    with speaking_of(place):
+        home = eye.see(read_grey(place)).home
     if not home:
         raise InputError("no tag in the home image", place)
     return home
-
-
-def _look(eye: TagFrontEnd, picture: np.ndarray, name: str) -> TagBearings:
-    try:
-        return eye.see(picture)
-    except InputError as error:
-        raise InputError(error.what, Path(name)) from None
 
 
 def _sightings(
@@ -114,7 +75,8 @@ def _sightings(
     rows: list[tuple[float, str, float, float]] = []
     counts: Counter[str] = Counter()
     for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
-        seen = _look(eye, frame, f"picture at {t:g} s")
+        with speaking_of(Path(f"picture at {t:g} s")):
+            seen = eye.see(frame)
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
         counts[TWICE] += len(seen.tags.twice)
         counts[NO_TAGS] += not seen.bearings

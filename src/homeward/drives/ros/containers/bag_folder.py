@@ -95,7 +95,9 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
         if not (files := bare_files(path)):
             raise InputError("no ROS bag and no MCAP file in it", path)
         return files, False
-    told = _metadata(file)
+    told = read_tree(file).get(_ROOT)
+    if not isinstance(told, dict):
+        raise InputError(f"no {_ROOT} in it with keys and values", file)
     names, how = told.get("relative_file_paths"), told.get("compression_mode") or ""
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise InputError("names no files in relative_file_paths", file)
@@ -107,13 +109,6 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
         if not name.is_file():
             raise InputError(f"names a file that is not there: {quoted(name.name)}", file)
     return files, str(how).lower() == "message"
-
-
-def _metadata(file: Path) -> dict[str, Any]:
-    told = read_tree(file).get(_ROOT)
-    if not isinstance(told, dict):
-        raise InputError(f"no {_ROOT} in it with keys and values", file)
-    return told
 
 
 @contextmanager

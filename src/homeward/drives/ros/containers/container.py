@@ -12,7 +12,7 @@ import os
 import struct
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -209,24 +209,17 @@ class Unpacker:
 
     def unpack_whole(self, data: bytes) -> bytes:
         """Return what a zstd frame of unknown size holds."""
-        raw = _zstd(data, LARGEST_BLOCK + 1)
+        raw = _INFLATERS["zstd"](data, LARGEST_BLOCK + 1)
         self._budget.unpacked(len(raw))
         return raw
 
 
-def _bz2(data: bytes, limit: int) -> bytes:
-    return bz2.BZ2Decompressor().decompress(data, limit)
-
-
-def _lz4(data: bytes, limit: int) -> bytes:
-    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit))
-
-
-def _zstd(data: bytes, limit: int) -> bytes:
-    return zstd.ZstdDecompressor().decompress(data, limit)
-
-
-_INFLATERS = {"bz2": _bz2, "lz4": _lz4, "zstd": _zstd}
+_INFLATERS: dict[str, Callable[[bytes, int], bytes]] = {
+    "bz2": lambda data, limit: bz2.BZ2Decompressor().decompress(data, limit),
+    "lz4": lambda data, limit: lz4.frame.LZ4FrameDecompressor().decompress(data, limit),
+    "zstd": lambda data, limit: zstd.ZstdDecompressor().decompress(data, limit),
+}
+"""By their names in logs; of the data given so many bytes at most come out."""
 
 
 @contextmanager

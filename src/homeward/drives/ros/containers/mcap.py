@@ -43,7 +43,8 @@ class Mcap(RecordFile):
                 yield from self._record(op, record)
         if source.take(len(MCAP), "the last line") != MCAP:
             raise InputError("damaged: it does not end as an MCAP file does", source.path)
-        self._check_index()
+        counted = self._met if self._counted is None else self._counted
+        self._require(self._indexed in (set(), self._chunks) and counted == self._met)
 
     def _chunk(self, record: memoryview) -> memoryview:
         size, crc = struct.unpack_from("<QI", record, 16)
@@ -84,10 +85,6 @@ class Mcap(RecordFile):
         return number, Channel(
             topic, ros2_type(name), encoding, definition if known else "", known or "msg"
         )
-
-    def _check_index(self) -> None:
-        counted = self._met if self._counted is None else self._counted
-        self._require(self._indexed in (set(), self._chunks) and counted == self._met)
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

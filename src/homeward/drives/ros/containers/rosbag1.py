@@ -40,7 +40,8 @@ class Rosbag1(RecordFile):
                 yield from self._record(op, fields, record)
             else:
                 source.skip(size, "a record")
-        self._check_index()
+        whole = self._declared is not None and self._declared[1] == len(self._chunks)
+        self._require(whole and self._indexed == self._chunks and self._counted == self._met)
 
     def _head(self) -> tuple[Fields, int]:
         """Read the header of a record of the file, and the size of its data."""
@@ -86,10 +87,6 @@ class Rosbag1(RecordFile):
         if index > self._source.size:
             raise InputError("truncated: its index lies beyond its end", path)
         self._declared = (index, chunks)
-
-    def _check_index(self) -> None:
-        whole = self._declared is not None and self._declared[1] == len(self._chunks)
-        self._require(whole and self._indexed == self._chunks and self._counted == self._met)
 
 
 def _records(data: memoryview) -> Iterator[tuple[Fields, memoryview]]:

@@ -82,6 +82,8 @@ class Sqlite:
             last = max(self._last(database), 1)
             rows = database.execute("SELECT id, topic_id, timestamp, data FROM messages")
             for number, topic, receive, data in rows:
+                if not isinstance(number, int):
+                    raise ValueError(f"a message has {number!r} for its number")
                 if not isinstance(receive, int):
                     raise ValueError(f"message {number} came at {receive!r}, which is no time")
                 if not isinstance(data, bytes):

@@ -94,15 +94,9 @@ def _detected(detection: Any) -> str:
     for name in ("id", "tracking_id"):
         if value := getattr(detection, name, ""):
             return str(value)
-    best = max(detection.results, key=_score, default=None)
-    if best is None:
-        return ""
-    hypothesis = getattr(best, "hypothesis", best)
-    return str(getattr(hypothesis, "class_id", getattr(hypothesis, "id", "")))
-
-
-def _score(result: Any) -> float:
-    return float(getattr(result, "hypothesis", result).score)
+    hypotheses = [getattr(result, "hypothesis", result) for result in detection.results]
+    best = max(hypotheses, key=lambda hypothesis: float(hypothesis.score), default=None)
+    return str(getattr(best, "class_id", getattr(best, "id", "")))
 
 
 def _corners(points: Any, off: float = 0.0) -> tuple[tuple[float, float], ...]:
@@ -237,8 +231,7 @@ class SightingRows:
         bearing, sigma = self._measured()
         if self.told.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
-        ids = np.empty(len(self._kept), object)
-        ids[:] = [seen.landmark for seen in self._kept]
+        ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
         columns |= {"bearing": bearing, "sigma": sigma}
         # A lens that folds over has no ray for pixels beyond.

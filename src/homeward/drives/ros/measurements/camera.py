@@ -55,6 +55,4 @@ def from_camera_info(message: Any, rectified: bool) -> Lens:
 
 
 def _either(message: Any, name: str) -> Any:
-    return (
-        getattr(message, name, None) if hasattr(message, name) else getattr(message, name.upper())
-    )
+    return getattr(message, name if hasattr(message, name) else name.upper())

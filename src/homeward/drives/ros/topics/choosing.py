@@ -36,10 +36,15 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
         When a topic that was named is not there or of a type that does not serve, or when several
         topics would serve equally and none was named.
     """
-    odometry = told.odometry or _guess_odometry(survey)
+    odometry = told.odometry or next(
+        (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None
+    )
     home = told.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
     types = PICTURES if pictures else tuple(READERS)
-    bearings = told.bearings or _guess_bearings(survey, home, types)
+    taken = (OUR_HOME, None if home is None else home.topic)
+    bearings = told.bearings or tuple(
+        BearingsTopic(topic=t.name) for t in _of_best_type(survey, "bearings", types, taken)
+    )
     truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(_with_camera(survey, topic) for topic in bearings)
     given = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
@@ -48,38 +53,17 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
     return plan
 
 
-def _guess_odometry(survey: Survey) -> OdometryTopic | None:
-    """Take the one topic of the best type; a command is worse than any measurement."""
-    found = _of_best_type(survey, TWISTS)
-    if len(found) > 1:
-        raise InputError(_ambiguous("odometry", found), survey.log.path)
-    return OdometryTopic(topic=found[0].name) if found else None
-
-
-def _guess_bearings(
-    survey: Survey, home: HomeFrom | None, types: tuple[str, ...]
-) -> tuple[BearingsTopic, ...]:
-    """Take the one topic of the best type; of points, which are one landmark each, all."""
-    taken = {OUR_HOME, *([] if home is None or home.topic is None else [home.topic])}
-    found = _of_best_type(survey, types, taken)
-    if len(found) > 1 and found[0].type != POINT:
-        raise InputError(_ambiguous("bearings", found), survey.log.path)
-    return tuple(BearingsTopic(topic=t.name) for t in found)
-
-
 def _of_best_type(
-    survey: Survey, types: tuple[str, ...], taken: Container[str] = ()
+    survey: Survey, what: str, types: tuple[str, ...], taken: Container[str | None] = ()
 ) -> list[Topic]:
+    """Return the one topic of the best type; of points, which are one landmark each, all."""
     usable = [t for t in survey.topics if t.count and t.name not in taken]
-    for kind in types:
-        if found := [t for t in usable if t.type == kind]:
-            return found
-    return []
-
-
-def _ambiguous(what: str, found: list[Topic]) -> str:
-    names = ", ".join(t.name for t in found)
-    return f"several topics of {found[0].type}: {names}; name one under {what} in a topics file"
+    found = next((f for kind in types if (f := [t for t in usable if t.type == kind])), [])
+    if len(found) > 1 and found[0].type != POINT:
+        kind, names = found[0].type, ", ".join(t.name for t in found)
+        way = f"name one under {what} in a topics file"
+        raise InputError(f"several topics of {kind}: {names}; {way}", survey.log.path)
+    return found
 
 
 def _with_camera(survey: Survey, told: BearingsTopic) -> BearingsTopic:

@@ -14,7 +14,7 @@ from homeward.drives.ros.messages.stamps import NANO, ClockOffset, clock_offset,
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.drives.ros.containers.container import Channel, Log, Message
+    from homeward.drives.ros.containers.container import Log, Message
 
 TELL_EVERY = 2000
 """Messages between two words on progress."""
@@ -97,16 +97,6 @@ class Survey:
         raise InputError(f"no topic {name} in it; there are: {names}", self.log.path)
 
 
-class _Record:
-    """A topic that is being surveyed."""
-
-    def __init__(self, channel: Channel) -> None:
-        from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
-
-        self.receive = array("q")
-        self.header = array("q") if begins_with_header(channel) else None
-
-
 def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Survey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
@@ -117,19 +107,23 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
     InputError
         When the log is damaged, or a message too short for its header.
     """
-    records: dict[tuple[str, str], _Record] = {}
+    from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
+
+    records: dict[tuple[str, str], tuple[array[int], array[int] | None]] = {}
     kept: dict[str, Message] = {}
     for number, message in enumerate(log.messages()):
         channel = message.channel
         record = records.get((channel.topic, channel.type))
         if record is None:
-            record = records[channel.topic, channel.type] = _Record(channel)
+            record = array("q"), array("q") if begins_with_header(channel) else None
+            records[channel.topic, channel.type] = record
             if channel.topic in keep:
                 kept[channel.topic] = message._replace(data=bytes(message.data))
+        receive, header = record
         try:
-            record.receive.append(message.receive)
-            if record.header is not None:
-                record.header.append(header_stamp(message))
+            receive.append(message.receive)
+            if header is not None:
+                header.append(header_stamp(message))
         except (struct.error, IndexError):
             reason = f"{channel.topic}: a message is too short for a {channel.type}"
             raise InputError(reason, log.path) from None
@@ -138,11 +132,7 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
         if tell is not None and number % TELL_EVERY == 0:
             tell(log.done)
     topics = (
-        Topic(name, kind, _array(r.receive), None if r.header is None else _array(r.header))
-        for (name, kind), r in sorted(records.items())
+        Topic(name, kind, np.array(receive), None if header is None else np.array(header))
+        for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
     )
     return Survey(log, tuple(topics), kept)
-
-
-def _array(values: array[int]) -> np.ndarray:
-    return np.frombuffer(values, np.int64) if values else np.empty(0, np.int64)

@@ -16,6 +16,10 @@ from homeward.errors import InputError
 if TYPE_CHECKING:
     from homeward.drives.ros.containers.container import Message
 
+OTHER_CLOCKS = (
+    "their headers are of different clocks, or they were not recorded together; "
+    "clock: receive in a topics file may help"
+)
 LATEST_S = 1.0
 """A stamp further behind that of an earlier message is of a clock that was set back [s]."""
 
@@ -39,7 +43,12 @@ class Clock:
         self._shift = 0
         if self._by_header and epoch is None:
             self._shift = _recorder_ahead(topics)
-            _check_one_clock(topics, self._shift)
+            spans = {
+                t.name: (int(s.min()) / NANO, int(s.max()) / NANO)
+                for t in topics.values()
+                if (s := self._stamps(t)).size
+            }
+            require_overlap(spans, OTHER_CLOCKS)
             for topic in topics.values():
                 _check_never_set(topic)
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
@@ -79,20 +88,6 @@ def _recorder_ahead(topics: dict[str, Topic]) -> int:
             )
     offsets = [t.clock.median for t in topics.values() if t.clock is not None]
     return round(float(np.median(offsets)) * NANO) if offsets else 0
-
-
-def _check_one_clock(topics: dict[str, Topic], shift: int) -> None:
-    """Refuse topics whose times do not overlap at all."""
-    spans = {
-        t.name: (int(s.min()) / NANO, int(s.max()) / NANO)
-        for t in topics.values()
-        if t.count and (s := t.stamps if t.header is not None else t.receive - shift).size
-    }
-    require_overlap(
-        spans,
-        "their headers are of different clocks, or they were not recorded together; "
-        "clock: receive in a topics file may help",
-    )
 
 
 def _check_never_set(topic: Topic) -> None:

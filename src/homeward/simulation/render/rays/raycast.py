@@ -17,10 +17,14 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
-from homeward.simulation.render.rays.compiled import compiled
+from homeward.engine.native.program import Program
 from homeward.simulation.render.rays.projection import Blocks, project, windows
 from homeward.simulation.render.rays.surfaces import Surfaces
 
+compiled = Program(
+    "homeward.simulation.render.rays", {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"}, ("cast",)
+)
+"""As `homeward.vision.compiled`: the innermost loop in C, or None."""
 TINY = 1e-30
 """No ray is seen to go so far as the inverse of this [m]."""
 

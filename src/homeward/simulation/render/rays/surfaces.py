@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.drives.drive import Columns
+
 
 @dataclass(frozen=True)
-class Surfaces:
+class Surfaces(Columns):
     """Rectangles seen from one side, that to which ``right x up`` points. Arrays over n of them.
 
     A point of rectangle k is ``corner[k] + a right[k] + b up[k]``, a and b in [0, 1]; its place on
@@ -31,11 +32,6 @@ class Surfaces:
     """(n, 2), how many tiles lie along each side."""
     thing: np.ndarray
     """(n,), index of what the surface belongs to."""
-
-    @classmethod
-    def joined(cls, parts: list[Self]) -> Self:
-        """Return several as one."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
     @property
     def normal(self) -> np.ndarray:

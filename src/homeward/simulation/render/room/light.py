@@ -22,17 +22,23 @@ class Light(Strict):
     power: Positive = 1.0
 
 
-class Sun(Strict):
-    """The sun, which comes in by a window; the window itself is not drawn."""
+class OnWall(Strict):
+    """Something flat on a wall."""
 
     wall: Annotated[int, Field(ge=0)]
-    """Of the window: from corner number `wall` of the outline (anti-clockwise) to the next."""
+    """From corner number `wall` of the outline (taken anti-clockwise) to the next."""
     along: NonNegative
-    """From that corner to the window's middle [m]."""
+    """From that corner to its middle [m]."""
     height: Positive = 1.4
     """Of its middle [m]."""
-    size: tuple[Length, Length] = (1.2, 1.2)
+    size: tuple[Length, Length]
     """Width, height [m]."""
+
+
+class Sun(OnWall):
+    """The sun, which comes in by a window on a wall; the window itself is not drawn."""
+
+    size: tuple[Length, Length] = (1.2, 1.2)
     azimuth: Finite
     """Where the sun stands [rad]."""
     elevation: Annotated[float, Field(gt=0, lt=math.pi / 2)] = 0.6

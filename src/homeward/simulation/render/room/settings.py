@@ -10,7 +10,7 @@ from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
 from homeward.simulation.render.room.camera import RoomCamera
-from homeward.simulation.render.room.light import Length, Lighting, Sun, Where
+from homeward.simulation.render.room.light import Length, Lighting, OnWall, Where
 from homeward.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
 TextureName = Literal[
@@ -76,17 +76,10 @@ class Box(Stand):
         return self.stood if at_home and self.stood is not None else self
 
 
-class Poster(Strict):
+class Poster(OnWall):
     """A picture on a wall."""
 
-    wall: Annotated[int, Field(ge=0)]
-    """From corner number `wall` of the outline (taken anti-clockwise) to the next."""
-    along: NonNegative
-    """From that corner to the poster's middle [m]."""
-    height: Positive = 1.4
-    """Of its middle [m]."""
     size: tuple[Length, Length] = (0.6, 0.8)
-    """Width, height [m]."""
     texture: TextureName = "print"
 
 
@@ -176,7 +169,7 @@ class RenderScenario(Course, Lighting):
         for name, mover in self.movers.items():
             if not contains_xy(floor, mover.path).all():
                 raise ValueError(f"movers.{name}: outside the room")
-        hung: dict[str, Poster | Sun] = {f"posters.{name}": p for name, p in self.posters.items()}
+        hung: dict[str, OnWall] = {f"posters.{name}": p for name, p in self.posters.items()}
         times: dict[str, Lighting] = {"": self, "home_light.": self.light(at_home=True)}
         for key, light in times.items():
             for i, lamp in enumerate(light.lights):
