@@ -95,8 +95,11 @@ def live(
         from homeward.live import viewer
 
         stream = viewer.open_stream(view)
+    session = Session(told, known, homes, visited)
+    # After it: of a session that cannot begin no folder is left.
     recorder = None if record is None else Recorder(record, told, known, homes, visited)
-    session = Session(told, known, homes, None if recorder is None else recorder.keep, visited)
+    if recorder is not None:
+        session.watch(recorder.keep)
     if view is not None:
         drawing = viewer.LiveView(stream, session.localisation.landmarks, known.sensor)
         session.watch(drawing.keep)
