@@ -21,9 +21,8 @@ from homeward.frames import Pose, compose
 from homeward.live.messages import Answer, BearingsIn, Input, Landmarks, Output
 from homeward.report.palette import BLUE, MUTED, STATUS_COLOURS
 from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
-from homeward.report.viewer.blueprint import TIMELINE
 from homeward.report.viewer.recording import SUFFIX, check_display, check_recording
-from homeward.report.viewer.run_log import PALE, UNPLACED_M, ellipsoids, flat, points, rgb
+from homeward.report.viewer.run_log import PALE, TIMELINE, UNPLACED_M, ellipsoids, flat, points, rgb
 
 TOLD_S = 1.0
 """Landmarks are drawn anew so often [s]."""

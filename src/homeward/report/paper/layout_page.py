@@ -40,13 +40,7 @@ PAGE, DATA = "layouts.html", "layouts.csv"
 
 
 def write_layouts(directory: Path, study: LayoutStudy) -> None:
-    """Write the page, every figure as PNG, and layouts.csv with every run.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write the page, PNGs, and layouts.csv with every run; errors as `whole_folder`."""
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
             drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()
