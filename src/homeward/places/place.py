@@ -214,7 +214,12 @@ class Place:
         return Pose(*self.map.mean[self.map.home_columns(home)].tolist())
 
     def home_sigma(self, home: str, when: float) -> float:
-        """Return how uncertain a home's place is for one who sees what stands now [m]."""
+        """Return how uncertain a home's place is for one who sees what stands now [m].
+
+        Infinite where fewer than two landmarks are left, which hold no frame.
+        """
+        if len(self.standings) < 2:
+            return np.inf
         there = self.aged(when).at_home(self.required(home))
         at = there.home_columns(home)[:2]
         return float(position_sigma(there.covariance[np.ix_(at, at)]))
