@@ -13,7 +13,7 @@ from homeward.errors import InputError
 from homeward.frames import Pose, position_sigma
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
-from homeward.places.route import Route
+from homeward.places.route import Route, route_of
 
 DAY_S = 86400.0
 BETWEEN = "+"
@@ -196,10 +196,7 @@ class Place:
 
     def route(self, name: str) -> Route:
         """Return a route by its name, else raise `InputError`."""
-        if name not in self.routes:
-            there = f"there are {', '.join(self.routes)}" if self.routes else "there is none"
-            raise InputError(f"no route {quoted(name)}; {there}")
-        return self.routes[name]
+        return route_of(self.routes, name)
 
     def required(self, home: str | None) -> str:
         """Return the name of a home, the first one's for None; else raise `InputError`."""

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path as MarkerPath
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from homeward.report.canvas import WIDTH_IN, legend_below, new_figure, style, uncrowd
+from homeward.report.canvas import WIDTH_IN, legend_below, name_mark, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, SKY, VERMILLION
 from homeward.report.words import name
 from homeward.studies.planning.analysis import PlanView
@@ -171,16 +171,8 @@ def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:
     west, _, east, north = view.floor.outline.bounds
     left = place[0] > east - 0.2 * (east - west)
     below = place[1] > north - 0.1 * (east - west)
-    axes.annotate(
-        text,
-        (place[0], place[1]),
-        xytext=(-6 if left else 6, -11 if below else 4),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        in_layout=False,
-        parse_math=False,
-        zorder=7,
-    )
+    offset = (-6 if left else 6, -11 if below else 4)
+    name_mark(axes, text, place, offset, ha="right" if left else "left", zorder=7)
 
 
 def _draw_advice(axes: Axes, view: PlanView) -> None:
