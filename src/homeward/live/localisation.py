@@ -23,7 +23,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.driving.goals import Along, Goal
-from homeward.live.looking import AT_HOME, Looking
+from homeward.live.looking import NEAREST_M, Looking
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -151,12 +151,9 @@ class Localisation:
             case SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {name} is not looked at: the place knows its homes"
                 return Event(type="event", text=text)
-            case SetHome(name=name):
-                sigmas = message.sigmas
-                seen = message.bearings.items()
-                return self._new(
-                    name, {i: HomeBearing(b, sigmas.get(i, math.nan)) for i, b in seen}
-                )
+            case SetHome(name=name, bearings=seen, sigmas=known):
+                home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
+                return self._new(name, home)
             case StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
             case StoreHome(name=name):
@@ -176,25 +173,16 @@ class Localisation:
             case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
                 self._send(message)
             case BeginRoute():
-                return Event(
-                    type="event", text=self._required_place().begin_route(self.fix.estimate)
-                )
+                text = self._required_place().begin_route(self.fix.estimate)
+                return Event(type="event", text=text)
             case StoreRoute(name=name):
                 text = self._required_place().store_route(name, self._known())
                 return Event(type="event", text=text)
             case Start(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
-                R, theta, alpha = map(float, polar)
-                R = max(R, AT_HOME.R)  # at home there is no direction from home
-                prior = StartPrior(
-                    R=R,
-                    theta=theta,
-                    alpha=alpha,
-                    sigma_R=sigma,
-                    sigma_theta=sigma / R,
-                    sigma_alpha=message.sigma_heading,
-                )
-                self._begin(prior)
+                R = max(polar.R, NEAREST_M)
+                sigmas = sigma, sigma / R, message.sigma_heading
+                self._begin(StartPrior.about(polar._replace(R=R), *sigmas))
             case MountIs(x=x, y=y, yaw=yaw):
                 sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
                 self._robot = self._robot.model_copy(update={"sensor": sensor})
