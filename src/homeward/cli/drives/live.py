@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Changes, key_values
+from homeward.cli.options import Changes, KnownPlace, key_values
 from homeward.cli.terminal import no_answer, refuse, say
 from homeward.errors import InputError
 
@@ -30,10 +30,7 @@ def live(
     robot: Annotated[
         Path | None, typer.Option(help="A drive.yaml: camera, noise of odometry, start.")
     ] = None,
-    place: Annotated[
-        Path | None,
-        typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
-    ] = None,
+    place: KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge what is driven into the place.")
     ] = False,

@@ -20,8 +20,8 @@ from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import percent
 from homeward.studies.paper.cases import FILTERS, PI_HT
-from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, MARKER, ROBUST, STUDIED, Reading
+from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.tables import (
     TO_PAPER_UNITS,
     beats_printed,
