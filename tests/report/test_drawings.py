@@ -158,6 +158,20 @@ def test_a_map_of_a_plan_has_axes_and_a_scale(plan_view, draw):
     assert [t.get_text() for t in panel.get_xticklabels() if t.get_text()]
 
 
+def test_a_map_whose_width_is_rounded_down_has_a_scale():
+    width = 512.3 - 112.3
+    assert width < 400.0
+    values = {
+        "outline": [(112.3, 0), (512.3, 0), (512.3, 40), (112.3, 40)],
+        "landmarks": {"a": (120.0, 3.0), "b": (130.0, 30.0), "c": (150.0, 20.0)},
+        "home": {"x": 140.0, "y": 10.0},
+        "grid": 20.0,
+        "further": 0,
+    }
+    (bar,) = draw_begin(analyse(Plan.model_validate(values))).axes[0].artists
+    assert bar.txt_label.get_text() == "50 m"
+
+
 def test_small_maps_of_a_plan_have_one_scale(plan_view):
     figure = draw_hidden(plan_view)
     assert faults(figure) == []

@@ -116,7 +116,7 @@ class LiveView:
         if math.isnan(self._begun):
             self._begun = answer.t
         self._stream.set_time(TIMELINE, duration=answer.t - self._begun)
-        if not answer.t - self._told < TOLD_S:
+        if not abs(answer.t - self._told) < TOLD_S:  # a clock may be set back
             self._told = answer.t
             self._draw_landmarks()
         said = f"{answer.status.value}: {answer.reason}"

@@ -148,9 +148,10 @@ def _draw_place(axes: Axes, view: PlanView, names: bool = True) -> None:
 def _draw_scale(axes: Axes, view: PlanView, below: bool = False) -> None:
     """Draw a bar of a round length beside the map, above it at its right end or below it."""
     west, _, east, _ = view.floor.outline.bounds
-    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map.
+    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map; the power of ten
+    # below that may be rounded up to more.
     power = 10.0 ** np.floor(np.log10((east - west) / 4))
-    length = max(k * power for k in (1, 2, 5) if k * power <= (east - west) / 4)
+    length = max(k * power for k in (0.5, 1, 2, 5) if k * power <= (east - west) / 4)
     bar = AnchoredSizeBar(
         axes.transData,
         length,
