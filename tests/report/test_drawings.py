@@ -172,6 +172,21 @@ def test_a_map_whose_width_is_rounded_down_has_a_scale():
     assert bar.txt_label.get_text() == "50 m"
 
 
+def test_a_floor_of_one_row_of_points_is_drawn():
+    values = {
+        "outline": [(0, 0), (100, 0), (100, 1), (0, 1)],
+        "landmarks": {"a": (10, 1), "b": (20, 0), "c": (0, 0.2), "d": (5, 0), "e": (3, 1)},
+        "home": {"x": 0.5, "y": 0.5},
+        "grid": 1.0,
+        "further": 0,
+    }
+    view = analyse(Plan.model_validate(values))
+    limit, known = view.plan.limits.position, view.position[np.isfinite(view.position)]
+    assert view.floor.inside.shape == (1, 100)
+    assert known.min() < limit < known.max()
+    assert len(draw_accuracy(view).axes) == 4
+
+
 def test_small_maps_of_a_plan_have_one_scale(plan_view):
     figure = draw_hidden(plan_view)
     assert faults(figure) == []

@@ -64,7 +64,7 @@ def draw_accuracy(view: PlanView) -> Figure:
             norm = LogNorm(limit / 10, limit * 10, clip=True)
             image = _image(axes, view, shown, cmap="viridis_r", norm=norm)
             grid = view.floor.image(np.where(np.isfinite(values), values, 1e9))
-            if np.nanmin(grid) < limit < np.nanmax(grid):
+            if min(grid.shape) > 1 and np.nanmin(grid) < limit < np.nanmax(grid):
                 axes.contour(view.floor.x, view.floor.y, grid, [limit], colors=INK, linewidths=0.9)
             _draw_place(axes, view, names=False)
             _draw_scale(axes, view)
