@@ -76,7 +76,7 @@ def drive_summary(view: DriveView) -> str:
     blind = [w for w in view.windows if not np.isfinite(w.position_sigma)]
     told = [w for w in view.windows if np.isfinite(w.position_sigma)]
     whole = view.whole
-    text = f"All its bearings together leave {'; '.join(whole.weakest)} open."
+    text = f"All its bearings together do not tell the pose: {'; '.join(whole.weakest)}."
     if np.isfinite(whole.position_sigma):
         text = (
             "All its bearings together place the robot relative to home to"
