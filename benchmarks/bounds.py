@@ -119,8 +119,8 @@ def ring_closed_form() -> tuple[float, float, float, float]:
     marks = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     arcs = Arcs(plan)
     seen, stored = np.ones((1, q), bool), np.zeros(q, bool)
-    told, _ = arcs.informations(np.zeros((1, 2)), marks, seen, stored, 0)
-    fix = arcs.fix(told.sum(axis=1))
+    told = arcs.told(np.zeros((1, 2)), marks, seen, stored, 0)
+    fix = arcs.fix(told.every)
     root = np.sqrt(q * stops)
     return float(fix.position[0]), 2 * r * sigma / root, float(fix.heading[0]), sigma / root
 

@@ -38,7 +38,7 @@ from homeward.drives.ros.messages.definitions import DEFINITIONS
 from homeward.drives.ros.messages.names import ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
-from homeward.drives.text.files import shipped as shipped_data
+from homeward.drives.text.files import shipped_yaml
 from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import HomewardError
 from homeward.frames import Pose
@@ -49,7 +49,7 @@ from homeward.studies.blocks.store import BlockStore
 from homeward.studies.planning.settings import load_plan
 from homeward.studies.single_run import load_run
 from homeward.studies.study.plan import make_plan
-from homeward.studies.study.settings import load_study, shipped
+from homeward.studies.study.settings import load_study
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.recorded.settings import read_image_settings
 
@@ -186,7 +186,7 @@ def _all_settings() -> list[bytes]:
         scenario_yaml(PRESETS["warehouse"]),
         scenario_yaml(room("attic", 0)),
     ]
-    shipped_files = [shipped_data("plans", "warehouse.yaml"), *shipped().values()]
+    shipped_files = [*shipped_yaml("plans").values(), *shipped_yaml("studies").values()]
     return [text.encode() for text in texts] + [file.read_bytes() for file in shipped_files]
 
 

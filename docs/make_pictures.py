@@ -21,8 +21,8 @@ from homeward.report.canvas import png
 from homeward.report.observe.figures import draw_family
 from homeward.report.plan.figures import draw_begin
 from homeward.report.run.folder import write_run
-from homeward.report.viewer.blueprint import TIMELINE
 from homeward.report.viewer.recording import write_recording
+from homeward.report.viewer.run_log import TIMELINE
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.room.presets import load_room
 from homeward.studies.planning.analysis import analyse

@@ -11,8 +11,8 @@ from homeward.report.canvas import png
 from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.blocks.finish import Work
-from homeward.studies.paper.layout_study import study_layouts
 from homeward.studies.paper.layouts import LayoutSettings, open_store
+from homeward.studies.paper.reproduction import study_layouts
 from homeward.studies.study.plan import make_plan
 from homeward.studies.study.results import open_study, run_study
 from homeward.studies.study.settings import load_study

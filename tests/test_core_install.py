@@ -72,6 +72,7 @@ def test_the_localiser_and_live_sessions_need_the_core_alone():
         (("settings", "render"), "vision"),
         (("observe", "--landmarks", "3"), "filters"),
         (("export", "ekf", "--landmarks", "3", "--out", "out"), "filters"),
+        (("live", "--websocket", "0"), "live"),
     ],
 )
 def test_a_command_says_in_one_line_which_extra_it_needs(words, extra, tmp_path):

@@ -146,6 +146,16 @@ def test_forget_and_undo(hall):
     assert load_place(hall).standings == before.standings
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_place_of_which_hardly_a_landmark_is_left_is_told_of(hall, left, tmp_path):
+    landmarks = load_place(hall).map.names
+    done(call("place", "forget", hall, *landmarks[left:]))
+    assert "is found by nobody any more" in done(call("place", "info", hall)).output
+    told = json.loads(done(call("place", "info", hall, "--json")).output)
+    assert [home["sigma_m"] for home in told["homes"]] == [None, None]
+    done(call("place", "view", hall, "--out", tmp_path / "hall.html"))
+
+
 def test_merge(hall, visited, tmp_path):
     place = load_place(visited / "hall")
     others = tuple(replace(v, evidence=f"other{v.number}") for v in place.visits)

@@ -29,7 +29,9 @@ class Rig:
         self.player = Player(LiveRobot(scenario), 120.0, errand, hand)
         self.robot = self.player.robot
         robot = self.robot.drive.settings
-        self.session = Session(settings or LiveSettings(), robot, {}, keep, place)
+        self.session = Session(settings or LiveSettings(), robot, {}, place)
+        if keep is not None:
+            self.session.watch(keep)
         self.session.receive(self.player.home(), 0.0)
         self.spoil = lambda message: [message]
         self.commands, self.answers = [], []

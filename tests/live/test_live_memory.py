@@ -27,7 +27,8 @@ def fed(folder):
     shuttle = Shuttle(WARM_S + SECONDS + 1.0)
     robot = shuttle.robot.drive.settings
     recorder = Recorder(folder, LiveSettings(), robot, {})
-    session, answers, due = Session(LiveSettings(), robot, {}, recorder.keep), 0, WARM_S
+    session, answers, due = Session(LiveSettings(), robot, {}), 0, WARM_S
+    session.watch(recorder.keep)
     session.receive(shuttle.home(), 0.0)
     while not shuttle.done:
         now = shuttle.robot.t

@@ -29,8 +29,8 @@ from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import visiting
 from homeward.one_thread import one_thread
-from homeward.places.evidence import fingerprint
 from homeward.places.files import load_place, newest
+from homeward.places.telling import fingerprint
 
 LANDMARKS = {"landmarks.count": 12}
 
@@ -290,6 +290,7 @@ def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path
     [
         (["--update"], "needs a --place"),
         (["--place", "nowhere"], "nowhere"),
+        (["--set", "estimator=nonsense"], "no estimator 'nonsense'"),
         (["--place", "{place}", "--set", "estimator=ekf"], "for the estimator robust"),
         (["--place", "{place}", "--home", "{place}/0001/homes.csv"], "bearing"),
     ],

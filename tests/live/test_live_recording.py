@@ -125,7 +125,8 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path):
 def test_the_lag_of_bearings_is_taken_out_once(tmp_path):
     robot = DriveSettings(bearings_late=0.2)
     recorder = Recorder(tmp_path / "late", LiveSettings(), robot, {})
-    session = Session(robot=robot, keep=recorder.keep)
+    session = Session(robot=robot)
+    session.watch(recorder.keep)
     session.receive(SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0}), 0.0)
     for k in range(10):
         session.receive(OdometryIn(t=0.1 * k, v=0.1, omega=0.0), 0.1 * k)

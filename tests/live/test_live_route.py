@@ -252,4 +252,4 @@ def test_a_simulated_robot_teaches_a_route_over_tcp(tmp_path):
     thread.join()
     loop.close()
     assert (said.exit_code, "route round is taught" in said.stdout) == (0, True), said.output
-    assert session.localisation.place.routes == ("round",)
+    assert [*session.localisation.place.routes] == ["round"]

@@ -3,7 +3,10 @@
 import pytest
 from live_rig import Rig
 
+from homeward.drives.drive import Sensor
 from homeward.errors import InputError
+from homeward.estimator import Status
+from homeward.live.messages import Answer, Landmarks
 
 pytest.importorskip("rerun", reason="the extra view is not installed")
 
@@ -41,6 +44,21 @@ def test_what_is_answered_is_drawn(tmp_path):
     assert len(drawn(file, "/map/landmarks", "positions")[-1]) == 7
     assert drawn(file, "/map/robot/bearings", "vectors")
     assert drawn(file, "/map/path/1", "strips")
+
+
+def test_landmarks_are_drawn_on_when_the_clock_is_set_back(tmp_path):
+    told = []
+
+    def landmarks():
+        told.append(now)
+        return Landmarks(landmarks=())
+
+    stream = open_stream(str(tmp_path / "live.rrd"))
+    view = LiveView(stream, landmarks, Sensor())
+    for now in (1e6, 1e6 + 0.5, 10.0, 10.5, 11.5):
+        view.keep(Answer(t=now, status=Status.MAPPING, reason=""))
+    stream.disconnect()
+    assert told == [1e6, 10.0, 11.5]
 
 
 @pytest.mark.parametrize("where", ["nowhere", "other.txt", ""])

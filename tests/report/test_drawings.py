@@ -158,6 +158,35 @@ def test_a_map_of_a_plan_has_axes_and_a_scale(plan_view, draw):
     assert [t.get_text() for t in panel.get_xticklabels() if t.get_text()]
 
 
+def test_a_map_whose_width_is_rounded_down_has_a_scale():
+    width = 512.3 - 112.3
+    assert width < 400.0
+    values = {
+        "outline": [(112.3, 0), (512.3, 0), (512.3, 40), (112.3, 40)],
+        "landmarks": {"a": (120.0, 3.0), "b": (130.0, 30.0), "c": (150.0, 20.0)},
+        "home": {"x": 140.0, "y": 10.0},
+        "grid": 20.0,
+        "further": 0,
+    }
+    (bar,) = draw_begin(analyse(Plan.model_validate(values))).axes[0].artists
+    assert bar.txt_label.get_text() == "50 m"
+
+
+def test_a_floor_of_one_row_of_points_is_drawn():
+    values = {
+        "outline": [(0, 0), (100, 0), (100, 1), (0, 1)],
+        "landmarks": {"a": (10, 1), "b": (20, 0), "c": (0, 0.2), "d": (5, 0), "e": (3, 1)},
+        "home": {"x": 0.5, "y": 0.5},
+        "grid": 1.0,
+        "further": 0,
+    }
+    view = analyse(Plan.model_validate(values))
+    limit, known = view.plan.limits.position, view.position[np.isfinite(view.position)]
+    assert view.floor.inside.shape == (1, 100)
+    assert known.min() < limit < known.max()
+    assert len(draw_accuracy(view).axes) == 4
+
+
 def test_small_maps_of_a_plan_have_one_scale(plan_view):
     figure = draw_hidden(plan_view)
     assert faults(figure) == []

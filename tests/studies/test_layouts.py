@@ -14,7 +14,6 @@ from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.paper.layout_page import CLAIMED, grid_table, headline
 from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.cases import FILTERS, run_filter
-from homeward.studies.paper.layout_study import layout_settings, study_layouts
 from homeward.studies.paper.layouts import (
     BOUND,
     LONG,
@@ -30,6 +29,7 @@ from homeward.studies.paper.layouts import (
     run_block,
 )
 from homeward.studies.paper.many import FAR, errors_over, run_many
+from homeward.studies.paper.reproduction import layout_settings, study_layouts
 from homeward.studies.paper.robust import bound_errors, run_robust
 from homeward.studies.paper.settings import Assumed, PaperSettings, Printed
 from homeward.studies.paper.tables import (

@@ -9,13 +9,14 @@ import yaml
 from cli.commands import call, done, refused
 from studies.chores import in_this_process
 
+from homeward.drives.text.files import shipped_yaml
 from homeward.report.paper.map import cells, draw_map, headline
 from homeward.studies.blocks.finish import Work
 from homeward.studies.paper import map as maps
 from homeward.studies.paper.layouts import changed
 from homeward.studies.paper.many import run_many
 from homeward.studies.paper.map import FAR_M, open_map, run_map, with_engine
-from homeward.studies.paper.map_settings import load_map, shipped_maps
+from homeward.studies.paper.map_settings import load_map
 from homeward.studies.paper.world import draw_world
 from homeward.studies.study.settings import load_study
 
@@ -122,7 +123,7 @@ def test_what_cannot_be_mapped_is_refused_in_a_line(tmp_path, changes, words):
 
 
 def test_shipped_maps_can_be_computed_and_studies_are_none():
-    for name in shipped_maps():
+    for name in shipped_yaml("maps"):
         assert load_map(name, {"runs": 7}).each == 1
     assert load_map("peers", {}) is None
     assert load_study("peers").name == "peers"

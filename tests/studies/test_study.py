@@ -14,6 +14,7 @@ import yaml
 from cli.commands import call, done, refused
 from studies.chores import in_this_process
 
+from homeward.drives.text.files import shipped_yaml
 from homeward.errors import InputError
 from homeward.registry import make_estimator
 from homeward.report.canvas import new_figure, png, style, svg
@@ -27,7 +28,7 @@ from homeward.studies.study.plan import make_plan
 from homeward.studies.study.quantities import RUN, SERIES
 from homeward.studies.study.results import _gather, open_study, to_dataset, write_netcdf
 from homeward.studies.study.runs import run_block, run_seed
-from homeward.studies.study.settings import StudySettings, load_study, shipped
+from homeward.studies.study.settings import StudySettings, load_study
 from homeward.studies.study.summary import lines, over_time, quantiles, wilson
 from homeward.studies.study.tabulated import summary, table
 from homeward.track import run as follow
@@ -323,9 +324,14 @@ def test_a_stopped_study_goes_on_from_its_finished_blocks(tmp_path, how, monkeyp
     assert {name: (blocks / name).stat().st_mtime_ns for name in kept} == kept
 
 
+def test_who_names_no_study_is_told_of_all_that_ship_maps_too():
+    with pytest.raises(InputError, match=r"a-ekf-tuning.*pi-ekf-map"):
+        load_study("nonsense")
+
+
 def test_studies_that_ship_are_valid():
-    assert {"a-ekf-tuning", "pi-ekf-tuning"} <= shipped().keys()
-    for name in shipped():
+    assert {"a-ekf-tuning", "pi-ekf-tuning"} <= shipped_yaml("studies").keys()
+    for name in shipped_yaml("studies"):
         plan = make_plan(load_study(name))
         assert plan.study.name == name
 

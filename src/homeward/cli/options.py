@@ -45,6 +45,11 @@ Changes = Annotated[
         help="Another value of a setting; repeatable. homeward settings lists them.",
     ),
 ]
+KnownPlace = Annotated[
+    Path | None,
+    typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Take pictures that look like no panoramas.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")]
 Scheduler = Annotated[
     str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")

@@ -86,6 +86,11 @@ class Start(Strict):
     sigma_alpha: Positive = 0.1
     """[rad]"""
 
+    @classmethod
+    def about(cls, polar: Polar, *sigmas: float) -> Start:
+        """Return the prior of a mean (R, theta, alpha) and its three standard deviations."""
+        return cls(**dict(zip(cls.model_fields, map(float, (*polar, *sigmas)), strict=True)))
+
     @property
     def polar(self) -> Polar:
         """The mean as (R, theta, alpha)."""

@@ -6,6 +6,7 @@ The order of the messages alone decides what comes of them, so that a recording 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +20,10 @@ from homeward.drives.drive import (
 )
 from homeward.drives.drive import Start as StartPrior
 from homeward.errors import HomewardError, InputError
-from homeward.estimator import Estimate, Estimator, Status
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.driving.goals import Along, Goal
-from homeward.live.looking import AT_HOME, Looking
+from homeward.live.looking import NEAREST_M, Looking
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -150,12 +151,9 @@ class Localisation:
             case SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {name} is not looked at: the place knows its homes"
                 return Event(type="event", text=text)
-            case SetHome(name=name):
-                sigmas = message.sigmas
-                seen = message.bearings.items()
-                return self._new(
-                    name, {i: HomeBearing(b, sigmas.get(i, math.nan)) for i, b in seen}
-                )
+            case SetHome(name=name, bearings=seen, sigmas=known):
+                home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
+                return self._new(name, home)
             case StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
             case StoreHome(name=name):
@@ -175,24 +173,16 @@ class Localisation:
             case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
                 self._send(message)
             case BeginRoute():
-                return Event(
-                    type="event", text=self._required_place().begin_route(self.fix.estimate)
-                )
+                text = self._required_place().begin_route(self.fix.estimate)
+                return Event(type="event", text=text)
             case StoreRoute(name=name):
-                return Event(type="event", text=self._store_route(name))
+                text = self._required_place().store_route(name, self._known())
+                return Event(type="event", text=text)
             case Start(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
-                R, theta, alpha = map(float, polar)
-                R = max(R, AT_HOME.R)  # at home there is no direction from home
-                prior = StartPrior(
-                    R=R,
-                    theta=theta,
-                    alpha=alpha,
-                    sigma_R=sigma,
-                    sigma_theta=sigma / R,
-                    sigma_alpha=message.sigma_heading,
-                )
-                self._begin(prior)
+                R = max(polar.R, NEAREST_M)
+                sigmas = sigma, sigma / R, message.sigma_heading
+                self._begin(StartPrior.about(polar._replace(R=R), *sigmas))
             case MountIs(x=x, y=y, yaw=yaw):
                 sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
                 self._robot = self._robot.model_copy(update={"sensor": sensor})
@@ -224,7 +214,6 @@ class Localisation:
 
     def landmarks(self) -> Landmarks:
         """Return what is known of all landmarks."""
-        known = () if self.estimator is None else self.estimator.landmarks()
         return Landmarks(
             landmarks=tuple(
                 LandmarkOut(
@@ -233,7 +222,7 @@ class Localisation:
                     y=_finite(m.y),
                     moved_probability=_finite(m.moved_probability),
                 )
-                for m in known
+                for m in self._known()
             )
         )
 
@@ -265,22 +254,15 @@ class Localisation:
             raise InputError(NO_PLACE)
         return self.place
 
-    def _store_route(self, name: str) -> str:
-        """Store the way that was driven as a route of the place."""
-        place = self._required_place()
-        known = () if self.estimator is None else self.estimator.landmarks()
-        return place.store_route(name, known)
-
     def _send(self, message: Departure) -> None:
         """Send the robot where a message says."""
-        self.goal, self._sent = self._goal_of(message), message
+        self.goal = goal_of(message, self.home, self.place, self._known)
+        self._sent = message
         if isinstance(message, GoHome):
             self._homeward = message
 
-    def _goal_of(self, message: Departure) -> Goal:
-        """Return where a message sends the robot; `InputError` where there is no such thing."""
-        known = list if self.estimator is None else self.estimator.landmarks
-        return goal_of(message, self.home, self.place, known)
+    def _known(self) -> Iterable[LandmarkEstimate]:
+        return () if self.estimator is None else self.estimator.landmarks()
 
     def _adds_home(self, name: str) -> bool:
         """Return whether a home that is stored is one more of the place."""
@@ -337,7 +319,7 @@ class Localisation:
         if self._sent is None:
             return
         try:
-            goal = self._goal_of(self._sent)
+            goal = goal_of(self._sent, self.home, self.place, self._known)
         except InputError as error:  # it was stored, and not saved
             self.goal = self._sent = None
             self._homeward, self.goal_lost = GoHome(), str(error)

@@ -14,17 +14,17 @@ from homeward.drives.drive import Start as StartPrior
 from homeward.drives.home.choosing import spin_words
 from homeward.drives.home.looks import HomeLooks
 from homeward.errors import InputError
-from homeward.frames import to_polar
+from homeward.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn
 
 STORE_S, STANDING = 1.0, 0.01
 """Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
-AT_HOME = StartPrior(R=0.001, theta=0.0, alpha=0.0, sigma_R=0.01, sigma_theta=3.0, sigma_alpha=0.02)
-"""Of a robot that stores home where it stands."""
-AFTER_TURN = StartPrior(
-    R=0.001, theta=0.0, alpha=0.0, sigma_R=0.05, sigma_theta=3.0, sigma_alpha=0.02
-)
-"""Of one that turned there: wheels that slip take it so far."""
+NEAREST_M = 0.001
+"""At home there is no direction from home, so priors are no nearer to it [m]."""
+AT_HOME = 0.01, 3.0, 0.02
+"""How far a robot is off that stores home where it stands: R [m], theta, alpha [rad] ..."""
+AFTER_TURN = 0.05, 3.0, 0.02
+"""... and one that turned there: wheels that slip take it so far."""
 
 
 class Here(NamedTuple):
@@ -95,20 +95,18 @@ class Looking:
         for view in views:
             for i, b in view.bearings.items():
                 seen.setdefault(i, []).append(b)
+        start = StartPrior.about(Polar(NEAREST_M, 0.0, 0.0), *AT_HOME)
         means = {i: float(np.angle(np.exp(1j * np.array(b)).mean())) for i, b in seen.items()}
-        return Here({i: HomeBearing(b) for i, b in means.items()}, AT_HOME, "")
+        return Here({i: HomeBearing(b) for i, b in means.items()}, start, "")
 
 
 def _turned(looks: HomeLooks) -> Here:
     """Return what looks all round tell."""
     found = looks.spin()
-    R, theta, _ = map(float, to_polar(found.end))
-    start = AFTER_TURN.model_copy(
-        update={
-            "R": max(R, AFTER_TURN.R),
-            "theta": theta,
-            "alpha": float(found.end.heading),
-            "sigma_alpha": math.hypot(AFTER_TURN.sigma_alpha, found.heading_sigma),
-        }
+    end, (*sigmas, turned) = to_polar(found.end), AFTER_TURN
+    start = StartPrior.about(
+        end._replace(R=max(end.R, NEAREST_M), alpha=found.end.heading),
+        *sigmas,
+        math.hypot(turned, found.heading_sigma),
     )
     return Here(found.home, start, spin_words(found))

@@ -89,22 +89,16 @@ class Recorder:
             raise InputError("exists already; choose another name", folder)
         known = None if place is None else place.place
         told = robot.model_copy(update={"bearings_late": None})  # samples are kept on time
-        head = {
-            "settings": settings.model_dump(mode="json"),
-            "robot": told.model_dump(mode="json", exclude_unset=True, exclude_none=True),
-            "homes": {
-                name: {i: [h.bearing, h.sigma if h.sigma > 0 else None] for i, h in home.items()}
-                for name, home in homes.items()
-            },
-            "place": None
-            if place is None
-            else {
-                "name": place.name,
-                "when": place.when,
-                "update": place.update,
-                "known": known is not None,
-            },
+        seen = {
+            name: {i: (h.bearing, h.sigma if h.sigma > 0 else None) for i, h in home.items()}
+            for name, home in homes.items()
         }
+        visit = None
+        if place is not None:
+            about = {"when": place.when, "update": place.update, "known": known is not None}
+            visit = _Visit(name=place.name, **about)
+        head = _Head(settings=settings, robot=told, homes=seen, place=visit).model_dump(mode="json")
+        head["robot"] = told.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         with naming(folder, "cannot be written"):
             folder.mkdir(parents=True)
             self._file: TextIO = (folder / SESSION).open("w", encoding="utf-8")

@@ -20,7 +20,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from homeward.errors import InputError, needs_extra
+from homeward.errors import InputError
 from homeward.live.messages import (
     LONGEST_LINE,
     Event,
@@ -299,12 +299,10 @@ class Server:
 
         Any page that a browser shows may connect to this machine; its Origin tells.
         """
-        try:
-            from websockets.asyncio.server import serve
-            from websockets.exceptions import ConnectionClosed
-        except ModuleNotFoundError as error:
-            raise needs_extra("WebSockets", "live") from error
         import re
+
+        from websockets.asyncio.server import serve
+        from websockets.exceptions import ConnectionClosed
 
         own = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
         origins = None if self.token is not None else [None, own]

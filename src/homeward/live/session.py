@@ -22,8 +22,7 @@ from homeward.errors import HomewardError
 from homeward.estimator import Status
 from homeward.frames import Pose, compose
 from homeward.live.driving.goals import Belief, State
-from homeward.live.driving.homing import Homing
-from homeward.live.driving.turning import Turning
+from homeward.live.driving.homing import Homing, Turning
 from homeward.live.driving.watchdog import StampGate, Watchdog
 from homeward.live.driving.way import Way
 from homeward.live.localisation import Homes, Localisation
@@ -62,8 +61,6 @@ class Session:
         What is known of the robot, as drive.yaml has it.
     homes : Homes, optional
         Home bearings by name; that named home is the first.
-    keep : callable, optional
-        Told each message in the order in which it is processed, and each answer: a recording.
     place : Visiting, optional
         The place that the robot is in.
     """
@@ -73,7 +70,6 @@ class Session:
         settings: LiveSettings | None = None,
         robot: DriveSettings | None = None,
         homes: Homes | None = None,
-        keep: Callable[[Input | Output], None] | None = None,
         place: Visiting | None = None,
     ) -> None:
         self.settings = told = settings or LiveSettings()
@@ -85,7 +81,7 @@ class Session:
         self._turned_for = StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
-        self._keepers = [] if keep is None else [keep]
+        self._keepers = list[Callable[[Input | Output], None]]()
         clock = Clock()
         self._gate, self._way = StampGate(), Way()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
@@ -110,7 +106,7 @@ class Session:
         return len(self._queue)
 
     def watch(self, keep: Callable[[Input | Output], None]) -> None:
-        """Tell another one, too, what `keep` is told."""
+        """Tell `keep` each message in the order in which it is processed, and each answer."""
         self._keepers.append(keep)
 
     def receive(self, message: Input, now: float) -> None:

@@ -21,9 +21,8 @@ from homeward.frames import Pose, compose
 from homeward.live.messages import Answer, BearingsIn, Input, Landmarks, Output
 from homeward.report.palette import BLUE, MUTED, STATUS_COLOURS
 from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
-from homeward.report.viewer.blueprint import TIMELINE
 from homeward.report.viewer.recording import SUFFIX, check_display, check_recording
-from homeward.report.viewer.run_log import PALE, UNPLACED_M, ellipsoids, flat, points, rgb
+from homeward.report.viewer.run_log import PALE, TIMELINE, UNPLACED_M, ellipsoids, flat, points, rgb
 
 TOLD_S = 1.0
 """Landmarks are drawn anew so often [s]."""
@@ -117,7 +116,7 @@ class LiveView:
         if math.isnan(self._begun):
             self._begun = answer.t
         self._stream.set_time(TIMELINE, duration=answer.t - self._begun)
-        if not answer.t - self._told < TOLD_S:
+        if not abs(answer.t - self._told) < TOLD_S:  # a clock may be set back
             self._told = answer.t
             self._draw_landmarks()
         said = f"{answer.status.value}: {answer.reason}"

@@ -29,7 +29,7 @@ from homeward.localizer.tunables import VERIFIED
 from homeward.places.files import check_place, is_place, load_place, newest, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
-from homeward.places.route import Route, seen_along, taught_along
+from homeward.places.route import Route, route_of, seen_along, taught_along
 from homeward.places.telling import require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
@@ -136,19 +136,16 @@ class Visiting:
         InputError
             When the robot does not know where it is, or the name is taken, or nothing is merged.
         """
-        if not self.update:
-            raise InputError(READ_ONLY)
         require_name("home", name, (first, *self.homes))
-        if estimate.status is not Status.LOCALISED:
-            words = f"{estimate.status.value}: {estimate.reason}"
-            raise InputError(f"home {quoted(name)} cannot be stored by a robot that is {words}")
+        self._require_localised(estimate, f"home {quoted(name)} cannot be stored by")
         self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
         return f"home {name} is here, {len(seen.bearings)} landmarks in sight"
 
     @property
-    def routes(self) -> tuple[str, ...]:
+    def routes(self) -> dict[str, Route]:
         """The routes that there are, and will be after this visit."""
-        return (*(self.place.routes if self.place is not None else ()), *self._routes)
+        known = {} if self.place is None else self.place.routes
+        return known | {name: route for name, (route, _) in self._routes.items()}
 
     def route(self, name: str) -> Route:
         """Return a route, of the place or of this visit, in the frame of the answers.
@@ -158,12 +155,7 @@ class Visiting:
         InputError
             When there is none of that name.
         """
-        if name in self._routes:
-            return self._routes[name][0]
-        if self.place is None or name not in self.place.routes:
-            there = f"there are {', '.join(self.routes)}" if self.routes else "there is none"
-            raise InputError(f"no route {quoted(name)}; {there}")
-        return self.place.route(name)
+        return route_of(self.routes, name)
 
     def landmark(self, name: str) -> tuple[float, float] | None:
         """Return where the place has a landmark, in the frame of its first home [m]."""
@@ -180,17 +172,20 @@ class Visiting:
         InputError
             When the robot does not know well where it is, or nothing is merged.
         """
-        if not self.update:
-            raise InputError(READ_ONLY)
-        if estimate.status is not Status.LOCALISED:
-            words = f"{estimate.status.value}: {estimate.reason}"
-            raise InputError(f"a route cannot begin with a robot that is {words}")
+        self._require_localised(estimate, "a route cannot begin with")
         if (sigma := _sigma(estimate)) > LOOKAHEAD:
             raise InputError(
                 f"a route cannot begin with a robot that knows where it is to {sigma:.2f} m only"
             )
         self._taught_from = len(self._poses)
         return "a route begins here"
+
+    def _require_localised(self, estimate: Estimate, words: str) -> None:
+        """Raise `InputError` where visits are not merged, or the robot is not localised."""
+        if not self.update:
+            raise InputError(READ_ONLY)
+        if estimate.status is not Status.LOCALISED:
+            raise InputError(f"{words} a robot that is {estimate.status.value}: {estimate.reason}")
 
     def store_route(self, name: str, landmarks: Iterable[LandmarkEstimate]) -> str:
         """Store the way since the route began, and say so; it is one of the place after this visit.

@@ -13,9 +13,11 @@ from homeward.errors import InputError
 from homeward.frames import Pose, position_sigma
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
-from homeward.places.route import Route
+from homeward.places.route import Route, route_of
 
 DAY_S = 86400.0
+BETWEEN = "+"
+"""Stands between the fingerprints of a place that was merged into another."""
 FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
 """Days since 1970 that have a date, of the years 1 to 9999 [days]."""
 NUDGED = 0.002
@@ -42,7 +44,7 @@ class Visit:
     """[days since 1970]"""
     drive: str
     evidence: str
-    """The drive's `fingerprint`; of a place that was merged, those of all its drives."""
+    """The drive's `telling.fingerprint`; of a place that was merged, those of all its drives."""
     verdict: str
     """first, merged, or apart: then the rest is zero, and nothing of it was merged."""
     stayed: int = 0
@@ -99,6 +101,28 @@ class Place:
     def next_visit(self) -> int:
         """The number of the visit that comes next, from 1."""
         return self.visits[-1].number + 1 if self.visits else 1
+
+    @property
+    def evidence(self) -> str:
+        """The fingerprints of all drives that it is made of."""
+        merged = (v.evidence.split(BETWEEN) for v in self.visits if v.verdict != "apart")
+        return BETWEEN.join(sorted(set[str]().union(*merged)))
+
+    def require_new(self, name: str, told: str) -> None:
+        """Raise `InputError` where a drive or place tells what is known already.
+
+        Parameters
+        ----------
+        name : str
+            Of the drive or other place.
+        told : str
+            Its fingerprint, or `evidence`.
+        """
+        if not set(told.split(BETWEEN)).isdisjoint(self.evidence.split(BETWEEN)):
+            raise InputError(
+                f"{quoted(name)}, or a drive of it, is in the place {quoted(self.name)} already: "
+                "what it saw would count twice"
+            )
 
     def stays(self, when: float) -> dict[str, float]:
         """Return the probability of each landmark to stand where it is mapped, at `when` [days]."""
@@ -172,10 +196,7 @@ class Place:
 
     def route(self, name: str) -> Route:
         """Return a route by its name, else raise `InputError`."""
-        if name not in self.routes:
-            there = f"there are {', '.join(self.routes)}" if self.routes else "there is none"
-            raise InputError(f"no route {quoted(name)}; {there}")
-        return self.routes[name]
+        return route_of(self.routes, name)
 
     def required(self, home: str | None) -> str:
         """Return the name of a home, the first one's for None; else raise `InputError`."""
@@ -190,7 +211,12 @@ class Place:
         return Pose(*self.map.mean[self.map.home_columns(home)].tolist())
 
     def home_sigma(self, home: str, when: float) -> float:
-        """Return how uncertain a home's place is for one who sees what stands now [m]."""
+        """Return how uncertain a home's place is for one who sees what stands now [m].
+
+        Infinite where fewer than two landmarks are left, which hold no frame.
+        """
+        if len(self.standings) < 2:
+            return np.inf
         there = self.aged(when).at_home(self.required(home))
         at = there.home_columns(home)[:2]
         return float(position_sigma(there.covariance[np.ix_(at, at)]))

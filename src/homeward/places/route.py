@@ -7,14 +7,15 @@ show that correcting the heading alone suffices for that; a map corrects all thr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.errors import HomewardError
+from homeward.drives.text.table import quoted
+from homeward.errors import HomewardError, InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.following import LOOKAHEAD, Path
 from homeward.frames import position_sigma
@@ -112,6 +113,14 @@ class Route:
             heading = float(wrap(node.heading + np.angle(turn)))
             nodes.append(replace(node, x=float(there.real), y=float(there.imag), heading=heading))
         return replace(self, nodes=tuple(nodes))
+
+
+def route_of(routes: Mapping[str, Route], name: str) -> Route:
+    """Return a route by its name, else raise `InputError`."""
+    if name not in routes:
+        there = f"there are {', '.join(routes)}" if routes else "there is none"
+        raise InputError(f"no route {quoted(name)}; {there}")
+    return routes[name]
 
 
 def seen_along(landmarks: Iterable[LandmarkEstimate]) -> JointMap:

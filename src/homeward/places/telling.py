@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,6 @@ from homeward.estimator import NO_BEARINGS_S, Estimate, Status
 from homeward.frames import Pose
 from homeward.localizer.geometry import compose, sight
 from homeward.localizer.localizer import Localizer
-from homeward.places.evidence import fingerprint
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome
 from homeward.places.route import Route, seen_along, taught
@@ -24,6 +24,14 @@ from homeward.track import Track
 
 IN_REACH = 0.9
 """Landmarks are seen as far as this share of all sightings goes."""
+
+
+def fingerprint(drive: Drive) -> str:
+    """Return what tells a drive from others: a hash of what it saw, whatever it is called."""
+    seen = drive.sightings
+    digest = hashlib.sha256(np.stack([seen.t, seen.bearing]).astype("<f8").tobytes())
+    digest.update("\0".join(map(str, seen.landmark.tolist())).encode())
+    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True)

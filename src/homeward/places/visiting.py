@@ -16,7 +16,6 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
-from homeward.places.evidence import evidence, require_new
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
 from homeward.places.place import Event, Place, StoredHome, Visit
@@ -58,7 +57,10 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     when = told.when
     standings = {n: Standing(since=when, last=when) for n in there.names}
     place = Place(name, there, standings, {home: StoredHome(when, dict(observed))})
-    return _with_stored(_first_visit(place, told), told)
+    events = tuple(_events(place, place, dict.fromkeys(there.names, "new")))
+    number, new = place.next_visit, len(events)
+    visit = Visit(number, when, told.drive, told.evidence, "first", new=new, of=new)
+    return _with_stored(replace(place, visits=(visit,), events=events), told)
 
 
 def merged(place: Place, told: Told) -> Place:
@@ -71,26 +73,21 @@ def merged(place: Place, told: Told) -> Place:
     InputError
         When the place knows this drive already, or has a home of a name that it stores.
     """
-    require_new(place, told.drive, told.evidence)
-    judged = _judged(place, told)
+    place.require_new(told.drive, told.evidence)
+    judged, stayed = _judged(place, told)
     stays = place.stays(told.when)
-    stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
     expected = sum(stays[n] for n in judged)
     apart = Visit(place.next_visit, told.when, told.drive, told.evidence, "apart", of=len(stays))
     kept_apart = replace(place, visits=_visits(place, apart))
     if len(stayed) < max(VERIFIED, LEAST_AGREEING * expected):
         return kept_apart
-    before = place.aged(told.when)
     theirs = told.map
     placed = _well_placed(theirs)
     moved = [n for n, wrong in judged.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.standings]
-    now, disagreement = fused(before, theirs.only({*stayed, *moved, *new}), stayed)
-    if disagreement > INLIER**2:
+    there = _with_map(place, told.when, theirs.only({*stayed, *moved, *new}), stayed)
+    if there is None:
         return kept_apart
-    after = now.at_home(place.origin)
-    routes = {n: r.carried(place.map, after, stayed) for n, r in place.routes.items()}
-    there = replace(place, map=after, routes=routes)
     return _with_stored(_followed(place, there, told, judged, moved, new), told)
 
 
@@ -108,15 +105,13 @@ def merged_places(place: Place, other: Place) -> Place:
     HomewardError
         When they are not of one room, or most was rearranged between them.
     """
-    known = evidence(other)
-    require_new(place, other.name, known)
+    known = other.evidence
+    place.require_new(other.name, known)
     names = _free_names(place.homes, other.homes, other.name)
     when = max(place.visits[-1].when, other.visits[-1].when)
     theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
     theirs = theirs.only({n for n, stays in other.stays(when).items() if stays >= GONE})
-    told = Told(other.name, known, when, theirs)
-    judged, before = _judged(place, told), place.aged(when)
-    stayed = [n for n, wrong in judged.items() if wrong <= 0.5]
+    judged, stayed = _judged(place, Told(other.name, known, when, theirs))
     differ = HomewardError(
         f"of the {len(judged)} landmarks that both have too few stand alike: "
         "these are two places, or most was rearranged"
@@ -125,18 +120,17 @@ def merged_places(place: Place, other: Place) -> Place:
         raise differ
     older = {n for n in judged if other.standings[n].last < place.standings[n].last}
     theirs = theirs.only({n for n in theirs.names if n in stayed or n not in older})
-    both_say, disagreement = fused(before, theirs, stayed)
-    if disagreement > INLIER**2:
+    there = _with_map(place, when, theirs, stayed)
+    if there is None:
         raise differ
-    now = both_say.at_home(place.origin)
+    now = there.map
     both = {**place.standings, **{n: other.standings[n] for n in theirs.names}}
     both |= {n: place.standings[n].joined(other.standings[n]) for n in stayed}
     standings = {n: both[n] for n in now.names}
     homes = {**place.homes, **{names[h]: s for h, s in other.homes.items()}}
-    routes = {n: r.carried(place.map, now, stayed) for n, r in place.routes.items()}
-    ways = _free_names(routes, other.routes, other.name)
-    routes |= {ways[n]: r.carried(other.map, now, stayed) for n, r in other.routes.items()}
-    there = replace(place, map=now, standings=standings, homes=homes, routes=routes)
+    ways = _free_names(there.routes, other.routes, other.name)
+    more = {ways[n]: r.carried(other.map, now, stayed) for n, r in other.routes.items()}
+    there = replace(there, standings=standings, homes=homes, routes=there.routes | more)
     new = [n for n in now.names if n not in place.standings]
     moved = [n for n in judged if n not in stayed and n not in older]
     what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
@@ -153,6 +147,16 @@ def merged_places(place: Place, other: Place) -> Place:
     )
     events = (*place.events, *_events(place, there, what))[-MOST_EVENTS:]
     return replace(there, visits=_visits(place, visit), events=events)
+
+
+def _with_map(place: Place, when: float, theirs: JointMap, stayed: list[str]) -> Place | None:
+    """Return a place whose map is fused with another, and its routes; None where they disagree."""
+    both_say, disagreement = fused(place.aged(when), theirs, stayed)
+    if disagreement > INLIER**2:
+        return None
+    now = both_say.at_home(place.origin)
+    routes = {n: r.carried(place.map, now, stayed) for n, r in place.routes.items()}
+    return replace(place, map=now, routes=routes)
 
 
 def _free_names(here: Collection[str], theirs: Collection[str], of: str) -> dict[str, str]:
@@ -182,11 +186,8 @@ def _followed(
 ) -> Place:
     """Return a place with what is believed of each landmark's staying after a visit."""
     when, usual = told.when, before.usual_rate
-    standings, what = (
-        dict[str, Standing](),
-        dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new"),
-    )
-    missed = _missed(before, told)
+    standings, missed = dict[str, Standing](), _missed(before, told)
+    what = dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new")
     for name in place.map.names:
         was = before.standings.get(name)
         if was is None:
@@ -238,16 +239,8 @@ def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
     return [Event(before.next_visit, name, word, *at[name]) for name, word in what.items()]
 
 
-def _first_visit(place: Place, told: Told) -> Place:
-    """Return a place with its first visit written down."""
-    events = tuple(_events(place, place, dict.fromkeys(place.map.names, "new")))
-    number, new = place.next_visit, len(events)
-    visit = Visit(number, told.when, told.drive, told.evidence, "first", new=new, of=new)
-    return replace(place, visits=(visit,), events=events)
-
-
-def _judged(place: Place, told: Told) -> dict[str, float]:
-    """Return the probability that landmarks of both stand elsewhere than the place has them."""
+def _judged(place: Place, told: Told) -> tuple[dict[str, float], list[str]]:
+    """Return how probably landmarks of both stand elsewhere than in the place, and who do not."""
     before, stays, found = place.aged(told.when), place.stays(told.when), dict[str, float]()
     common = [n for n in before.names if n in told.map.names]
     groups = max(1, -(-len(common) // MAX_TESTED))
@@ -264,7 +257,7 @@ def _judged(place: Place, told: Told) -> dict[str, float]:
         prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
         wrong = outlier_probabilities(factors, free, np.arange(n // 2), prior, before.size)
         found |= dict(zip(mine.names, wrong.tolist(), strict=True))
-    return found
+    return found, [name for name, wrong in found.items() if wrong <= 0.5]
 
 
 def _missed(place: Place, told: Told) -> dict[str, float]:

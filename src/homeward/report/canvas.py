@@ -179,6 +179,14 @@ def quantile_bar(
     axes.plot(shown[2], place, "o", ms=5, color=face, mec=edge, mew=0.8)
 
 
+def name_mark(
+    axes: Axes, text: str, at: np.ndarray, offset: tuple[float, float], **options: Any
+) -> None:
+    """Write a name that somebody chose, as it is, so many points beside a place (2,)."""
+    options |= {"in_layout": False, "parse_math": False}
+    axes.annotate(text, (at[0], at[1]), offset, textcoords="offset points", **options)
+
+
 def bare(axes: Axes) -> None:
     """Take grid, ticks and frame from axes."""
     axes.grid(False)

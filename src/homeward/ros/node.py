@@ -127,10 +127,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 raise InputError("place_update needs a place")
             if told("place"):
                 place = visiting(Path(told("place")), told("place_update"), settings.estimator)
+            self._session = Session(settings, robot, homes, place)
             if told("record"):
                 self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)
-            keep = self._recorder.keep if self._recorder else None
-            self._session = Session(settings, robot, homes, keep, place)
+                self._session.watch(self._recorder.keep)
             self._say.make()
         except (HomewardError, ImportError) as error:
             missing = "; its ROS package is not installed, or ROS's setup.bash was not sourced"

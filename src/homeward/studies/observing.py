@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose, bearing, between, compose
+from homeward.localizer.geometry import lever
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
@@ -268,13 +267,5 @@ def _told(scene: Scene, null: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarra
     together = everything[:, :POLAR] @ directions[:, -1]
     words = in_words(scene, (together * worth)[:, None], LOOSELY)
     home = everything[:POLAR, :POLAR] * np.outer(worth[:POLAR], worth[:POLAR])
-    by_home = np.array(_from_home()(scene.home, scene.poses[-1]))
+    by_home = -lever(scene.poses[-1])  # home is the origin
     return by_home @ home @ by_home.T, tuple(f.words for f in words)
-
-
-@lru_cache(maxsize=1)
-def _from_home() -> ca.Function:
-    """Return the derivative of a pose as seen from home by home."""
-    home, pose = ca.SX.sym("home", POLAR), ca.SX.sym("pose", POLAR)
-    seen = between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(pose)))
-    return ca.Function("from_home", [home, pose], [ca.jacobian(ca.vertcat(*seen), home)])

@@ -224,12 +224,4 @@ def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start
     if late > TRUTH_NEAR_S:
         raise InputError(f"{drive.name}: its truth is {late:.1f} s away from the start")
     x, y, heading = (float(a[0]) for a in drive.truth.at(np.array([first])))
-    polar = to_polar(Pose(x, y, heading))
-    return Start(
-        R=float(polar.R),
-        theta=float(polar.theta),
-        alpha=float(polar.alpha),
-        sigma_R=TRUTH_SIGMA,
-        sigma_theta=TRUTH_SIGMA,
-        sigma_alpha=TRUTH_SIGMA,
-    )
+    return Start.about(to_polar(Pose(x, y, heading)), *[TRUTH_SIGMA] * 3)

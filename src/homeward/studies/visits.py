@@ -15,10 +15,9 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.places.evidence import fingerprint, require_new
 from homeward.places.files import is_place, load_place, newest
 from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
-from homeward.places.telling import last_look, require_name, told_by
+from homeward.places.telling import fingerprint, last_look, require_name, told_by
 from homeward.places.visiting import FIRST_HOME, first_place, merged
 from homeward.track import Track
 
@@ -79,7 +78,7 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
     routes: Collection[str] = ()
     if run.place is not None and run.place_version:
         place = load_place(run.place, run.place_version)
-        require_new(place, drive.name, fingerprint(drive))
+        place.require_new(drive.name, fingerprint(drive))
         homes, routes = place.homes, place.routes
     elif run.place_home not in (None, FIRST_HOME):
         raise InputError(

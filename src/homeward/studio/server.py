@@ -21,7 +21,7 @@ from http import HTTPStatus
 from importlib import resources
 from typing import Any, NamedTuple, Protocol
 
-from homeward.errors import InputError, needs_extra
+from homeward.errors import InputError
 from homeward.one_thread import one_thread
 from homeward.studio.messages import LONGEST, Asked, Hello, Pace, parse
 
@@ -116,12 +116,10 @@ class Studio:
         Raises
         ------
         InputError
-            When the port cannot be listened at, or websockets are not installed.
+            When the port cannot be listened at.
         """
-        try:
-            from websockets.asyncio.server import serve
-        except ModuleNotFoundError as error:
-            raise needs_extra("the studio's pages", "live") from error
+        from websockets.asyncio.server import serve
+
         ended = asyncio.Event()
         with contextlib.suppress(ValueError, NotImplementedError):  # not on the main thread
             for sign in (signal.SIGINT, signal.SIGTERM):

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Changes, key_values
+from homeward.cli.options import Changes, KnownPlace, key_values
 from homeward.cli.terminal import no_answer, refuse, say
 from homeward.errors import InputError
 
@@ -30,10 +30,7 @@ def live(
     robot: Annotated[
         Path | None, typer.Option(help="A drive.yaml: camera, noise of odometry, start.")
     ] = None,
-    place: Annotated[
-        Path | None,
-        typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
-    ] = None,
+    place: KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge what is driven into the place.")
     ] = False,
@@ -95,8 +92,11 @@ def live(
         from homeward.live import viewer
 
         stream = viewer.open_stream(view)
+    session = Session(told, known, homes, visited)
+    # After it: of a session that cannot begin no folder is left.
     recorder = None if record is None else Recorder(record, told, known, homes, visited)
-    session = Session(told, known, homes, None if recorder is None else recorder.keep, visited)
+    if recorder is not None:
+        session.watch(recorder.keep)
     if view is not None:
         drawing = viewer.LiveView(stream, session.localisation.landmarks, known.sensor)
         session.watch(drawing.keep)

@@ -16,6 +16,7 @@ from homeward.cli.options import (
     Changes,
     HomePose,
     HomeSpin,
+    KnownPlace,
     Robot,
     Topics,
     day,
@@ -69,10 +70,7 @@ def run(
     seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
     topics: Topics = None,
     home_spin: HomeSpin = None,
-    place: Annotated[
-        Path | None,
-        typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
-    ] = None,
+    place: KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place at its end.")
     ] = False,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson
+from homeward.cli.options import AsJson, Force
 from homeward.cli.terminal import answer, no_answer, say, warn
 
 
@@ -26,9 +26,7 @@ def compare(
             "else that turns with the camera, is seen; default: that of images.yaml."
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
-    ] = False,
+    force: Force = False,
     json: AsJson = False,
 ) -> None:
     """Tell how the camera has turned since home, and where home lies.

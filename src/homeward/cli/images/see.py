@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, Topics, progress
+from homeward.cli.options import AsJson, Force, Topics, progress
 from homeward.cli.terminal import answer, no_answer, say, warn
 
 
@@ -27,9 +27,7 @@ def see(
         typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
     ] = None,
     topics: Topics = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Take pictures that look like no panoramas.")
-    ] = False,
+    force: Force = False,
     json: AsJson = False,
 ) -> None:
     """Find landmarks in panoramas, or tags in any pictures, and write a drive folder.

@@ -144,8 +144,8 @@ def _study(
         write_layouts,
     )
     from homeward.studies.blocks.finish import Where, Work
-    from homeward.studies.paper.layout_study import layout_settings, study_layouts
     from homeward.studies.paper.layouts import MARKER, open_store
+    from homeward.studies.paper.reproduction import layout_settings, study_layouts
 
     where = Where(*places)
     settings = layout_settings(values, runs, seed)

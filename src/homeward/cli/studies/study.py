@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,7 +50,7 @@ def study(
     from homeward.studies.blocks.finish import Where, Work
     from homeward.studies.paper.map_settings import load_map
     from homeward.studies.study.plan import make_plan
-    from homeward.studies.study.results import MARKER, open_study, require_scale, run_study
+    from homeward.studies.study.results import MARKER, open_study, run_study
     from homeward.studies.study.settings import load_study
     from homeward.studies.study.summary import failures, lines
 
@@ -59,7 +60,8 @@ def study(
     if settings := load_map(study, changes):
         _map(settings, folder, where, json)
         return
-    require_scale()
+    for package in ("xarray", "h5netcdf"):  # not to be missed at the end
+        import_module(package)
     plan = make_plan(load_study(study, changes))
     check_output(folder, MARKER)
     store = open_study(plan, folder)

@@ -63,6 +63,11 @@ def shipped(*names: str) -> Path:
     return Path(str(files("homeward").joinpath("data", *names)))
 
 
+def shipped_yaml(folder: str) -> dict[str, Path]:
+    """Return the YAML files of a folder of those data, by name."""
+    return {file.stem: file for file in sorted(shipped(folder).glob("*.yaml"))}
+
+
 def require_folder(path: Path) -> None:
     """Raise InputError when `path` is not a folder that can be looked into."""
     with naming(path, "cannot be read"):

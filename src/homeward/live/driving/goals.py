@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -54,14 +55,13 @@ class Step(NamedTuple):
     twist: Twist = STAND
 
 
-class Drive(Protocol):
+class Drive(NamedTuple):
     """A drive to a goal."""
 
     patience: float
     """After standing for so long it has failed [s]."""
-
-    def step(self, now: float, belief: Belief, hindrance: str) -> Step:
-        """Return what to do at `now` [s]; with a hindrance, in words, the robot must stand."""
+    step: Callable[[float, Belief, str], Step]
+    """What to do now [s]; with a hindrance, in words, the robot must stand."""
 
 
 class Goal(Protocol):
@@ -83,7 +83,22 @@ class Spot(NamedTuple):
 
     def drive(self, limits: Limits) -> Drive:
         """Return a drive there."""
-        return _ToSpot(self, limits)
+
+        def step(now: float, belief: Belief, hindrance: str) -> Step:
+            if hindrance or belief.pose is None:
+                return Step(State.HELD, hindrance)
+            dx, dy = self.x - belief.pose.x, self.y - belief.pose.y
+            distance = math.hypot(dx, dy)
+            left = max(distance - self.standoff, 0.0)
+            if left < limits.radius:
+                if belief.status is Status.LOCALISED:
+                    return Step(State.ARRIVED, f"{distance:.3f} m from {self.name}")
+                return Step(State.HELD, f"at {self.name}, but {belief.status.value}")
+            share, heading = left / distance, belief.pose.heading
+            twist = steer(share * dx, share * dy, heading, limits.speed, limits.turn_rate)
+            return Step(State.DRIVING, "", twist)
+
+        return Drive(limits.patience, step)
 
 
 class Along(NamedTuple):
@@ -94,68 +109,33 @@ class Along(NamedTuple):
     """In the frame of the belief."""
 
     def drive(self, limits: Limits) -> Drive:
-        """Return a drive along it."""
-        return _AlongPath(self, limits)
+        """Return a drive along it; when that has failed `homeward.following.Follower` knows."""
+        follower = following.Follower(self.path, limits.speed, limits.turn_rate)
 
+        def step(now: float, belief: Belief, hindrance: str) -> Step:
+            sure = belief.status is Status.LOCALISED
+            twist = follower.twist(now, belief.pose, sure, hindrance or False)
+            match follower.state:
+                case following.State.ARRIVED:
+                    return Step(State.ARRIVED, f"arrived at the end of {self.name}")
+                case following.State.FAILED:
+                    return Step(State.FAILED, f"given up: {follower.reason}")
+                case following.State.HELD:
+                    return Step(State.HELD, follower.reason)
+                case following.State.STOPPED:
+                    if twist == STAND:
+                        return Step(State.HELD, f"waiting at {self._stop(follower)}")
+                    return Step(State.DRIVING, f"turning at {self._stop(follower)}", twist)
+            if follower.entering:
+                return Step(State.DRIVING, f"entering {self.name}", twist)
+            metres = f"{follower.along:.0f} of {self.path.length:.0f} m"
+            return Step(State.DRIVING, f"following {self.name}, {metres}", twist)
 
-class _ToSpot:
-    """A drive to a point."""
+        return Drive(math.inf, step)
 
-    def __init__(self, spot: Spot, limits: Limits) -> None:
-        self._spot, self._limits = spot, limits
-        self.patience = limits.patience
-
-    def step(self, now: float, belief: Belief, hindrance: str) -> Step:
-        """Return what to do; see `Drive`."""
-        if hindrance or belief.pose is None:
-            return Step(State.HELD, hindrance)
-        name, *there, standoff = self._spot
-        dx, dy = there[0] - belief.pose.x, there[1] - belief.pose.y
-        distance = math.hypot(dx, dy)
-        left = max(distance - standoff, 0.0)
-        if left < self._limits.radius:
-            if belief.status is Status.LOCALISED:
-                return Step(State.ARRIVED, f"{distance:.3f} m from {name}")
-            return Step(State.HELD, f"at {name}, but {belief.status.value}")
-        share, most = left / distance, self._limits
-        heading = belief.pose.heading
-        twist = steer(share * dx, share * dy, heading, most.speed, most.turn_rate)
-        return Step(State.DRIVING, "", twist)
-
-
-class _AlongPath:
-    """A drive along a path; when it has failed `homeward.following.Follower` knows."""
-
-    patience = math.inf
-
-    def __init__(self, along: Along, limits: Limits) -> None:
-        self._name, self._path = along
-        self._follower = following.Follower(along.path, limits.speed, limits.turn_rate)
-
-    def step(self, now: float, belief: Belief, hindrance: str) -> Step:
-        """Return what to do; see `Drive`."""
-        follower, sure = self._follower, belief.status is Status.LOCALISED
-        twist = follower.twist(now, belief.pose, sure, hindrance or False)
-        match follower.state:
-            case following.State.ARRIVED:
-                return Step(State.ARRIVED, f"arrived at the end of {self._name}")
-            case following.State.FAILED:
-                return Step(State.FAILED, f"given up: {follower.reason}")
-            case following.State.HELD:
-                return Step(State.HELD, follower.reason)
-            case following.State.STOPPED:
-                if twist == STAND:
-                    return Step(State.HELD, f"waiting at {self._stop}")
-                return Step(State.DRIVING, f"turning at {self._stop}", twist)
-        if follower.entering:
-            return Step(State.DRIVING, f"entering {self._name}", twist)
-        metres = f"{follower.along:.0f} of {self._path.length:.0f} m"
-        return Step(State.DRIVING, f"following {self._name}, {metres}", twist)
-
-    @property
-    def _stop(self) -> str:
-        """The stop that is made, in words."""
-        if self._follower.reason:
-            return f"way point {self._follower.reason}"
-        last = self._follower.stop == len(self._path.stops) - 1
+    def _stop(self, follower: following.Follower) -> str:
+        """Return the stop that is made, in words."""
+        if follower.reason:
+            return f"way point {follower.reason}"
+        last = follower.stop == len(self.path.stops) - 1
         return "the end" if last else "a turn of the way"

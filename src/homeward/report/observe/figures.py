@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from homeward.observability.study import ModelView
 from homeward.observability.trace import Trace
-from homeward.report.canvas import new_figure, style
+from homeward.report.canvas import name_mark, new_figure, style
 from homeward.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.report.words import name
 from homeward.studies.observing import DriveView
@@ -41,7 +41,7 @@ def draw_family(view: ModelView) -> Figure:
         axes.plot(*scene.landmarks.T, "*", ms=13, color=INK, mec="white", zorder=6)
         if q <= 12:
             for text, mark in zip(scene.names, scene.landmarks, strict=True):
-                _label(axes, text, mark)
+                name_mark(axes, name(text), mark, (7, 4), annotation_clip=True, zorder=8)
         _draw_home(axes, scene.home, scene.length)
         _limit(axes, view)
         axes.set(xlabel="x [m], the robot's first pose is the origin", ylabel="y [m]")
@@ -71,19 +71,6 @@ def _draw_arrow(axes: Axes, pose: np.ndarray, size: float, colour: str) -> None:
     tip = pose[0] + size * np.cos(pose[2]), pose[1] + size * np.sin(pose[2])
     arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", tip, (pose[0], pose[1]), arrowprops=arrow, annotation_clip=True, zorder=4)
-
-
-def _label(axes: Axes, text: str, place: np.ndarray) -> None:
-    axes.annotate(
-        name(text),
-        (place[0], place[1]),
-        xytext=(7, 4),
-        textcoords="offset points",
-        annotation_clip=True,
-        in_layout=False,
-        parse_math=False,
-        zorder=8,
-    )
 
 
 def _limit(axes: Axes, view: ModelView) -> None:
@@ -140,7 +127,7 @@ def draw_drive_view(view: DriveView) -> Figure:
         top.add_collection(lines)
         for text, place, stored in zip(view.names, view.places, view.stored, strict=True):
             top.plot(*place, "*", ms=9, color=INK if stored else MUTED, mec="white", zorder=5)
-            _label(top, text, place)
+            name_mark(top, name(text), place, (7, 4), annotation_clip=True, zorder=8)
         _draw_home(top, np.zeros(3), 0.5 * extent)
         top.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         figure.colorbar(

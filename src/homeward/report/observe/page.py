@@ -25,13 +25,7 @@ FIGURE = "observe"
 
 
 def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any]) -> None:
-    """Write observe.html, the drawing as observe.png and observe.svg, and observe.yaml.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write observe.html, observe.png, observe.svg and observe.yaml; errors as `whole_folder`."""
     values = {
         "title": f"What bearings tell: {view.drive.title}",
         "summary": model_summary(view),
@@ -45,13 +39,7 @@ def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any])
 
 
 def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any]) -> None:
-    """Write the same of a drive.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write the same of a drive."""
     values = {
         "title": f"What the bearings of {words.name(view.name, 60)} tell",
         "summary": drive_summary(view),
@@ -88,7 +76,7 @@ def drive_summary(view: DriveView) -> str:
     blind = [w for w in view.windows if not np.isfinite(w.position_sigma)]
     told = [w for w in view.windows if np.isfinite(w.position_sigma)]
     whole = view.whole
-    text = f"All its bearings together leave {'; '.join(whole.weakest)} open."
+    text = f"All its bearings together do not tell the pose: {'; '.join(whole.weakest)}."
     if np.isfinite(whole.position_sigma):
         text = (
             "All its bearings together place the robot relative to home to"

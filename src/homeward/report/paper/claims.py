@@ -10,8 +10,8 @@ import numpy as np
 
 from homeward.report.words import count, listing, percent
 from homeward.studies.paper.cases import DEAD_RECKONING, PI_HT
-from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, LONG, Outcome, Reading
+from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed, better_shares
 from homeward.studies.paper.world import CaseName

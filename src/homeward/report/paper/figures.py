@@ -81,17 +81,24 @@ def _arc(
 
 def draw_errors(result: Reproduction, case: CaseName, *names: str) -> Figure:
     """Draw the estimation errors of filters over time in the median run of a case."""
+    runs = [(name, result.shown[case].runs[name]) for name in names]
+    figure = _draw_panels([(r.t, r.errors, name, COLOURS[name], 1.2) for name, r in runs])
+    with style():
+        for axes in figure.axes:
+            axes.axhline(0, color=MUTED, lw=0.6)
+            axes.set_ylabel(f"error of {axes.get_ylabel()}")
+    return figure
+
+
+def _draw_panels(lines: list[tuple[np.ndarray, np.ndarray, str, str, float]]) -> Figure:
+    """Draw lines over time: t [s], R, theta and alpha (k, 3), label, colour and width."""
     with style():
         figure = new_figure(5.4)
         panels = figure.subplots(3, 1, sharex=True)
-        for name in names:
-            run = result.shown[case].runs[name]
-            for k, axes in enumerate(panels):
-                error = run.errors[:, k] * TO_PAPER_UNITS[k]
-                axes.plot(run.t, error, color=COLOURS[name], label=name)
-        for axes, quantity in zip(panels, QUANTITIES, strict=True):
-            axes.axhline(0, color=MUTED, lw=0.6)
-            axes.set_ylabel(f"error of {quantity}")
+        for k, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
+            for t, values, label, colour, width in lines:
+                axes.plot(t, values[:, k] * TO_PAPER_UNITS[k], color=colour, lw=width, label=label)
+            axes.set_ylabel(quantity)
         panels[-1].set_xlabel("time [s]")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -159,17 +166,9 @@ def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
     run = result.shown[case].runs[name]
     truth = run.state[:, :3] - run.errors
     truth[:, 1:] = np.unwrap(truth[:, 1:], axis=0)
-    with style():
-        figure = new_figure(5.4)
-        panels = figure.subplots(3, 1, sharex=True)
-        for k, axes in enumerate(panels):
-            axes.plot(run.t, truth[:, k] * TO_PAPER_UNITS[k], color=INK, lw=1.0, label="truth")
-            estimate = run.state[:, k] * TO_PAPER_UNITS[k]
-            axes.plot(run.t, estimate, color=COLOURS[name], label=name)
-            axes.set_ylabel(QUANTITIES[k])
-        panels[-1].set_xlabel("time [s]")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    return figure
+    return _draw_panels(
+        [(run.t, truth, "truth", INK, 1.0), (run.t, run.state, name, COLOURS[name], 1.2)]
+    )
 
 
 def draw_panorama(result: Reproduction, case: CaseName) -> Figure:

@@ -16,8 +16,8 @@ from homeward.report.canvas import legend_below, new_figure, quantile_bar, style
 from homeward.report.palette import GREEN, INK, MUTED, SKY
 from homeward.report.paper.figures import COLOURS, QUANTITIES
 from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT
-from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Start
+from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.tables import TO_PAPER_UNITS, better_shares, printed_of
 from homeward.studies.paper.world import CaseName
 from homeward.studies.study.summary import quantiles

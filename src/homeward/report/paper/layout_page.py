@@ -20,8 +20,8 @@ from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import percent
 from homeward.studies.paper.cases import FILTERS, PI_HT
-from homeward.studies.paper.layout_study import LayoutStudy
 from homeward.studies.paper.layouts import BOUND, MARKER, ROBUST, STUDIED, Reading
+from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.tables import (
     TO_PAPER_UNITS,
     beats_printed,
@@ -40,13 +40,7 @@ PAGE, DATA = "layouts.html", "layouts.csv"
 
 
 def write_layouts(directory: Path, study: LayoutStudy) -> None:
-    """Write the page, every figure as PNG, and layouts.csv with every run.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write the page, PNGs, and layouts.csv with every run; errors as `whole_folder`."""
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
             drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()

@@ -13,13 +13,13 @@ from scipy.stats import binomtest
 from homeward.drives.text.table import write_csv
 from homeward.report.canvas import new_figure, png, style
 from homeward.report.output import whole_folder
-from homeward.report.palette import BLUE, INK, VERMILLION
+from homeward.report.palette import INK, VERMILLION
+from homeward.report.study.maps import GOOD_TO_BAD
 from homeward.studies.paper.map import FAR_M, MARKER, MapResults
 
 FIGURE, TABLE = "map.png", "map.csv"
 SHOWN = FAR_M.index(0.5)
 """Of `FAR_M`, the distance that figure and words tell."""
-GOOD_TO_BAD = LinearSegmentedColormap.from_list("good", (BLUE, "#ffffff", VERMILLION))
 LITTLE_TO_MUCH = LinearSegmentedColormap.from_list("far", ("#ffffff", VERMILLION, INK))
 DECADES = 0.5
 """Errors so many powers of ten above or below the EKF's have the full colour."""

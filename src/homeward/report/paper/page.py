@@ -29,13 +29,7 @@ PAGE = "paper.html"
 
 
 def write_reproduction(directory: Path, result: Reproduction) -> None:
-    """Write the page, every figure as PNG, rmse.csv with every run, and reproduce.yaml.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write the page, PNGs, rmse.csv with every run, reproduce.yaml; errors as `whole_folder`."""
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         figures = [
             drawn(scratch, name, caption, draw())

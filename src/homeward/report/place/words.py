@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 
 from homeward.places.persistence import GONE
@@ -64,12 +65,13 @@ def info_lines(place: Place) -> list[str]:
         f"In a day a landmark changes its place with probability {percent(place.usual_rate)}.",
     ]
     for home, stored in place.homes.items():
-        pose = place.home_pose(home)
+        pose, sigma = place.home_pose(home), place.home_sigma(home, when)
+        where = f"known to {sigma:.3f} m" if sigma < math.inf else "found by nobody any more"
         known = {n: place.standings[n] for n in stored.seen if n in place.standings}
         stand = sum(stays[n] for n, s in known.items() if s.since <= stored.stored)
         lines.append(
             f"Home {name(home)}, stored {date(stored.stored)}, at ({pose.x:.2f}, {pose.y:.2f}) m,"
-            f" is known to {place.home_sigma(home, when):.3f} m; of the"
+            f" is {where}; of the"
             f" {len(stored.seen):,} landmarks that it saw about {stand:.0f} still stand where they"
             " did."
         )

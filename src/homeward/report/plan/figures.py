@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path as MarkerPath
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from homeward.report.canvas import WIDTH_IN, legend_below, new_figure, style, uncrowd
+from homeward.report.canvas import WIDTH_IN, legend_below, name_mark, new_figure, style, uncrowd
 from homeward.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, SKY, VERMILLION
 from homeward.report.words import name
 from homeward.studies.planning.analysis import PlanView
@@ -64,7 +64,7 @@ def draw_accuracy(view: PlanView) -> Figure:
             norm = LogNorm(limit / 10, limit * 10, clip=True)
             image = _image(axes, view, shown, cmap="viridis_r", norm=norm)
             grid = view.floor.image(np.where(np.isfinite(values), values, 1e9))
-            if np.nanmin(grid) < limit < np.nanmax(grid):
+            if min(grid.shape) > 1 and np.nanmin(grid) < limit < np.nanmax(grid):
                 axes.contour(view.floor.x, view.floor.y, grid, [limit], colors=INK, linewidths=0.9)
             _draw_place(axes, view, names=False)
             _draw_scale(axes, view)
@@ -148,9 +148,10 @@ def _draw_place(axes: Axes, view: PlanView, names: bool = True) -> None:
 def _draw_scale(axes: Axes, view: PlanView, below: bool = False) -> None:
     """Draw a bar of a round length beside the map, above it at its right end or below it."""
     west, _, east, _ = view.floor.outline.bounds
-    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map.
+    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map; the power of ten
+    # below that may be rounded up to more.
     power = 10.0 ** np.floor(np.log10((east - west) / 4))
-    length = max(k * power for k in (1, 2, 5) if k * power <= (east - west) / 4)
+    length = max(k * power for k in (0.5, 1, 2, 5) if k * power <= (east - west) / 4)
     bar = AnchoredSizeBar(
         axes.transData,
         length,
@@ -171,16 +172,8 @@ def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:
     west, _, east, north = view.floor.outline.bounds
     left = place[0] > east - 0.2 * (east - west)
     below = place[1] > north - 0.1 * (east - west)
-    axes.annotate(
-        text,
-        (place[0], place[1]),
-        xytext=(-6 if left else 6, -11 if below else 4),
-        textcoords="offset points",
-        ha="right" if left else "left",
-        in_layout=False,
-        parse_math=False,
-        zorder=7,
-    )
+    offset = (-6 if left else 6, -11 if below else 4)
+    name_mark(axes, text, place, offset, ha="right" if left else "left", zorder=7)
 
 
 def _draw_advice(axes: Axes, view: PlanView) -> None:

@@ -28,13 +28,7 @@ PAIRS = 8
 
 
 def write_plan(directory: Path, view: PlanView) -> None:
-    """Write plan.html, its maps as PNG and SVG, floor.csv and plan.yaml.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write plan.html, maps as PNG and SVG, floor.csv, plan.yaml; errors as `whole_folder`."""
     figures = {
         "begin": (draw_begin(view), "From where homing can begin"),
         "accuracy": (draw_accuracy(view), "Least error of position and heading over the floor"),

@@ -89,11 +89,11 @@ def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple
     wanted = set(track.t[rows].tolist())
     here = np.isin(judged.t, track.t[rows])
     fates = zip(judged.t[here], judged.landmark[here], judged.accepted[here], strict=True)
-    accepted = {(float(t), str(i)): bool(ok) for t, i, ok in fates}
+    fate = {(float(t), str(i)): USED if ok else REJECTED for t, i, ok in fates}
     yaw = drive.settings.sensor.yaw
     at = {
         t: [
-            (i, bearing + yaw, _fate(accepted.get((t, i))))
+            (i, bearing + yaw, fate.get((t, i), NEW))
             for i, bearing in bearings.items()
             if math.isfinite(bearing)
         ]
@@ -113,11 +113,6 @@ def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
     groups = np.split(np.arange(track.t.size), np.searchsorted(track.t, edges[1:-1]))
     best = [group[np.argmax(seen[group])] for group in groups if group.size]
     return np.unique([0, *best, track.t.size - 1])
-
-
-def _fate(accepted: bool | None) -> int:
-    """Return what became of a bearing."""
-    return NEW if accepted is None else USED if accepted else REJECTED
 
 
 def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[list[Any]], list[int]]:

@@ -56,35 +56,31 @@ def _draw_presence(plot: figure, shown: list[str], track: Track, sightings: Sigh
     edges = np.linspace(0.0, float(track.t[-1] - track.t[0]), BINS + 1)
     if edges[-1] <= 0.0:
         return
-    columns: dict[str, list[Any]] = {
-        k: [] for k in ("row", "left", "right", "colour", "name", "said")
-    }
+    bars: list[tuple[Any, ...]] = []
     for row, landmark in enumerate(shown):
         t = sightings.t[sightings.landmark == landmark] - track.t[0]
         present = np.histogram(t, edges)[0] > 0
         shades = np.where(present, _levels(track, landmark, edges), -2)
         for first, last, level in runs(shades.tolist()):
             if level != -2:
-                columns["row"].append(row)
-                columns["left"].append(float(edges[first]))
-                columns["right"].append(float(edges[last]))
-                columns["colour"].append(colour(level))
-                columns["name"].append(words.name(landmark, 60))
-                columns["said"].append(
-                    "not judged"
-                    if level == UNJUDGED
-                    else f"moved with probability {words.percent(level / LEVELS)}"
-                )
-    bars = plot.hbar(
+                said = f"moved with probability {words.percent(level / LEVELS)}"
+                said = "not judged" if level == UNJUDGED else said
+                span, name = (float(edges[first]), float(edges[last])), words.name(landmark, 60)
+                bars.append((row, *span, colour(level), name, said))
+    drawn = plot.hbar(
         y="row",
         left="left",
         right="right",
         height=0.5,
         fill_color="colour",
         line_color=None,
-        source=ColumnDataSource(columns),
+        source=_source(("row", "left", "right", "colour", "name", "said"), bars),
     )
-    add_hover(plot, "<b>@name</b> seen from @left{0.0} to @right{0.0} s<br>then: @said", bars)
+    add_hover(plot, "<b>@name</b> seen from @left{0.0} to @right{0.0} s<br>then: @said", drawn)
+
+
+def _source(names: tuple[str, ...], rows: list[tuple[Any, ...]]) -> ColumnDataSource:
+    return ColumnDataSource({name: [row[k] for row in rows] for k, name in enumerate(names)})
 
 
 def _levels(track: Track, landmark: str, edges: np.ndarray) -> np.ndarray:
@@ -102,15 +98,13 @@ def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:
     seen = track.innovations
     ratio = seen.value / seen.sigma
     entries = seen.by_landmark()
-    columns: dict[str, list[Any]] = {k: [] for k in ("t", "row", "name", "ratio")}
+    rejected: list[tuple[Any, ...]] = []
     for row, landmark in enumerate(shown):
         mine = entries.get(landmark, np.empty(0, int))
         mine = mine[~seen.accepted[mine]]
         mine = mine[thin_dots(np.abs(ratio[mine]), MOST_REJECTED)]
-        columns["t"].extend((seen.t[mine] - track.t[0]).tolist())
-        columns["row"].extend([row] * mine.size)
-        columns["name"].extend([words.name(landmark, 60)] * mine.size)
-        columns["ratio"].extend(ratio[mine].tolist())
+        name, when = words.name(landmark, 60), (seen.t[mine] - track.t[0]).tolist()
+        rejected += [(t, row, name, r) for t, r in zip(when, ratio[mine].tolist(), strict=True)]
     ticks = plot.scatter(
         "t",
         "row",
@@ -120,19 +114,18 @@ def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:
         line_color=INK,
         line_width=1.4,
         tags=[THEMED],
-        source=ColumnDataSource(columns),
+        source=_source(("t", "row", "name", "ratio"), rejected),
     )
     add_hover(plot, "<b>@name</b> rejected at @t{0.0} s<br>@ratio{0.0} sigma off", ticks)
 
 
 def _mark_moves(plot: figure, shown: list[str], track: Track) -> None:
     """Mark when landmarks moved during the drive."""
-    moves = [m for m in track.landmarks if m.landmark in shown and math.isfinite(m.moved_at)]
-    columns = {
-        "t": [m.moved_at - track.t[0] for m in moves],
-        "row": [shown.index(m.landmark) for m in moves],
-        "name": [words.name(m.landmark, 60) for m in moves],
-    }
+    moves = [
+        (m.moved_at - track.t[0], shown.index(m.landmark), words.name(m.landmark, 60))
+        for m in track.landmarks
+        if m.landmark in shown and math.isfinite(m.moved_at)
+    ]
     marks = plot.scatter(
         "t",
         "row",
@@ -141,6 +134,6 @@ def _mark_moves(plot: figure, shown: list[str], track: Track) -> None:
         fill_color="white",
         line_color=MOVED,
         line_width=1.6,
-        source=ColumnDataSource(columns),
+        source=_source(("t", "row", "name"), moves),
     )
     add_hover(plot, "<b>@name</b> moved at @t{0.0} s", marks)

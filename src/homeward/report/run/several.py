@@ -32,13 +32,7 @@ HEAD += ["heading [deg]", "NEES", "update [ms]", "named as moved"]
 
 
 def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write the page, its tables and figures, and a run folder for each estimator that ended.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
-    """
+    """Write a page, tables, figures, a run folder of each that ended; errors as `whole_folder`."""
     drive = outcomes[0].drive
     ended = [o for o in outcomes if o.track is not None and o.track.t.size]
     with whole_folder(directory, PAGE) as scratch:

@@ -128,7 +128,8 @@ def _moved(track: Track) -> str:
             f"{listing([name(m.landmark) for m in before])}. "
         )
     if during:
-        when = [f"{name(m.landmark)} (at {_clock(track, m.moved_at)})" for m in during]
+        start = float(track.t[0])
+        when = [f"{name(m.landmark)} (at {quantity(m.moved_at - start, 's')})" for m in during]
         text += f"{count(len(during), 'landmark').capitalize()} moved during the drive: "
         text += f"{listing(when)}."
     text = text.strip() or (
@@ -146,11 +147,6 @@ def _moved(track: Track) -> str:
 def _unjudged(track: Track) -> list[LandmarkEstimate]:
     """Return the landmarks that home saw, but of which it is not known whether they moved."""
     return [m for m in track.landmarks if m.moved is None and math.isfinite(m.home_bearing_stored)]
-
-
-def _clock(track: Track, t: float) -> str:
-    """Return a time of the drive counted from its first row."""
-    return quantity(t - float(track.t[0]), "s")
 
 
 def _rejected(metrics: Metrics) -> str:

@@ -12,13 +12,14 @@ import tempfile
 from pathlib import Path
 
 import rerun as rr
+import rerun.blueprint as rrb
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
 from homeward.drives.text.files import naming
 from homeward.errors import InputError
-from homeward.report.viewer.blueprint import blueprint
-from homeward.report.viewer.run_log import log_run
+from homeward.report.plots.map import map_limits
+from homeward.report.viewer.run_log import TIMELINE, log_run
 from homeward.track import Track
 
 SUFFIX, MAGIC = ".rrd", b"RRF"
@@ -65,7 +66,7 @@ def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> N
         with tempfile.TemporaryDirectory(prefix=".writing-", dir=file.parent) as scratch:
             whole = Path(scratch) / file.name
             stream = rr.RecordingStream("homeward")
-            stream.save(whole, default_blueprint=blueprint(drive, track, images))
+            stream.save(whole, default_blueprint=_blueprint(drive, track, images))
             log_run(stream, drive, track, images)
             stream.disconnect()
             os.replace(whole, file)
@@ -74,6 +75,51 @@ def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> N
 def show(drive: Drive, track: Track, images: Images) -> None:
     """Open Rerun's viewer, and stream a run to it; the viewer stays when this returns."""
     stream = rr.RecordingStream("homeward")
-    stream.spawn(default_blueprint=blueprint(drive, track, images), hide_welcome_screen=True)
+    stream.spawn(default_blueprint=_blueprint(drive, track, images), hide_welcome_screen=True)
     log_run(stream, drive, track, images)
     stream.flush()
+
+
+def _blueprint(drive: Drive, track: Track, images: Images) -> rrb.Blueprint:
+    """Return how the viewer first shows a run: the map from above, the series beside it."""
+    west, east, south, north = map_limits(track, drive.truth)
+    x, y, extent = (west + east) / 2, (south + north) / 2, max(east - west, north - south)
+    eye = rrb.EyeControls3D(
+        position=(x, y, 1.05 * extent), look_target=(x, y, 0.0), eye_up=(0.0, 1.0, 0.0)
+    )
+    places: list[rrb.View] = [rrb.Spatial3DView(origin="map", name="Map", eye_controls=eye)]
+    if images.files:
+        places.append(rrb.Spatial2DView(origin="camera", name="Camera"))
+    places.append(rrb.TextLogView(origin="status", name="Status"))
+    series = [
+        _series("sigma", "Sigma [m]", track, legend=True),
+        _series("heading", "Heading [deg]", track, legend=True),
+        _series("innovation", "Innovation / sigma", track),
+        _series("moved_probability", "Probability of having moved", track),
+    ]
+    if drive.truth is not None:
+        series.insert(0, _series("error", "Error [m]", track, legend=True))
+    shares = [4, 2, 1] if images.files else [5, 1]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*places, row_shares=shares), rrb.Vertical(*series), column_shares=[3, 2]
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def _series(origin: str, name: str, track: Track, legend: bool = False) -> rrb.TimeSeriesView:
+    """Return a view of time series over the whole drive."""
+    seconds = float(track.t[-1] - track.t[0]) if track.t.size else 1.0
+    span = rr.TimeRange(
+        rr.TimeRangeBoundary.absolute(seconds=0.0), rr.TimeRangeBoundary.absolute(seconds=seconds)
+    )
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=span),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )

@@ -12,10 +12,11 @@ from homeward.report.palette import BLUE, MOVED, MUTED, STATUS_COLOURS
 from homeward.report.plots.moments import NEW, REJECTED, USED, bearings_at
 from homeward.report.plots.probability import colour, levels
 from homeward.report.plots.thinning import runs
-from homeward.report.viewer.blueprint import TIMELINE
 from homeward.scoring import errors
 from homeward.track import Track
 
+TIMELINE = "time"
+"""Seconds since the drive's first stamp."""
 STALE_S = 0.5
 """Bearings are shown so long when no others come [s]."""
 UNPLACED_M = 2.0

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack, closing, suppress
+from contextlib import closing, suppress
 from importlib import import_module
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from homeward.errors import HomewardError, InputError, needs_extra
+from homeward.errors import HomewardError, InputError
 from homeward.studies.blocks.store import Arrays, our_version
 
 Argument = TypeVar("Argument")
@@ -30,15 +30,12 @@ def on_cluster(
     Raises
     ------
     HomewardError
-        When Dask is not installed, no scheduler answers, its workers have no homeward or another,
-        or blocks kill their workers again and again.
+        When no scheduler answers, its workers have no homeward or another, or blocks kill their
+        workers again and again.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise needs_extra("Dask workers", "scale") from None
-    with ExitStack() as stack:
-        client = _connect(distributed, stack, scheduler)
+    distributed: Any = import_module("distributed")
+    with closing(_connected(distributed, scheduler)) as client:
+        _check_workers(client)
         token = uuid4().hex[:8]
         futures = {
             client.submit(function, argument, key=f"homeward-{token}-{name}", pure=False): name
@@ -62,15 +59,12 @@ def on_cluster(
                 client.cancel(list(futures), reason="the study ends")
 
 
-def _connect(distributed: Any, stack: ExitStack, scheduler: str) -> Any:
-    """Return a client of the scheduler that ends with the stack."""
+def _connected(distributed: Any, scheduler: str) -> Any:
+    """Return a client of the scheduler."""
     try:
-        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        return distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"no Dask scheduler answers at {scheduler}") from error
-    stack.enter_context(closing(client))
-    _check_workers(client)
-    return client
 
 
 def _check_workers(client: Any) -> None:

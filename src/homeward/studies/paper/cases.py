@@ -16,7 +16,6 @@ from homeward.engine.program.stages import Machine
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
-from homeward.frames import Polar
 from homeward.model import POLAR, PolarModel
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world
@@ -172,8 +171,4 @@ def control_law(case: CaseName, settings: PaperSettings) -> Law:
 @lru_cache
 def _circle_law(turn_rate: float) -> Law:
     """Return the open-loop law of Case 4; the same object for the same turn rate."""
-
-    def law(polar: Polar, speed: ca.SX) -> Twist:
-        return Twist(speed, ca.SX(turn_rate))
-
-    return law
+    return lambda polar, speed: Twist(speed, ca.SX(turn_rate))

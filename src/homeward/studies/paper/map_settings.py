@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Positive, Strict
-from homeward.drives.text.files import shipped
+from homeward.drives.text.files import shipped_yaml
 from homeward.drives.text.settings import nested, read_tree, validated
 from homeward.errors import InputError
 from homeward.studies.paper.settings import PaperSettings
@@ -74,11 +74,6 @@ class MapSettings(Strict):
         return validated(PaperSettings, nested({**self.changes, "seed": self.seed}))
 
 
-def shipped_maps() -> dict[str, Path]:
-    """Return the maps that come with homeward, by name."""
-    return {file.stem: file for file in sorted(shipped("maps").glob("*.yaml"))}
-
-
 def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
     """Return a map by the name of one that ships or from a file; None for what is none.
 
@@ -89,7 +84,7 @@ def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
     InputError
         For a key that does not exist, or a value out of range.
     """
-    file = shipped_maps().get(source, Path(source))
+    file = shipped_yaml("maps").get(source, Path(source))
     if not os.path.isfile(file):  # pathlib's raises where a name is too long
         return None
     tree = read_tree(file)

@@ -1,14 +1,27 @@
-"""All cases, all filters, over random layouts: the paper's tables, and the runs of its figures."""
+"""What `homeward reproduce` asks: all cases for tables and figures, or layouts by the thousand."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from homeward.drives.text.settings import validated
 from homeward.studies.blocks.finish import Work
 from homeward.studies.paper.cases import FILTERS, Run, draw, run_filter
-from homeward.studies.paper.layouts import Outcome, Question, ask
+from homeward.studies.paper.layouts import (
+    LayoutSettings,
+    Outcome,
+    Question,
+    Reading,
+    Start,
+    ask,
+    bound_questions,
+    grid_questions,
+    varied_questions,
+)
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CASES, CaseName, World
 
@@ -52,3 +65,52 @@ def _shown(case: CaseName, settings: PaperSettings, outcome: Outcome) -> Shown:
     runs = {name: run_filter(name, case, world, settings) for name in FILTERS}
     named = dict(zip(FILTERS, percentile[:, number].tolist(), strict=True))
     return Shown(number, named, world, runs)
+
+
+@dataclass(frozen=True)
+class LayoutStudy:
+    """Everything that `homeward reproduce --study` computes."""
+
+    settings: LayoutSettings
+    grid: dict[tuple[CaseName, Reading], Outcome]
+    """The paper's filters and dead reckoning under every reading."""
+    bounds: dict[tuple[CaseName, Reading], Outcome]
+    """The robust localiser and the bound, under the readings that the bound depends on."""
+    varied: dict[tuple[str, CaseName, Start], Outcome]
+    """By variant, case and start."""
+
+    def reading(self, case: CaseName, **change: Any) -> Reading:
+        """Return the first reading of a case with some of it changed."""
+        return self.settings.readings(case)[0]._replace(**change)
+
+    @property
+    def starts(self) -> tuple[Start, ...]:
+        """The starts, each a column of everything; the first is that of the settings."""
+        return self.settings.axis("initial_error")
+
+
+def layout_settings(
+    values: Mapping[str, Any], layouts: int | None = None, seed: int | None = None
+) -> LayoutSettings:
+    """Return settings from values by key: those of `PaperSettings`, and of `LayoutSettings`.
+
+    Raises
+    ------
+    InputError
+        For a key that does not exist, or a value out of range.
+    """
+    own = {k: v for k, v in values.items() if k in LayoutSettings.model_fields and k != "paper"}
+    paper = {k: v for k, v in values.items() if k not in own}
+    if seed is not None:
+        paper["seed"] = seed
+    if layouts is not None:
+        own["layouts"] = layouts
+    return validated(LayoutSettings, {**own, "paper": validated(PaperSettings, paper)})
+
+
+def study_layouts(settings: LayoutSettings, work: Work) -> LayoutStudy:
+    """Compute what the store does not hold yet, and return all of it."""
+    grid = ask(work.part(0.0, 0.5), grid_questions(settings))
+    bounds = ask(work.part(0.5, 0.7), bound_questions(settings))
+    varied = ask(work.part(0.7, 1.0), varied_questions(settings))
+    return LayoutStudy(settings, grid, bounds, varied)

@@ -51,14 +51,7 @@ def drive_of(world: World, settings: PaperSettings) -> Drive:
                 turn_scale_sigma=0.0,
                 turn_bias_sigma=0.0,
             ),
-            start=Start(
-                R=guess.R,
-                theta=float(wrap(guess.theta)),
-                alpha=float(wrap(guess.alpha)),
-                sigma_R=float(sigmas[0]),
-                sigma_theta=float(sigmas[1]),
-                sigma_alpha=float(sigmas[2]),
-            ),
+            start=Start.about(Polar(guess.R, *map(wrap, guess[1:])), *sigmas),
         ),
     )
 

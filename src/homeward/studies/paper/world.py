@@ -63,11 +63,6 @@ def fault_count(case: CaseName, settings: PaperSettings) -> int:
     return min(counts.get(case, 0), q)
 
 
-def duration(case: CaseName, settings: PaperSettings) -> float:
-    """Return the longest time of a case [s]."""
-    return settings.assumed.circle_time if case == "4" else settings.assumed.longest
-
-
 def visibility(case: CaseName, settings: PaperSettings) -> float:
     """Return the share of landmarks in sight at each sample of a case."""
     return settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
@@ -76,7 +71,8 @@ def visibility(case: CaseName, settings: PaperSettings) -> float:
 def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     """Draw run number `run` (from 0) of a case; its layout and noise do not depend on the case."""
     printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
-    steps = round(duration(case, settings) / printed.sample_time)
+    longest = assumed.circle_time if case == "4" else assumed.longest
+    steps = round(longest / printed.sample_time)
     layout, wrong, sight, noise, prior = (
         np.random.default_rng([settings.seed, run, stream]) for stream in range(5)
     )
@@ -92,7 +88,7 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
         moved=faults != 0,
         start=from_polar(start),
         guess=Polar(*guess.tolist()),
-        visible=_visible(case, settings, sight, steps),
+        visible=(sight.random((steps, q)) < visibility(case, settings)).astype(float),
         noise=noise.normal(size=(steps, q)) * assumed.bearing_sigma,
         disturbance=noise.normal(size=(steps, 2)) * assumed.disturbance,
     )
@@ -110,10 +106,3 @@ def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -
         given = assumed.several_faults[:q]
         faults[: len(given)] = given
     return faults
-
-
-def _visible(
-    case: CaseName, settings: PaperSettings, rng: np.random.Generator, steps: int
-) -> np.ndarray:
-    seen = rng.random((steps, settings.printed.landmarks)) < visibility(case, settings)
-    return seen.astype(float)

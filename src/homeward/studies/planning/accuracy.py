@@ -10,6 +10,7 @@ the odometry's errors; these add up over landmarks, so that hiding one is a subt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,28 @@ class Fix:
     """(n,), the same of the heading [rad]."""
 
 
+@dataclass(frozen=True)
+class Told:
+    """What q landmarks tell at n places, in one direction, or in several: (H, n, ...)."""
+
+    each: np.ndarray
+    """(n, q, d (d + 1) / 2), upper triangles of informations on the unknowns."""
+    seen: np.ndarray
+    """(n, q), bool: seen from the arc at all."""
+    common: np.ndarray
+    """(n, q), bool: and from home."""
+
+    @cached_property
+    def every(self) -> np.ndarray:
+        """(n, d (d + 1) / 2), what all tell together."""
+        return np.asarray(self.each.sum(axis=-2))
+
+    @cached_property
+    def count(self) -> np.ndarray:
+        """(n,), how many are in common with home."""
+        return np.asarray(self.common.sum(axis=-1))
+
+
 class Arcs:
     """The arc of a plan in every direction, and what bearings from it tell."""
 
@@ -66,9 +89,9 @@ class Arcs:
                     out.append(both if k == m else both + r[rows] * p[columns])
         return np.array(out) / self.plan.sensor.bearing_sigma**2
 
-    def informations(
+    def told(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Told:
         """Return what each landmark tells, by heading `h`, at each place.
 
         Parameters
@@ -83,13 +106,6 @@ class Arcs:
             Which of them home sees.
         h : int
             Which of `headings`.
-
-        Returns
-        -------
-        information : ndarray, shape (n, q, d (d + 1) / 2)
-            Upper triangles of the informations on the unknowns.
-        seen : ndarray, shape (n, q), bool
-            Which are seen from the arc at all.
         """
         n, i = np.nonzero(visible)
         gradients = self._gradients(places[n], marks[i], h)
@@ -105,21 +121,16 @@ class Arcs:
         information[n, i] = features.reshape(n.size, 9 * len(self.pairs)) @ self._maps[h]
         seen = np.zeros(visible.shape, bool)
         seen[n, i] = True
-        return information, seen
+        return Told(information, seen, seen & stored)
 
     def _gradients(self, places: np.ndarray, marks: np.ndarray, h: int) -> np.ndarray:
         """Return (a_x, a_y, 1) of the bearings of m marks at all stops, (m, s, 3); 0 if unseen."""
-        sensor, stops = self.plan.sensor, self.stops[h]
+        stops = self.stops[h]
         out = np.empty((len(places), len(stops), 3))
-        least, most = sensor.range
-        edge = np.cos(sensor.field_of_view / 2)
         for k, (ox, oy, heading) in enumerate(stops):
             dx, dy = (marks - places - (ox, oy)).T
             square = np.maximum(dx * dx + dy * dy, 1e-6)
-            far = np.sqrt(square)
-            ok = (far >= least) & (far <= most)
-            if sensor.field_of_view < FULL:
-                ok &= dx * np.cos(heading) + dy * np.sin(heading) >= edge * far
+            ok = _in_view(self.plan, dx, dy, heading)
             out[:, k] = np.stack([-dy / square * ok, dx / square * ok, ok], axis=1)
         return out
 
@@ -231,12 +242,16 @@ def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
 
 def home_sees(plan: Plan, floor: Floor, marks: np.ndarray) -> np.ndarray:
     """Return which marks (q, 2) the camera sees at home, shape (q,): in sight, range and view."""
-    home = plan.home
-    d = marks - np.array([home.x, home.y])
-    far = np.hypot(*d.T)
-    least, most = plan.sensor.range
-    stored = floor.sees(np.array([[home.x, home.y]]), marks)[0] & (far >= least) & (far <= most)
-    if plan.sensor.field_of_view < FULL:
-        ahead = d @ np.array([np.cos(home.heading), np.sin(home.heading)])
-        stored &= ahead >= np.cos(plan.sensor.field_of_view / 2) * far
-    return np.asarray(stored)
+    home = np.array([[plan.home.x, plan.home.y]])
+    dx, dy = (marks - home).T
+    return np.asarray(floor.sees(home, marks)[0] & _in_view(plan, dx, dy, plan.home.heading))
+
+
+def _in_view(plan: Plan, dx: np.ndarray, dy: np.ndarray, heading: float) -> np.ndarray:
+    """Return which offsets from the camera [m] are in its range and field of view."""
+    (least, most), opening = plan.sensor.range, plan.sensor.field_of_view
+    far = np.hypot(dx, dy)
+    seen = (far >= least) & (far <= most)
+    if opening < FULL:
+        seen &= dx * np.cos(heading) + dy * np.sin(heading) >= np.cos(opening / 2) * far
+    return np.asarray(seen)

@@ -14,12 +14,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import fields
 from itertools import repeat
 
 import numpy as np
 
-from homeward.studies.planning.accuracy import Arcs, home_sees
+from homeward.studies.planning.accuracy import Arcs, Told, home_sees
 from homeward.studies.planning.floor import Floor, candidate_places
 from homeward.studies.planning.settings import Plan
 
@@ -28,23 +28,6 @@ DECIMALS = 9
 """Costs that differ by less are the same."""
 PLACES = 120
 """Costs are means over so many places of the floor, evenly chosen."""
-
-
-@dataclass(frozen=True)
-class _State:
-    """The landmarks so far at m places, in each of H directions."""
-
-    each: np.ndarray
-    """(H, m, q, d (d + 1) / 2)"""
-    seen: np.ndarray
-    """(H, m, q), bool"""
-    common: np.ndarray
-    """(H, m, q), bool: and seen from home."""
-
-    def with_more(self, other: _State, c: int) -> _State:
-        """Return it with landmark `c` of another."""
-        pairs = ((getattr(self, n), getattr(other, n)) for n in ("each", "seen", "common"))
-        return _State(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
 
 
 def best_places(
@@ -62,8 +45,7 @@ def best_places(
     points = floor.points
     places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
     candidates = candidate_places(plan, floor) if plan.further else np.zeros((0, 2))
-    now = _state(plan, floor, arcs, plan.marks, places)
-    more = _state(plan, floor, arcs, candidates, places)
+    now, more = (_all_round(floor, arcs, marks, places) for marks in (plan.marks, candidates))
     cost = _cost(arcs, now)
     free, chosen = list(range(len(candidates))), list[int]()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -75,24 +57,30 @@ def best_places(
                 break
             cost = costs[k]
             chosen.append(free.pop(k))
-            now = now.with_more(more, chosen[-1])
+            now = _with(now, more, chosen[-1])
     return candidates[chosen], candidates
 
 
-def _state(plan: Plan, floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> _State:
-    visible, stored = floor.sees(places, marks), home_sees(plan, floor, marks)
-    told = [arcs.informations(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
-    seen = np.array([s for _, s in told])
-    return _State(np.array([each for each, _ in told]), seen, seen & stored)
+def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Told:
+    """Return what landmarks tell at m places, in each of H directions."""
+    visible, stored = floor.sees(places, marks), home_sees(arcs.plan, floor, marks)
+    told = [arcs.told(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
+    return Told(*(np.array([getattr(t, f.name) for t in told]) for f in fields(Told)))
 
 
-def _cost_with(arcs: Arcs, now: _State, more: _State, c: int) -> tuple[float, float]:
-    return _cost(arcs, now.with_more(more, c))
+def _with(now: Told, more: Told, c: int) -> Told:
+    """Return what is told now, and by landmark `c` of more."""
+    pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Told))
+    return Told(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
 
 
-def _cost(arcs: Arcs, state: _State) -> tuple[float, float]:
+def _cost_with(arcs: Arcs, now: Told, more: Told, c: int) -> tuple[float, float]:
+    return _cost(arcs, _with(now, more, c))
+
+
+def _cost(arcs: Arcs, state: Told) -> tuple[float, float]:
     """Return the mean over places of the score with the worst landmark hidden, and with none."""
-    every, count = state.each.sum(axis=2), state.common.sum(axis=2)
+    every, count = state.every, state.count
     H, m, q = state.seen.shape
     none = _score(arcs, every.reshape(H * m, -1), count.reshape(-1)).reshape(H, m)
     hidden = np.repeat(none[:, :, None], q + 1, axis=2)

@@ -9,7 +9,7 @@ import numpy as np
 from homeward.studies.planning.accuracy import Arcs, home_sees
 from homeward.studies.planning.advice import best_places
 from homeward.studies.planning.floor import Floor, make_floor
-from homeward.studies.planning.places import Places, Progress, group, in_threads
+from homeward.studies.planning.places import Places, Progress, in_groups
 from homeward.studies.planning.settings import Plan
 
 CHUNK = 500
@@ -96,23 +96,20 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     tell = progress or (lambda fraction: None)
     floor, arcs = make_floor(plan), Arcs(plan)
     places, marks = floor.points, plan.marks
-    stored = home_sees(plan, floor, marks)
-    groups = group(arcs, floor, places, marks, stored, CHUNK)
-    parts = list(in_threads(Places.singles, groups, lambda f: tell(0.1 + 0.4 * f)))
-    position, heading, common, score, hidden = (
-        np.concatenate(part) for part in zip(*parts, strict=True)
+    position, heading, common, score, hidden = in_groups(
+        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: tell(0.1 + 0.4 * f)
     )
     rows = _sample(arcs, common)
-    of_pairs = group(arcs, floor, places[rows], marks, stored, CHUNK // 10)
-    found = list(in_threads(Places.pairs, of_pairs, lambda f: tell(0.5 + 0.2 * f)))
-    moved, begins, safe = (np.concatenate(part) for part in zip(*found, strict=True))
+    moved, begins, safe = in_groups(
+        Places.pairs, CHUNK // 10, arcs, floor, places[rows], marks, lambda f: tell(0.5 + 0.2 * f)
+    )
     advice = _advise(plan, floor, arcs, rows, lambda f: tell(0.7 + 0.3 * f))
     return PlanView(
         plan=plan,
         floor=floor,
         names=tuple(plan.landmarks),
         marks=marks,
-        stored=stored,
+        stored=home_sees(plan, floor, marks),
         position=position,
         heading=heading,
         common=common,
@@ -134,10 +131,10 @@ def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progre
         sets.append(np.vstack([plan.marks, candidates]))
     figures = []
     for together in sets:
-        stored = home_sees(plan, floor, together)
-        groups = group(arcs, floor, floor.points[rows], together, stored, CHUNK // 5)
-        parts = list(in_threads(Places.singles, groups, lambda f: None))
-        score, hidden = (np.concatenate([p[i] for p in parts]) for i in (3, 4))
+        sampled, quiet = floor.points[rows], lambda f: None
+        *_, score, hidden = in_groups(
+            Places.singles, CHUNK // 5, arcs, floor, sampled, together, quiet
+        )
         worst = np.column_stack([score, hidden]).max(axis=1)
         figures.append(((score <= 1).mean(), (worst <= 1).mean()))
     share, safe = np.array(figures).T

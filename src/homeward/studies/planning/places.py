@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from homeward.studies.planning.accuracy import Arcs
+from homeward.studies.planning.accuracy import Arcs, Told, home_sees
 from homeward.studies.planning.floor import Floor
 
 SLICE = 4000
@@ -43,14 +43,14 @@ class Places:
         position, heading = np.full(n, np.inf), np.full(n, np.inf)
         common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
         for h in range(len(self.arcs.headings)):
-            told = self._told(h)
+            told = self._told(h, self.stored)
             fix = self.arcs.fix(told.every)
             common = np.maximum(common, told.count)
             better = fix.position < position
             position = np.where(better, fix.position, position)
             heading = np.where(better, fix.heading, heading)
             score = np.minimum(score, self.arcs.score(fix, told.count))
-            hidden = np.minimum(hidden, self._hidden(told))
+            hidden = np.minimum(hidden, self._without(told, told.seen))
         return position, heading, common, score, hidden
 
     def pairs(self) -> tuple[np.ndarray, ...]:
@@ -62,43 +62,35 @@ class Places:
         best, moved = np.full((n, q, q), np.inf), np.full((n, q), np.inf)
         upper = np.triu(np.ones((q, q), bool), 1)
         for h in range(len(self.arcs.headings)):
-            told = self._told(h)
-            one = self._hidden(told)
+            told = self._told(h, self.stored)
+            one = self._without(told, told.seen)
             # With one of the two out of sight it is as with the other alone.
             out = np.maximum(one[:, :, None], one[:, None, :])
             place, i, j = np.nonzero(told.seen[:, :, None] & told.seen[:, None, :] & upper)
             out[place, i, j] = out[place, j, i] = self._scores(told, place, [i, j])
             best = np.minimum(best, out)
-            moved = np.minimum(moved, self._moved(told, h))
+            # One that was moved still tells how the robot drove.
+            still = self._told(h, np.zeros_like(self.stored)).each
+            moved = np.minimum(moved, self._without(told, told.common, still))
         begins = np.asarray(best <= 1)
         return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
 
-    def _told(self, h: int) -> _Told:
-        each, seen = self.arcs.informations(self.places, self.marks, self.visible, self.stored, h)
-        common = seen & self.stored
-        return _Told(each, seen, common, each.sum(axis=1), common.sum(axis=1))
+    def _told(self, h: int, stored: np.ndarray) -> Told:
+        return self.arcs.told(self.places, self.marks, self.visible, stored, h)
 
-    def _hidden(self, told: _Told) -> np.ndarray:
-        """Return scores with each landmark hidden, (n, q)."""
+    def _without(
+        self, told: Told, which: np.ndarray, still: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return scores (n, q) without each landmark where it is `which`, but for `still`."""
         now = self.arcs.score(self.arcs.fix(told.every), told.count)
-        out = np.repeat(now[:, None], told.seen.shape[1], axis=1)
-        place, mark = np.nonzero(told.seen)
-        out[place, mark] = self._scores(told, place, [mark])
-        return out
-
-    def _moved(self, told: _Told, h: int) -> np.ndarray:
-        """Return scores with each landmark moved, (n, q): it still tells how the robot drove."""
-        now = self.arcs.score(self.arcs.fix(told.every), told.count)
-        out = np.repeat(now[:, None], told.seen.shape[1], axis=1)
-        place, mark = np.nonzero(told.common)
-        nowhere = np.zeros_like(self.stored)
-        still, _ = self.arcs.informations(self.places, self.marks, self.visible, nowhere, h)
+        out = np.repeat(now[:, None], which.shape[1], axis=1)
+        place, mark = np.nonzero(which)
         out[place, mark] = self._scores(told, place, [mark], still)
         return out
 
     def _scores(
         self,
-        told: _Told,
+        told: Told,
         place: np.ndarray,
         without: list[np.ndarray],
         still: np.ndarray | None = None,
@@ -118,35 +110,21 @@ class Places:
         return scores
 
 
-@dataclass(frozen=True)
-class _Told:
-    """What q landmarks tell at n places, in one direction."""
-
-    each: np.ndarray
-    """(n, q, d (d + 1) / 2)"""
-    seen: np.ndarray
-    """(n, q), bool"""
-    common: np.ndarray
-    """(n, q), bool: and seen from home."""
-    every: np.ndarray
-    """(n, d (d + 1) / 2), all together."""
-    count: np.ndarray
-    """(n,), of `common`."""
-
-
-def group(
-    arcs: Arcs, floor: Floor, places: np.ndarray, marks: np.ndarray, stored: np.ndarray, size: int
-) -> list[Places]:
-    """Return places in groups of at most a size, in order."""
+def in_groups(
+    work: Callable[[Places], tuple[np.ndarray, ...]],
+    size: int,
+    arcs: Arcs,
+    floor: Floor,
+    places: np.ndarray,
+    marks: np.ndarray,
+    tell: Progress,
+) -> list[np.ndarray]:
+    """Work on places (n, 2) in groups of at most a size on all cores; return arrays of all."""
+    stored, found = home_sees(arcs.plan, floor, marks), []
     parts = np.array_split(places, -(-len(places) // size))
-    return [Places(arcs, floor, part, marks, stored) for part in parts]
-
-
-def in_threads(
-    work: Callable[[Places], tuple[np.ndarray, ...]], groups: list[Places], tell: Progress
-) -> Iterable[tuple[np.ndarray, ...]]:
-    """Work on groups on all cores, and yield in order."""
+    groups = [Places(arcs, floor, part, marks, stored) for part in parts]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for k, answer in enumerate(pool.map(work, groups)):
-            yield answer
+            found.append(answer)
             tell((k + 1) / len(groups))
+    return [np.concatenate(part) for part in zip(*found, strict=True)]

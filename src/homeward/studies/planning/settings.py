@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
-from homeward.drives.text.files import is_there, shipped
+from homeward.drives.text.files import is_there, shipped_yaml
 from homeward.drives.text.settings import read_settings
 from homeward.errors import InputError
 from homeward.simulation.scenario import Interval, Point, RoomPose
@@ -123,10 +123,8 @@ def load_plan(source: str) -> Plan:
     InputError
         For a file that cannot be read, a key that there is not, or a value out of range.
     """
-    path = Path(source)
-    if not is_there(path):
-        path = shipped("plans", f"{source}.yaml")
+    plans, path = shipped_yaml("plans"), Path(source)
+    path = path if is_there(path) and source else plans.get(source, path)
     if not is_there(path) or not source:
-        there = sorted(p.stem for p in shipped("plans").glob("*.yaml"))
-        raise InputError(f"neither a file nor one of the plans {', '.join(there)}", Path(source))
+        raise InputError(f"neither a file nor one of the plans {', '.join(plans)}", path)
     return read_settings(path, Plan)

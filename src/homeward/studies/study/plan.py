@@ -18,7 +18,7 @@ from homeward.registry import estimator_settings
 from homeward.simulation.files import changed_scenario
 from homeward.simulation.scenario import Scenario
 from homeward.studies.study.recordings import Recording, recorded
-from homeward.studies.study.settings import EstimatorEntry, StudySettings
+from homeward.studies.study.settings import StudySettings
 
 MOST_CELLS = 10_000
 """Scenarios times estimators."""
@@ -145,15 +145,13 @@ def _cases(study: StudySettings) -> Iterator[Case]:
 def _recordings(study: StudySettings) -> Iterator[Case]:
     for entry in study.drives:
         given = entry.model_dump(exclude={"grid"}, exclude_unset=True)
-        for values in itertools.product(*entry.grid.values()):
-            point = dict(zip(entry.grid, values, strict=True))
+        for point, words in _combinations(entry.grid):
             recording = validated(Recording, {**given, **point})
             drive = recorded(recording)
-            words = [recording.label or drive.name]
-            words += [f"{key} {_short(value)}" for key, value in point.items()]
             begin, end = drive.span
             runs = study.runs if recording.random else 1
-            yield Case(", ".join(words), point, recording, end - begin, runs)
+            label = ", ".join((recording.label or drive.name, *words))
+            yield Case(label, point, recording, end - begin, runs)
 
 
 def _points(key: str, axis: Any) -> list[tuple[str, Any, dict[str, Any]]]:
@@ -165,18 +163,20 @@ def _points(key: str, axis: Any) -> list[tuple[str, Any, dict[str, Any]]]:
 
 def _contenders(study: StudySettings) -> Iterator[Contender]:
     for entry in study.estimators:
-        for values in itertools.product(*entry.grid.values()):
-            point = dict(zip(entry.grid, values, strict=True))
-            words = [entry.label or entry.estimator]
-            words += [f"{key} {_short(value)}" for key, value in point.items()]
-            yield Contender(", ".join(words), entry.estimator, _settings(entry, point), point)
+        for point, words in _combinations(entry.grid):
+            try:
+                told = estimator_settings(entry.estimator, nested({**entry.settings, **point}))
+            except InputError as error:
+                raise InputError(f"estimators: {entry.estimator}: {error}") from None
+            label = ", ".join((entry.label or entry.estimator, *words))
+            yield Contender(label, entry.estimator, told, point)
 
 
-def _settings(entry: EstimatorEntry, point: dict[str, Any]) -> Strict:
-    try:
-        return estimator_settings(entry.estimator, nested({**entry.settings, **point}))
-    except InputError as error:
-        raise InputError(f"estimators: {entry.estimator}: {error}") from None
+def _combinations(grid: dict[str, list[Any]]) -> Iterator[tuple[dict[str, Any], list[str]]]:
+    """Yield each combination of a grid, key to value, and the same in words."""
+    for values in itertools.product(*grid.values()):
+        point = dict(zip(grid, values, strict=True))
+        yield point, [f"{key} {_short(value)}" for key, value in point.items()]
 
 
 def _refuse_equal(what: str, labels: list[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.errors import InputError, needs_extra
+from homeward.errors import InputError
 from homeward.studies.blocks.finish import Work
 from homeward.studies.blocks.store import BlockStore, our_version
 from homeward.studies.study.plan import Plan, block_name
@@ -42,15 +42,6 @@ class Results:
     def failed(self) -> np.ndarray:
         """Which runs failed, (scenarios, estimators, runs)."""
         return np.asarray(self.failure != "")
-
-
-def require_scale() -> None:
-    """Raise InputError unless the packages that write results are installed."""
-    for package in ("xarray", "h5netcdf"):
-        try:
-            import_module(package)
-        except ImportError:
-            raise needs_extra("studies", "scale") from None
 
 
 def open_study(plan: Plan, folder: Path) -> BlockStore:

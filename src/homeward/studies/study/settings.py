@@ -10,8 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
-from homeward.drives.text import files
-from homeward.drives.text.files import is_there
+from homeward.drives.text.files import is_there, shipped_yaml
 from homeward.drives.text.settings import read_tree, validated
 from homeward.errors import InputError
 from homeward.registry import settings_model
@@ -106,18 +105,13 @@ class StudySettings(Strict):
         return self
 
 
-def shipped() -> dict[str, Path]:
-    """Return the studies that come with homeward, by name."""
-    return {file.stem: file for file in sorted(files.shipped("studies").glob("*.yaml"))}
-
-
 def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:
     """Return a study by the name of one that ships or from a file, with its scenario spelt out.
 
     Parameters
     ----------
     source : str
-        A key of `shipped`, or the path of a file.
+        The name of one that ships, or the path of a file.
     changes : dict, optional
         Top-level keys to what they become.
 
@@ -126,9 +120,10 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     InputError
         For a file that cannot be read, a key that does not exist, or a value out of range.
     """
-    file = shipped().get(source, Path(source))
+    file = shipped_yaml("studies").get(source, Path(source))
     if not is_there(file):
-        raise InputError(f"neither a file nor one of the studies {', '.join(shipped())}", file)
+        there = ", ".join((*shipped_yaml("studies"), *shipped_yaml("maps")))
+        raise InputError(f"neither a file nor one of the studies {there}", file)
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
     study = validated(StudySettings, {**tree, **(changes or {})}, file)

@@ -12,20 +12,16 @@ from homeward.drives.drive import Drive
 from homeward.frames import polar_covariance_to_pose, to_polar
 from homeward.simulation.simulate import Simulation
 
-
-def has_bound(simulation: Simulation) -> bool:
-    """Tell whether the bound is known: all bearings have noise, the camera sits at the centre."""
-    case = simulation.scenario
-    mounts = case.sensor, case.home_mount
-    centred = all(mount.x == 0 and mount.y == 0 for mount in mounts)
-    return centred and case.noise.bearing_sigma > 0 and case.noise.home_sigma > 0
+Bound = tuple[np.ndarray, np.ndarray]
+"""Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`."""
 
 
-def simulation_bound(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
+def simulation_bound(simulation: Simulation) -> Bound | None:
     """Return the bound at the bearing stamps of a drive, given its own sightings.
 
     Which landmarks have moved counts as known, and constant errors of the odometry as zero, so the
-    bound is one from below. `has_bound` must hold.
+    bound is one from below. None where it is not known: a bearing has no noise, or the camera does
+    not sit at the centre.
 
     Returns
     -------
@@ -35,6 +31,9 @@ def simulation_bound(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
         Of (x [m], y [m], heading [rad]); infinite while the pose is not fixed.
     """
     drive, case = simulation.drive, simulation.scenario
+    centred = all(mount.x == 0 and mount.y == 0 for mount in (case.sensor, case.home_mount))
+    if not (centred and case.noise.bearing_sigma > 0 and case.noise.home_sigma > 0):
+        return None
     stamps = np.unique(drive.sightings.t)
     if drive.truth is None or not stamps.size:
         return stamps, np.empty((0, 3, 3))
@@ -71,10 +70,6 @@ def _start_covariance(simulation: Simulation) -> np.ndarray | None:
     return polar_covariance_to_pose(start, np.diag(np.square(sigmas)))
 
 
-Bound = tuple[np.ndarray, np.ndarray] | None
-"""Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`, or None where it is not known."""
-
-
 @dataclass(frozen=True)
 class Trial:
     """A drive with truth, and by what its estimators are judged."""
@@ -88,7 +83,7 @@ class Trial:
     """Right home bearings of all landmarks, in the robot's home frame [rad]."""
     final_distance: float
     """True distance from home at the end [m]."""
-    bound: Bound
+    bound: Bound | None
 
 
 def simulated_trial(simulation: Simulation) -> Trial:
@@ -100,5 +95,5 @@ def simulated_trial(simulation: Simulation) -> Trial:
         True,
         dict(zip(world.ids, np.arctan2(*world.in_home_frame.T[::-1]).tolist(), strict=True)),
         simulation.final_distance,
-        simulation_bound(simulation) if has_bound(simulation) else None,
+        simulation_bound(simulation),
     )
