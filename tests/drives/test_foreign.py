@@ -293,6 +293,11 @@ def test_units_in_names(name, quantity, unit):
         ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
         ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
         ("t,v,w\n9,1,0\n0,1,0\n", (), "nothing tells bearings"),
+        (
+            "t,v,w\n0,1,0\n2,1,0\n1.5,1,0\n3,1,0\n0,1,0\n",
+            (),
+            "row 6: time runs backwards by 3 s: 0.0 after 3.0; rows may be up to 1 s out of order",
+        ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
         ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields where 3 are due"),

@@ -36,6 +36,7 @@ from homeward.errors import InputError
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
+BY_SPIN = "no --home-spin FROM,TO [s] says when the robot turned round there"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
@@ -92,7 +93,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     elsewhere = known.surveyed_from_home or settings.home is not None or not home_needed
     homeless = missing == [HOME] and elsewhere
     if missing and not homeless:
-        raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
+        else_ = f", and {BY_SPIN}" if missing == [HOME] else ""
+        raise InputError(f"not a drive folder: no {', '.join(missing)} in it{else_}", folder)
     remarks: dict[str, int] = {}
     return Drive(
         name=folder.resolve().name,

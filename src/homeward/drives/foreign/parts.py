@@ -186,9 +186,18 @@ def _in_order(table: Table, kind: str) -> tuple[Table, dict[str, int]]:
     if "t" not in table.columns:
         return table, {}
     t = table["t"]
-    late = np.maximum.accumulate(t) - t
-    if not late.any() or (late.max() > LATE_S and not _by_landmarks(table)):
-        return table, {}  # who reads it on says what is wrong
+    newest = np.maximum.accumulate(t)
+    late = newest - t
+    if not late.any():
+        return table, {}
+    if late.max() > LATE_S and not _by_landmarks(table):
+        i = int(np.argmax(late > LATE_S))
+        raise InputError(
+            f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
+            f"{float(newest[i])!r}; rows may be up to {LATE_S:g} s out of order",
+            table.file,
+            int(table.row[i]),
+        )
     order = np.argsort(t, kind="stable")
     columns = {name: values[order] for name, values in table.columns.items()}
     sorted_ = Table(table.file, table.row[order], columns)

@@ -12,6 +12,7 @@ import numpy as np
 from homeward.drives.dead_reckoning import twists_from_poses
 from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Odometry
 from homeward.drives.folder import (
+    BY_SPIN,
     REPEATED_ODOMETRY,
     home_of,
     odometry_of,
@@ -28,6 +29,11 @@ from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Table
 from homeward.errors import InputError
 
+ELSE = {
+    "odometry": ", and none with odom in its name has poses",
+    "home": f" without a time, and {BY_SPIN}",
+}
+"""What else could tell it."""
 BY_POSES = "odometry rows are poses; twists are what leads from each to the next"
 
 
@@ -81,9 +87,7 @@ def drive_of(
     tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home_spin is None else 2]:
         if kind not in tables:
-            needs = ", ".join(KINDS[kind])
-            if kind == "odometry":
-                needs += ", and none with odom in its name has poses"
+            needs = ", ".join(KINDS[kind]) + ELSE.get(kind, "")
             raise InputError(f"nothing tells {kind}: no file has {needs}; --columns may say so")
     start = float(np.min(tables["odometry"]["t"], initial=math.inf))
     epoch = math.floor(start) if UNIX_S[0] <= start < UNIX_S[1] else 0
