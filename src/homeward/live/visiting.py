@@ -143,7 +143,7 @@ class Visiting:
             words = f"{estimate.status.value}: {estimate.reason}"
             raise InputError(f"home {quoted(name)} cannot be stored by a robot that is {words}")
         self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
-        return f"home {name} is here, {len(seen.bearings)} landmarks in sight"
+        return f"home {quoted(name)} is here, {count(len(seen.bearings), 'landmark')} in sight"
 
     @property
     def routes(self) -> tuple[str, ...]:
