@@ -33,6 +33,7 @@ from homeward.drives.text.table import (
     write_csv,
 )
 from homeward.errors import InputError
+from homeward.naming import listing, natural
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
@@ -96,10 +97,14 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         else_ = f", and {BY_SPIN}" if missing == [HOME] else ""
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it{else_}", folder)
     remarks: dict[str, int] = {}
+    sightings = read_sightings(folder / BEARINGS, remarks)
+    if absent := sorted(known.names - set(sightings.landmark.tolist()), key=natural):
+        who = listing([quoted(name) for name in absent], 3)
+        remarks[f"landmarks of {KNOWN} that the drive did not see: {who}"] = len(absent)
     return Drive(
         name=folder.resolve().name,
         odometry=read_odometry(folder / ODOMETRY, remarks),
-        sightings=read_sightings(folder / BEARINGS, remarks),
+        sightings=sightings,
         home={} if homeless else read_home(folder / HOME, remarks),
         settings=settings,
         truth=read_truth(folder / TRUTH, remarks),
