@@ -76,6 +76,7 @@ def test_all_have_the_same_words(make):
         ({"home": {"door": math.nan}}, "'door': the bearing is not finite"),
         ({"senor": {}}, "did you mean sensor"),
         ({"sensor": 3}, "sensor: must be keys and values"),
+        ({"sensor": {"bearing_sigma": 5}}, "sensor.bearing_sigma: must be at most 3.14159, not 5"),
         ({"sensor": {"bearing_sigma": -1.0}}, "sensor.bearing_sigma: must be greater than 0"),
         ({"odometry": {"speed_sigma": "much"}}, "odometry.speed_sigma: must be a number"),
         ({"start": {"R": 1.0}}, "start.theta: is needed"),

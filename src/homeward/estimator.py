@@ -210,8 +210,8 @@ def _time(value: Any) -> float:
 def _reals(values: Any) -> dict[str, float]:
     if not isinstance(values, Mapping):
         raise InputError(f"a {type(values).__name__}, where ids to bearings or sigmas are due")
-    if not all(isinstance(name, str) for name in values):
-        raise InputError("a landmark's id is text, where ids to bearings or sigmas are due")
+    if other := [name for name in values if not isinstance(name, str)]:
+        raise InputError(f"a landmark's id is text, not {str(other[0])[:40]!r}")
     return {name: real(value) for name, value in values.items()}
 
 

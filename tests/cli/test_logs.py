@@ -66,7 +66,10 @@ def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
     assert re.search(r"images.csv +t,file +2 +2.0 Hz", told)
     mrclam.mkdir()
     (mrclam / "Barcodes.dat").touch()
-    assert "--robot N and --home X,Y,HEADING" in call("info", mrclam).stdout
+    (mrclam / "Robot2_Odometry.dat").touch()
+    said = call("info", mrclam).output
+    assert "--robot N and --home X,Y,HEADING; robots: 2." in said
+    assert "columns" not in said  # no table of nothing
 
 
 def test_a_log_without_home_names_the_way_out(tmp_path):

@@ -32,6 +32,7 @@ angles = st.floats(-math.pi, math.pi, exclude_min=True)
 sigmas = st.one_of(st.just(math.nan), st.floats(0, exclude_min=True, allow_infinity=False))
 ids = st.text(min_size=1, max_size=8).filter(is_identifier)
 positive = st.floats(1e-300, 1e300)
+deviation = st.floats(1e-300, math.pi)
 
 
 def table(*columns, unique=False, min_size=0):
@@ -62,7 +63,7 @@ drives = st.builds(
     home=st.dictionaries(ids, st.builds(HomeBearing, angles, sigmas), max_size=5),
     settings=st.builds(
         DriveSettings,
-        sensor=st.builds(Sensor, x=finite, yaw=finite, bearing_sigma=st.none() | positive),
+        sensor=st.builds(Sensor, x=finite, yaw=finite, bearing_sigma=st.none() | deviation),
         home_sensor=st.none() | st.builds(Mount, y=finite),
         odometry=st.builds(OdometryNoise, turn_sigma=st.none() | positive),
         start=st.none() | st.builds(Start, R=positive, theta=finite, alpha=finite),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from homeward.drives.folder import read_folder
 from homeward.drives.foreign.columns import unit_in
-from homeward.drives.foreign.reading import drive_of, understand
+from homeward.drives.foreign.reading import about_home, drive_of, understand
 from homeward.drives.foreign.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
@@ -293,6 +293,11 @@ def test_units_in_names(name, quantity, unit):
         ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
         ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
         ("t,v,w\n9,1,0\n0,1,0\n", (), "nothing tells bearings"),
+        (
+            "t,v,w\n0,1,0\n2,1,0\n1.5,1,0\n3,1,0\n0,1,0\n",
+            (),
+            "row 6: time runs backwards by 3 s: 0.0 after 3.0; rows may be up to 1 s out of order",
+        ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
         ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields where 3 are due"),
@@ -346,3 +351,41 @@ def test_a_decimal_comma_is_none_where_commas_part_fields(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("t,v\n1,5\n")
     assert not sheet(file).decimal_comma
+
+
+def test_stamps_of_one_clock_in_two_units_are_understood(tmp_path):
+    odometry = "\n".join(f"{1_700_000_000_000_000_000 + k * 100_000_000},1,0" for k in range(50))
+    (tmp_path / "odom.csv").write_text(f"t,v,w\n{odometry}\n")
+    seen = "\n".join(f"{1_700_000_000 + k / 10},a,0.5" for k in range(50))
+    (tmp_path / "seen.csv").write_text(f"t,id,angle\n{seen}\n")
+    (tmp_path / "home.csv").write_text("id,angle\na,0.3\n")
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "two units")
+    assert drive.span == pytest.approx((0.0, 4.9), abs=1e-3)
+
+
+def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
+    hours = ["2026-11-23 12:00:00", "", "nan", "2026-11-23 12:00:00.5"]
+    (tmp_path / "odom.csv").write_text("date,v,w\n" + "".join(f"{h},1,0\n" for h in hours))
+    found = understand([tmp_path / "odom.csv"])
+    assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
+    (tmp_path / "odom.csv").write_text("date,v,w\n23.11.2026 12:00:00,1,0\n")
+    with pytest.raises(InputError, match="neither a number nor a time like 2026-11-23 12:00"):
+        understand([tmp_path / "odom.csv"])
+
+
+@pytest.mark.parametrize(
+    ("home", "says"),
+    [
+        (["1", "2", "3"], []),
+        (["1", "2"], ["Home saw 2 of the 3", "home has '1' and '2'."]),
+        (["001", "002", "003"], ["Home saw 0 of the 3", "The drive has '1', '2' and '3'; home"]),
+        (["1", "2", "3", "4"], []),
+    ],
+)
+def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
+    (tmp_path / "odom.csv").write_text("t,v,w\n0,1,0\n0.5,1,0\n")
+    (tmp_path / "seen.csv").write_text("t,id,angle\n0,1,0\n0,2,1\n0,3,2\n")
+    (tmp_path / "home.csv").write_text("id,angle\n" + "".join(f"{name},0.1\n" for name in home))
+    told = about_home(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
+    assert len(told) == bool(says)
+    assert all(words in told[0] for words in says)

@@ -36,6 +36,12 @@ def test_what_is_known_of_landmarks_is_read_and_written_back(tmp_path):
     assert read_folder(tmp_path / "b").known == drive.known
 
 
+def test_a_name_that_no_sighting_has_is_told(tmp_path):
+    drive = read_folder(put(tmp_path / "a", landmarks_yaml=KNOWN))
+    said = "3 landmarks of landmarks.yaml that the drive did not see: '3', '7' and 'door'"
+    assert said in drive.remark_lines
+
+
 def test_nothing_is_known_without_the_file_or_with_an_empty_one(tmp_path):
     assert not read_folder(put(tmp_path / "a")).known.tells
     assert not read_folder(put(tmp_path / "b", landmarks_yaml=b"")).known.tells

@@ -83,7 +83,7 @@ def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):
 def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):
     for choices in ({}, {"robot": 1}, {"home": HOME}):
         told = refusal(open_drive, mrclam_folder, **choices)
-        assert told == "an MRCLAM folder needs a robot and a home pose: --robot and --home"
+        assert "needs a robot and a home pose: --robot 1 --home X,Y,HEADING [m, m, rad]" in told
 
 
 def test_a_drive_folder_brings_its_own_home(drive_folder):
@@ -107,7 +107,15 @@ def test_refuses_what_no_reader_knows(tmp_path):
 
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
-    assert refusal(open_drive, drive_folder) == "not a drive folder: no home.csv in it"
+    assert refusal(open_drive, drive_folder) == (
+        "not a drive folder: no home.csv in it, "
+        "and no --home-spin FROM,TO [s] says when the robot turned round there"
+    )
+
+
+def test_of_a_folder_of_logs_one_is_to_be_named(tmp_path):
+    (tmp_path / "monday.bag").write_bytes(b"#ROSBAG V2.0\n")
+    assert refusal(open_drive, tmp_path) == "a folder of logs; name one: 'monday.bag'"
 
 
 def stamped(folder, odometry, bearings):

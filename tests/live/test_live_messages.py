@@ -50,6 +50,8 @@ def test_what_is_not_known_is_left_out():
         ('{"type":"odometry","t":0,"v":1,"omega":0,"w":1}', "no such key"),
         ('{"type":"bearings","t":0,"bearings":{"a\\n":1}}', "cannot be a name"),
         ('{"type":"bearings","t":0,"bearings":{"a":"left"}}', "must be a number"),
+        ('{"type":"bearings","t":"0","bearings":{}}', "t: must be a number, not 0"),
+        ('{"type":"odometry","t":0,"v":true,"omega":0}', "v: must be a number, not True"),
         ('{"type":"bearings","t":0,"bearings":{},"sigmas":{"a":0}}', "greater than 0"),
         ('{"type":"go_home","name":" dock"}', "cannot be a name"),
         (f'{{"type":"bearings","t":0,"bearings":{{"{"a" * 70_000}":1}}}}', "65,536 bytes"),

@@ -83,7 +83,7 @@ def test_the_robot_knows_at_once_where_it_is_and_a_place_that_is_only_read_stays
 
 def test_where_it_is_driven_to_stays_when_the_map_is_begun_anew(place):
     rig = in_place(place, update=True).until(driving)
-    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
     assert "12 stayed" in asked(rig, SavePlace())
     assert asked(rig, GoHome(name="dock 3")) == ""
     goal = rig.session.localisation.goal
@@ -96,7 +96,7 @@ def test_where_it_is_driven_to_stays_when_the_map_is_begun_anew(place):
 
 def test_a_home_that_is_gone_with_its_map_is_not_driven_to(place):
     rig = in_place(place, update=True).until(driving)
-    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
     dock = rig.robot.pose
     rig.until(lambda r: np.hypot(r.robot.pose.x - dock.x, r.robot.pose.y - dock.y) > 0.3)
     asked(rig, GoHome(name="dock 3"))
@@ -119,7 +119,7 @@ def commuted(folder, keep=None, place=None):
     rig = in_place(folder, update=True, keep=keep, place=place).until(localised)
     rig.until(driving)
     dock = rig.robot.pose
-    assert "home dock 3 is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
     assert "already" in asked(rig, StoreHome(name="dock 3"))
     rig.until(lambda r: r.player.ending)
     assert rig.robot.distance < 0.05
@@ -183,7 +183,7 @@ def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_p
     with one_thread():
         rig = Rig(0, recorder.keep, place=visited, **LANDMARKS).until(localised)
         rig.until(driving)
-        assert "dock is here" in asked(rig, StoreHome(name="dock"))
+        assert "home 'dock' is here" in asked(rig, StoreHome(name="dock"))
         assert "a new place" in asked(rig, SavePlace(), GoHome(name="dock"))
         rig.until(lambda r: r.player.ending)
     recorder.close()

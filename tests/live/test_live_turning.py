@@ -46,7 +46,7 @@ def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {})
     rig = Rig(0, keep=recorder.keep, **NARROW)
     rig.until(lambda r: events(r))
-    assert "home is stored: 16 home bearings by a turn of 37" in events(rig)[0]
+    assert "home 'home' is stored: 16 home bearings by a turn of 37" in events(rig)[0]
     turned = rig.robot.t
     assert 12.0 < turned < 16.0
     assert all(c.v == 0.0 and 0.0 <= c.omega <= 0.5 for _, c in rig.commands)
@@ -87,7 +87,7 @@ def test_the_robot_stands_in_time_when_a_sensor_dies_while_it_turns_and_turns_on
     assert "no bearings for" in rig.commands[-1][1].reason
     rig.spoil = sound
     rig.until(lambda r: events(r))
-    assert "home is stored" in events(rig)[0]
+    assert "home 'home' is stored" in events(rig)[0]
 
 
 def test_who_is_sent_elsewhere_looks_at_home_no_more():
@@ -101,7 +101,7 @@ def test_who_is_sent_elsewhere_looks_at_home_no_more():
         session.receive(BearingsIn(t=t, bearings={"a": 0.1, "b": 0.02 * min(k, 30)}), t)
     session.receive(StoreHome(name="there"), 6.0)
     said = [out for out in session.process() if isinstance(out, Event)]
-    assert said[-1].text == "home there has 2 landmarks"  # of the last second, standing
+    assert said[-1].text == "home 'there' has two landmarks"  # of the last second, standing
 
 
 def test_who_drives_away_meanwhile_has_no_home_and_is_told():
@@ -146,7 +146,7 @@ def test_several_short_looks_are_a_home_too():
     short_looks(take, BEARINGS)
     session.receive(StoreHome(name="dock"), 99.0)
     (said,) = session.process()
-    assert said.text.startswith("home dock is stored: 9 home bearings by a turn of 3")
+    assert said.text.startswith("home 'dock' is stored: 9 home bearings by a turn of 3")
     home = session.localisation.homes["dock"]
     assert {i: h.bearing for i, h in home.items()} == pytest.approx(BEARINGS, abs=0.01)
     assert session.localisation.fix.estimate.status is Status.WAITING
@@ -199,9 +199,9 @@ def test_who_is_told_to_turn_on_the_way_home_goes_there_no_more():
 
 def test_the_first_home_of_a_place_may_be_one_of_a_turn_and_the_next_ones_are_in_its_map():
     rig = Rig(3, place=Visiting("hall", 20000.0, True), **NARROW).until(driving, 110.0)
-    assert "home home is stored" in events(rig)[0]
+    assert "home 'home' is stored" in events(rig)[0]
     rig.session.receive(LookRound(), rig.robot.t)
     rig.session.receive(StoreHome(name="dock"), rig.robot.t)
     rig.step()
-    assert "home dock is here" in events(rig)[-1]
+    assert "home 'dock' is here" in events(rig)[-1]
     assert rig.session.localisation.place.homes == ("dock",)

@@ -298,7 +298,7 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
     assert run(*stand, *see, StoreHome(name="dock"))[0].type == "event"
     stored = session.localisation.homes["dock"]
     assert {i: round(h.bearing, 5) for i, h in stored.items()} == seen
-    assert "no home attic; there is dock" in run(GoHome(name="attic"))[0].text
+    assert "no home 'attic'; there is dock" in run(GoHome(name="attic"))[0].text
     run(SetHome(name="attic", bearings=HOME.bearings), GoHome(name="dock"))
     assert session.localisation.home == "dock"
 
@@ -342,7 +342,7 @@ def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():
     assert rig.session.tick(rig.robot.t).v == 0.0  # until it is known where that is
     rig.step()
     assert rig.standing()
-    assert (rig.state, rig.commands[-1][1].reason) == ("failed", "no home attic; there is home")
+    assert (rig.state, rig.commands[-1][1].reason) == ("failed", "no home 'attic'; there is home")
 
 
 def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():

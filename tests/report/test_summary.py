@@ -98,7 +98,10 @@ def test_what_is_not_known_to_have_moved_is_told():
     elsewhere = dataclasses.replace(rarely, home_bearing_stored=math.nan)
     some = dataclasses.replace(track, landmarks=[*unmoved[:2], rarely, never, elsewhere])
     said = summarise(drive, some, score(some, drive.truth))
-    assert "Of 2 more that home saw it is not known (1 of them were not found on the way)." in said
+    assert (
+        "Of two others that home saw it is not known; one landmark was not found on the way."
+        in said
+    )
     told = sentence(some, score(some, drive.truth))
     assert told.endswith("and none of the two landmarks judged had moved.")
 

@@ -88,7 +88,7 @@ def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
     stage.node = stage.start(place=place, place_update="true")
     stage.look_round(20.0)
     stage.tell(name=["store_home", "dock 3"])
-    stage.hear("/homeward/said", lambda s: "home dock 3 is here" in s.get("text", ""))
+    stage.hear("/homeward/said", lambda s: "home 'dock 3' is here" in s.get("text", ""))
     stage.tell(call="save_place")
     stage.hear("/homeward/said", lambda s: "hall: a new place, with" in s.get("text", ""))
     stage.go()

@@ -19,7 +19,11 @@ from homeward.drives.drive import (
 )
 from homeward.drives.text.settings import parse_settings
 from homeward.errors import HomewardError
-from homeward.studies.tuning import Check, Noise, Tuning, tune
+from homeward.scoring import Errors
+from homeward.studies import tuning
+from homeward.studies.held_out import Check, Judged, checks
+from homeward.studies.tuning import Noise, Tuning, tune
+from homeward.track import Innovations
 
 
 def untold(seconds):
@@ -54,6 +58,40 @@ def test_what_a_drive_was_made_of_is_learnt_and_honest():
     assert after.log_likelihood > before.log_likelihood
     assert abs(after.nis - 1.0) < abs(before.nis - 1.0)
     assert abs(np.log(after.nees / 3.0)) < abs(np.log(before.nees / 3.0))
+
+
+def likelihoods_of(gain):
+    """Stand in for runs: 500 innovations, each likelier by `gain` the smaller the speed's noise."""
+
+    def likelihoods(drives, noise):
+        steps = np.log2(noise.speed_sigma)
+        return {(0, float(k), "door"): -steps * g for k, g in enumerate(gain)}, False
+
+    return likelihoods
+
+
+@pytest.mark.parametrize(("by_chance", "speed"), [(1.0, 0.02), (0.0, 0.02 / 2**7.5)])
+def test_what_lasting_errors_make_likelier_by_chance_is_not_learnt(monkeypatch, by_chance, speed):
+    chance = np.repeat(np.random.default_rng(1).normal(size=50), 10)  # each error lasts ten looks
+    gain = 0.05 + by_chance * (chance - chance.mean())
+    monkeypatch.setattr(tuning, "_likelihoods", likelihoods_of(gain))
+    noise = tuning._search([], Noise(0.01, 0.02, 0.03), ("speed_sigma",), lambda: None)
+    assert noise.speed_sigma == pytest.approx(speed)
+    assert noise == noise._replace(bearing_sigma=0.01, turn_sigma=0.03)
+
+
+def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
+    def judged(late):
+        t = np.arange(late, 10.0)
+        off = np.where(t < 5, 4.0, 1.0)  # the first poses are the worst
+        same = Errors(t, np.ones(t.size), off, off, off, off, off, off, 3.0 * off, off)
+        one = np.ones(t.size)
+        return Judged(0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0))
+
+    late, soon = checks(judged(5), judged(0))
+    assert late == dataclasses.replace(soon, pose_share=late.pose_share)
+    assert (late.rmse_m, late.nees, late.nis) == (1.0, 3.0, 1.0)
+    assert soon.pose_share > late.pose_share
 
 
 def test_too_short_a_drive_is_refused():
@@ -106,9 +144,18 @@ def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
     lines = said.partition("for drive.yaml:\n")[2]
     assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
     assert "sample" in said
+    assert "worse" not in said
     facts = json.loads(call("tune", "sample", "--json").stdout)
     assert facts["settings"]["sensor"] == {"bearing_sigma": 0.01}
     assert facts["held_out"][0]["after"]["rmse_m"] is None
+
+
+def test_what_makes_answers_less_honest_is_said_to_be_left_out(monkeypatch):
+    before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
+    after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
+    found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])
+    monkeypatch.setattr("homeward.studies.tuning.tune", lambda drives, tell: found)
+    assert "NEES got worse by these lines" in call("tune", "sample").output
 
 
 def test_the_command_says_so_in_one_line(tmp_path):

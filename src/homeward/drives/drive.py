@@ -49,7 +49,7 @@ class Mount(Strict):
 class Sensor(Mount):
     """The camera of the drive."""
 
-    bearing_sigma: Positive | None = None
+    bearing_sigma: Annotated[float, Field(gt=0, le=math.pi)] | None = None
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
     """Full opening angle around its axis [rad]; None when unknown."""
@@ -222,6 +222,11 @@ class KnownLandmarks(Strict):
         known = cls(frame="home", landmarks=landmarks)
         known._joint = covariance
         return known
+
+    @property
+    def names(self) -> set[str]:
+        """Ids of all landmarks of which something is told."""
+        return {*self.landmarks, *(name for d in self.distances for name in d.between)}
 
     @property
     def joint_covariance(self) -> np.ndarray:

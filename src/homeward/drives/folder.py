@@ -33,9 +33,11 @@ from homeward.drives.text.table import (
     write_csv,
 )
 from homeward.errors import InputError
+from homeward.naming import listing, natural
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
+BY_SPIN = "no --home-spin FROM,TO [s] says when the robot turned round there"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
@@ -92,12 +94,17 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     elsewhere = known.surveyed_from_home or settings.home is not None or not home_needed
     homeless = missing == [HOME] and elsewhere
     if missing and not homeless:
-        raise InputError(f"not a drive folder: no {', '.join(missing)} in it", folder)
+        else_ = f", and {BY_SPIN}" if missing == [HOME] else ""
+        raise InputError(f"not a drive folder: no {', '.join(missing)} in it{else_}", folder)
     remarks: dict[str, int] = {}
+    sightings = read_sightings(folder / BEARINGS, remarks)
+    if absent := sorted(known.names - set(sightings.landmark.tolist()), key=natural):
+        who = listing([quoted(name) for name in absent], 3)
+        remarks[f"landmarks of {KNOWN} that the drive did not see: {who}"] = len(absent)
     return Drive(
         name=folder.resolve().name,
         odometry=read_odometry(folder / ODOMETRY, remarks),
-        sightings=read_sightings(folder / BEARINGS, remarks),
+        sightings=sightings,
         home={} if homeless else read_home(folder / HOME, remarks),
         settings=settings,
         truth=read_truth(folder / TRUTH, remarks),

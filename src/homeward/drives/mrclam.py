@@ -95,9 +95,14 @@ def _check_robot(folder: Path, robot: int) -> None:
     """Say which robots there are when this one is not."""
     if is_there(folder / f"Robot{robot}_Odometry.dat"):
         return
+    raise InputError(f"no robot {robot} in it; there are: {robots_in(folder)}", folder)
+
+
+def robots_in(folder: Path) -> str:
+    """Return the numbers of the robots that an MRCLAM folder has, in words."""
     names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
     there = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
-    raise InputError(f"no robot {robot} in it; there are: {', '.join(there) or 'none'}", folder)
+    return ", ".join(there) or "none"
 
 
 def _read_landmarks(path: Path) -> dict[int, tuple[float, float]]:

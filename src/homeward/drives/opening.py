@@ -16,6 +16,7 @@ from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.files import is_there, shipped
 from homeward.drives.text.settings import validated
+from homeward.drives.text.table import quoted
 from homeward.errors import InputError, speaking_of
 from homeward.frames import Pose
 
@@ -140,13 +141,16 @@ def reader_of(place: Path) -> Reader:
         raise InputError(f"a place, not a drive: {ways}", place)
     if any(file.suffix.lower() in TABLES for file in (place, *place.glob("*"))):
         raise InputError("no drive yet: homeward import makes one of tables of any columns", place)
+    if logs := sorted(file.name for file in place.glob("*.bag")):
+        raise InputError(f"a folder of logs; name one: {', '.join(map(quoted, logs[:4]))}", place)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
 
 def _open_mrclam(path: Path, choices: Choices) -> Drive:
     if choices.robot is None or choices.home is None:
-        raise InputError("an MRCLAM folder needs a robot and a home pose: --robot and --home", path)
+        ways = "--robot 1 --home X,Y,HEADING [m, m, rad], in the frame of its survey"
+        raise InputError(f"an MRCLAM folder needs a robot and a home pose: {ways}", path)
     choices.refuse_topics("MRCLAM folder", path)
     if choices.home_spin is not None:
         raise InputError("home is chosen in the map of an MRCLAM folder, not by a spin", path)

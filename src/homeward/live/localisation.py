@@ -19,6 +19,7 @@ from homeward.drives.drive import (
     Sightings,
 )
 from homeward.drives.drive import Start as StartPrior
+from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse, to_polar
@@ -55,6 +56,7 @@ from homeward.live.sending import NO_PLACE, goal_of
 from homeward.live.visiting import Visiting
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator, settings_model
+from homeward.report.words import count
 
 Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""
@@ -149,7 +151,7 @@ class Localisation:
             case BearingsIn():
                 return self._answer(message, odom)
             case SetHome(name=name) if self.place is not None and self.place.has_homes:
-                text = f"home {name} is not looked at: the place knows its homes"
+                text = f"home {quoted(name)} is not looked at: the place knows its homes"
                 return Event(type="event", text=text)
             case SetHome(name=name, bearings=seen, sigmas=known):
                 home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
@@ -164,7 +166,8 @@ class Localisation:
                 return Event(type="event", text=self._merge())
             case GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
-                    raise InputError(f"no home {name}; there is {', '.join(self.homes) or 'none'}")
+                    there = ", ".join(self.homes) or "none yet"
+                    raise InputError(f"no home {quoted(name)}; there is {there}")
                 self.home, self._sent = name, None
                 self._begin(None)
                 self._send(message)
@@ -287,11 +290,11 @@ class Localisation:
     ) -> Event:
         """Take a home, and begin the map anew; words say how it was found."""
         if not seen:
-            raise InputError(f"home {name} has no landmarks")
+            raise InputError(f"home {quoted(name)} has no landmarks: nothing is stored")
         self.homes[name], self.home = seen, name
         self._begin(start)
-        said = f"is stored: {words}" if words else f"has {len(seen)} landmarks"
-        return Event(type="event", text=f"home {name} {said}")
+        said = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
+        return Event(type="event", text=f"home {quoted(name)} {said}")
 
     def _begin(self, start: StartPrior | None) -> None:
         """Begin the map anew."""

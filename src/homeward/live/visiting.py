@@ -139,7 +139,7 @@ class Visiting:
         require_name("home", name, (first, *self.homes))
         self._require_localised(estimate, f"home {quoted(name)} cannot be stored by")
         self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
-        return f"home {name} is here, {len(seen.bearings)} landmarks in sight"
+        return f"home {quoted(name)} is here, {count(len(seen.bearings), 'landmark')} in sight"
 
     @property
     def routes(self) -> dict[str, Route]:

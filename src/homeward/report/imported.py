@@ -13,6 +13,8 @@ from homeward.naming import natural
 from homeward.report.canvas import new_figure, plain, style
 from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
 
+LABELS, CLEAR = (1.14, 1.25, 1.36), 0.12
+"""How far out labels stand, of a circle of 1, and how far apart those equally far out are [rad]."""
 MOST_DRAWN = 100
 """Landmarks whose bearings are drawn; of more the first."""
 
@@ -33,11 +35,13 @@ def glance(drive: Drive) -> Figure:
         way.set(title="Where odometry alone leads", xlabel="[m]", aspect="equal")
         way.set_adjustable("datalim")
 
-        for name, seen in sorted(drive.home.items(), key=lambda pair: natural(pair[0])):
-            rose.plot([seen.bearing] * 2, [0.0, 1.0], color=BLUE, lw=0.8)
-            rose.text(seen.bearing, 1.12, plain(name[:8]), ha="center", va="center", fontsize=7)
+        home = sorted((seen.bearing, natural(name), name) for name, seen in drive.home.items())
+        bearings = np.array([bearing for bearing, _, _ in home])
+        for radius, (bearing, _, name) in zip(label_radii(bearings), home, strict=True):
+            rose.plot([bearing] * 2, [0.0, 1.0], color=BLUE, lw=0.8)
+            rose.text(bearing, radius, plain(name[:8]), ha="center", va="center", fontsize=7)
         rose.set(yticks=[], theta_zero_location="N")
-        rose.set_title("What the camera saw at home", pad=16)
+        rose.set_title("What the camera saw at home", pad=22)
         rose.set_xticks(np.arange(4) * math.pi / 2, ["", "", "", ""])
         rose.annotate("ahead", (0.0, 0.55), ha="center", color=MUTED, fontsize=7)
 
@@ -55,3 +59,18 @@ def glance(drive: Drive) -> Figure:
         lines.set_ylim(-185, 185)
         lines.axhline(0, color=VERMILLION, lw=0.5)
     return figure
+
+
+def label_radii(bearings: np.ndarray) -> list[float]:
+    """Return how far out to write the label of each of sorted bearings, (n,) [rad].
+
+    As near as it is clear of those before it; where none is, where the last label is the oldest.
+    """
+    last = dict.fromkeys(LABELS, -math.inf)
+    radii = []
+    for bearing in bearings.tolist():
+        free = (radius for radius, at in last.items() if bearing - at >= CLEAR)
+        radius = next(free, min(last, key=last.__getitem__))
+        last[radius] = bearing
+        radii.append(radius)
+    return radii

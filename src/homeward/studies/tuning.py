@@ -28,17 +28,21 @@ from homeward.drives.drive import (
 from homeward.errors import HomewardError
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE
-from homeward.localizer.tunables import GATE
-from homeward.scoring import accuracy, errors
-from homeward.track import Innovations, run
+from homeward.studies.held_out import HONEST, Check, checks, judged, log_likelihoods, stamps
+from homeward.track import run
 
 Table = TypeVar("Table", Odometry, Sightings, Truth)
+Likelihoods = dict[tuple[int, float, str], float]
+"""The log-likelihood of each innovation, by drive, stamp [s] and landmark."""
 LEARNT_FROM = 0.5
 """So much of each log is learnt from [1]."""
 FACTORS = (2.0, math.sqrt(2.0))
 """By so much a noise goes up or down, coarse and fine [1]."""
 NOTABLE = 2.0
 """A noise is changed for so much log-likelihood: a likelihood ratio of one parameter, at 95 %."""
+SURE, BLOCKS = 2.0, 20
+"""And for so many of its standard deviations, by how it is spread over blocks of the logs: errors
+of bearings last, so that a likelihood that counts each as new grows by tens by chance alone."""
 MOST_STEPS = 5
 """Steps one way: what a log cannot tell from none is not made smaller for ever."""
 ENOUGH = 100
@@ -54,22 +58,6 @@ class Noise(NamedTuple):
     """[m/s/sqrt(Hz)]"""
     turn_sigma: float
     """[rad/s/sqrt(Hz)]"""
-
-
-@dataclass(frozen=True)
-class Check:
-    """How a drive goes that nothing was learnt from."""
-
-    nis: float
-    """Mean normalised innovation squared; 1 is honest."""
-    log_likelihood: float
-    """Of an innovation, mean."""
-    pose_share: float
-    """Share of rows with a pose."""
-    rmse_m: float
-    """Of the position; NaN without truth."""
-    nees: float
-    """Mean; 3 is honest; NaN without truth."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +77,15 @@ class Tuning:
     """By what the drives say of themselves, of the part that was held out."""
     after: list[Check]
     """By what was learnt."""
+
+    @property
+    def less_honest(self) -> list[str]:
+        """Which of NIS and NEES what was learnt made worse, in the mean of the drives."""
+
+        def mean(checks: Sequence[Check], word: str) -> float:
+            return float(np.mean([check.dishonesty[word] for check in checks]))
+
+        return [word for word in HONEST if mean(self.after, word) > mean(self.before, word)]
 
     @property
     def settings(self) -> DriveSettings:
@@ -135,12 +132,16 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
     scale, bias = turn.tolist()
     held_out = [b for _, b in halves]
-    before = [_check(drive) for drive in held_out]
+    as_is = [judged(drive, _localizer(drive)) for drive in held_out]
     tell()
-    after = [_check(_told(drive, noise, scale, bias)) for drive in held_out]
+    told = [
+        judged(told, _localizer(told))
+        for told in (_told(drive, noise, scale, bias) for drive in held_out)
+    ]
     tell()
+    before, after = zip(*map(checks, as_is, told), strict=True)
     names = [drive.name for drive in drives]
-    return Tuning(noise, tells_bearings, scale, bias, names, before, after)
+    return Tuning(noise, tells_bearings, scale, bias, names, list(before), list(after))
 
 
 def _halves(drive: Drive) -> tuple[Drive, Drive]:
@@ -229,23 +230,32 @@ def _search(
                 for _ in range(MOST_STEPS if noise is begun else 0):
                     other = noise._replace(**{field: way * getattr(noise, field)})
                     found, doubted = _likelihoods(drives, other)
-                    both = likely.keys() & found.keys()
-                    gained = sum(found[key] - likely[key] for key in both)
-                    if gained <= NOTABLE or (doubted and way < 1.0):
+                    if not _likelier(found, likely) or (doubted and way < 1.0):
                         break
                     noise, likely = other, found
                 tell()
     return noise
 
 
-def _likelihoods(
-    drives: Sequence[Drive], noise: Noise
-) -> tuple[dict[tuple[int, float, str], float], bool]:
+def _likelier(found: Likelihoods, before: Likelihoods) -> bool:
+    """Whether the innovations that two runs have in common became notably likelier.
+
+    The standard deviation of the gain is that of batch means (Law and Carson 1979): sums over
+    blocks hang together far less than innovations do.
+    """
+    both = sorted(found.keys() & before.keys())
+    gains = np.array([found[key] - before[key] for key in both])
+    blocks = np.array([block.sum() for block in np.array_split(gains, BLOCKS)])
+    deviation = math.sqrt(BLOCKS) * float(blocks.std(ddof=1))
+    return float(gains.sum()) > max(NOTABLE, SURE * deviation)
+
+
+def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bool]:
     """Return the log-likelihood of each innovation when all drives run with a noise.
 
     And whether that noise was doubted.
     """
-    found: dict[tuple[int, float, str], float] = {}
+    found: Likelihoods = {}
     doubted = False
     for number, drive in enumerate(drives):
         told = _told(drive, noise, None, None)
@@ -253,34 +263,10 @@ def _likelihoods(
         i = run(told, localizer).innovations
         chart = localizer.chart
         doubted |= chart.noise.scale > 1.0 or bool((chart.process_noise.scales > 1.0).any())
-        stamps = zip(i.t.tolist(), i.landmark.tolist(), strict=True)
-        values = _log_likelihoods(i)[1].tolist()
-        found |= {(number, *s): value for s, value in zip(stamps, values, strict=True)}
+        values = log_likelihoods(i)[1].tolist()
+        found |= {(number, *s): value for s, value in zip(stamps(i), values, strict=True)}
     return found, doubted
 
 
 def _localizer(drive: Drive) -> Localizer:
     return Localizer(drive.home, known=drive.known, **drive.settings.robot)
-
-
-def _log_likelihoods(i: Innovations) -> tuple[np.ndarray, np.ndarray]:
-    """Return the squares of innovations over their variances, at most the gate's, and what follows.
-
-    The second is the log-likelihood, (m,) like the first; an outlier is as likely as at the gate.
-    """
-    square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
-    return square, -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)
-
-
-def _check(drive: Drive) -> Check:
-    """Return how a drive goes."""
-    track, truth = run(drive, _localizer(drive)), drive.truth
-    judged = None if truth is None else accuracy(errors(track, truth))
-    square, likelihood = _log_likelihoods(track.innovations)
-    return Check(
-        nis=float(square.mean()) if square.size else math.nan,
-        log_likelihood=float(likelihood.mean()) if square.size else math.nan,
-        pose_share=float(track.has_pose.mean()),
-        rmse_m=math.nan if judged is None else judged.position.rmse,
-        nees=math.nan if judged is None else judged.nees_mean,
-    )

@@ -39,7 +39,7 @@ def import_(
     Says what each column was taken for, and draws it, before anything is written. Angles and turn
     rates run anti-clockwise.
     """
-    from homeward.drives.foreign.reading import drive_of, understand
+    from homeward.drives.foreign.reading import about_home, drive_of, understand
     from homeward.drives.saving import save_drive
     from homeward.drives.text.files import naming
     from homeward.report.canvas import png
@@ -57,9 +57,7 @@ def import_(
     with naming(picture, "cannot be written"):
         picture.parent.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(png(glance(drive)))
-    remarks = [*drive.remark_lines]
-    if unknown := set(drive.sightings.landmark.tolist()) - set(drive.home):
-        remarks.append(f"{len(unknown)} landmarks that home did not see: they help the map alone.")
+    remarks = [*drive.remark_lines, *about_home(drive)]
     if json:
         if out is not None:
             save_drive(drive, out)

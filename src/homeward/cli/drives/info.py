@@ -49,7 +49,8 @@ def info(
         messages = sum(topic.count for topic in found.topics)
         say(f"{log}: {found.kind}, {len(found.topics)} topics, {messages} messages")
     head = OF_FOLDERS if found.folder else OF_LOGS
-    table([head, *(_row(topic) for topic in found.topics)], left=len(head))
+    if found.topics:
+        table([head, *(_row(topic) for topic in found.topics)], left=len(head))
     for remark in found.remarks:
         warn(remark)
     if found.settings:

@@ -10,10 +10,11 @@ import typer
 
 from homeward.cli.drives.run import run_settings
 from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, three_numbers
-from homeward.cli.terminal import answer, say, table
+from homeward.cli.terminal import answer, say, table, warn
 
 if TYPE_CHECKING:
-    from homeward.studies.tuning import Check, Tuning
+    from homeward.studies.held_out import Check
+    from homeward.studies.tuning import Tuning
 
 HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NEES")
 
@@ -35,7 +36,7 @@ def tune(
     (1 is honest), likelihood, and where there is truth, RMSE and NEES (3 is honest).
     """
     from homeward.drives.text.settings import settings_yaml
-    from homeward.report.words import count
+    from homeward.report.words import count, listing
     from homeward.studies.single_run import opened
     from homeward.studies.tuning import tune as identify
 
@@ -55,6 +56,9 @@ def tune(
     say("Learnt from the other halves, for drive.yaml:")
     for line in settings_yaml(found.settings).splitlines():
         typer.echo(line)
+    if found.less_honest:
+        worse = listing(found.less_honest)
+        warn(f"{worse} got worse by these lines: leave them out where a covariance must hold.")
 
 
 def _rows(found: Tuning) -> list[tuple[str, ...]]:

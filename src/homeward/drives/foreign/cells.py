@@ -27,8 +27,11 @@ def time_parser(decimal_comma: bool) -> Parser:
     """Return what parses times: numbers, or dates with a time of day as Unix time [s]."""
 
     def parse(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-        if any(map(DATE.match, cells)):
-            cells = [_unix(cell, name, row, path) for cell, row in zip(cells, rows, strict=True)]
+        if any(":" in cell for cell in cells):
+            cells = [
+                "" if cell.strip().lower() in NOTHING else _unix(cell, name, row, path)
+                for cell, row in zip(cells, rows, strict=True)
+            ]
         return number_parser(decimal_comma)(name, cells, rows, path)
 
     return parse
@@ -71,5 +74,6 @@ def _unix(cell: str, name: str, row: int, path: Path) -> str:
     try:
         told = datetime.fromisoformat(cell.strip().replace(",", "."))
     except ValueError as error:
-        raise InputError(f"{name} is {quoted(cell)}, not a time", path, row) from error
+        trouble = "neither a number nor a time like 2026-11-23 12:00:00.5"
+        raise InputError(f"{name} is {quoted(cell)}, {trouble}", path, row) from error
     return repr((told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp())

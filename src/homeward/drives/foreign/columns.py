@@ -26,7 +26,10 @@ _SPELT = {
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
 }
 ROLES: Mapping[str, tuple[str, str]] = {
-    "t": ("time", "t time timestamp stamp clock sec secs seconds ms zeit zeitstempel"),
+    "t": (
+        "time",
+        "t time timestamp stamp clock date datetime sec secs seconds ms zeit zeitstempel",
+    ),
     "v": (
         "speed",
         "v vel velocity speed linear.x linear vx v.x velocity.x vel.x forward linear.velocity "

@@ -186,9 +186,18 @@ def _in_order(table: Table, kind: str) -> tuple[Table, dict[str, int]]:
     if "t" not in table.columns:
         return table, {}
     t = table["t"]
-    late = np.maximum.accumulate(t) - t
-    if not late.any() or (late.max() > LATE_S and not _by_landmarks(table)):
-        return table, {}  # who reads it on says what is wrong
+    newest = np.maximum.accumulate(t)
+    late = newest - t
+    if not late.any():
+        return table, {}
+    if late.max() > LATE_S and not _by_landmarks(table):
+        i = int(np.argmax(late > LATE_S))
+        raise InputError(
+            f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
+            f"{float(newest[i])!r}; rows may be up to {LATE_S:g} s out of order",
+            table.file,
+            int(table.row[i]),
+        )
     order = np.argsort(t, kind="stable")
     columns = {name: values[order] for name, values in table.columns.items()}
     sorted_ = Table(table.file, table.row[order], columns)
@@ -211,7 +220,11 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
     if column.unit is not None:
         return column.unit, "named"
     if column.quantity == "time":
-        return (clock, "as odometry") if clock else (_clock(table["t"]), "guessed")
+        # Two programs may have stamped by one clock in two units.
+        own = _unix_unit(table["t"])
+        return (
+            (clock, "as odometry") if clock and not own else (own or _clock(table["t"]), "guessed")
+        )
     if column.role == "sigma" and angle:
         return angle, "as bearing"
     if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
@@ -227,15 +240,18 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
     return column.si, "guessed"
 
 
+def _unix_unit(t: np.ndarray) -> str | None:
+    """Return the unit in which stamps are Unix time; None: in none."""
+    middle = float(np.median(t)) if t.size else 0.0
+    units = UNITS["time"].items()
+    return next((u for u, s in units if UNIX_S[0] <= middle * s < UNIX_S[1]), None)
+
+
 def _clock(t: np.ndarray) -> str:
-    """Return the unit of stamps: Unix time tells it, or that twists come each second."""
-    units, middle = UNITS["time"], float(np.median(t)) if t.size else 0.0
-    for unit, seconds in units.items():
-        if UNIX_S[0] <= middle * seconds < UNIX_S[1]:
-            return unit
+    """Return the largest unit of stamps in which twists come each second."""
     steps = np.diff(np.unique(t))
     step = float(np.median(steps)) if steps.size else 0.0
-    return next((unit for unit, seconds in units.items() if step * seconds <= HOLD_S), "s")
+    return next((unit for unit, seconds in UNITS["time"].items() if step * seconds <= HOLD_S), "s")
 
 
 def _given(values: np.ndarray) -> np.ndarray:

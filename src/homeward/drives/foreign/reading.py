@@ -12,6 +12,7 @@ import numpy as np
 from homeward.drives.dead_reckoning import twists_from_poses
 from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Odometry
 from homeward.drives.folder import (
+    BY_SPIN,
     REPEATED_ODOMETRY,
     home_of,
     odometry_of,
@@ -25,9 +26,17 @@ from homeward.drives.foreign.sheet import sheet
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_one_clock
 from homeward.drives.text.settings import validated
-from homeward.drives.text.table import Table
+from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError
+from homeward.naming import listing, natural
 
+ELSE = {
+    "odometry": ", and none with odom in its name has poses",
+    "home": f" without a time, and {BY_SPIN}",
+}
+"""What else could tell it."""
+NEEDED = 3
+"""Landmarks that home and the drive need in common for a pose."""
 BY_POSES = "odometry rows are poses; twists are what leads from each to the next"
 
 
@@ -81,9 +90,7 @@ def drive_of(
     tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home_spin is None else 2]:
         if kind not in tables:
-            needs = ", ".join(KINDS[kind])
-            if kind == "odometry":
-                needs += ", and none with odom in its name has poses"
+            needs = ", ".join(KINDS[kind]) + ELSE.get(kind, "")
             raise InputError(f"nothing tells {kind}: no file has {needs}; --columns may say so")
     start = float(np.min(tables["odometry"]["t"], initial=math.inf))
     epoch = math.floor(start) if UNIX_S[0] <= start < UNIX_S[1] else 0
@@ -105,6 +112,23 @@ def drive_of(
     if home_spin is None:
         return drive
     return with_home(drive, validated(HomeWhen, {"spin": home_spin}))
+
+
+def about_home(drive: Drive) -> list[str]:
+    """Say in sentences what home and the drive have not in common, if anything."""
+    seen, home = set(drive.sightings.landmark.tolist()), set(drive.home)
+    both, strange = len(seen & home), len(seen - home)
+    if both < NEEDED:
+        here, there = (
+            listing([quoted(name) for name in sorted(names, key=natural)] or ["none"], 3)
+            for names in (seen, home)
+        )
+        return [
+            f"Home saw {both} of the {len(seen)} landmarks of the drive, and a pose needs "
+            f"{NEEDED}: are they called alike? The drive has {here}; home has {there}."
+        ]
+    how_many = f"{strange} landmark{'' if strange == 1 else 's'}"
+    return [f"{how_many} that home did not see: they help the map alone."] if strange else []
 
 
 def _odometry(table: Table, remarks: dict[str, int]) -> Odometry:

@@ -23,7 +23,7 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.images import IMAGES, read_images
-from homeward.drives.mrclam import is_mrclam
+from homeward.drives.mrclam import is_mrclam, robots_in
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
@@ -74,7 +74,8 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     if is_image_folder(path):
         return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
     if is_mrclam(path):
-        way = "homeward run reads it, given --robot N and --home X,Y,HEADING."
+        way = "homeward run reads it, given --robot N and --home X,Y,HEADING; robots:"
+        way = f"{way} {robots_in(path)}."
         return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)

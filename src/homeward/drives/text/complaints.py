@@ -49,9 +49,12 @@ _WITHOUT_VALUE = (
 
 
 def message(adapter: TypeAdapter[Message], text: str | bytes) -> Message:
-    """Return a message from its JSON; `InputError` says in one line what is wrong with it."""
+    """Return a message from its JSON; `InputError` says in one line what is wrong with it.
+
+    A text or a truth value is no number, as the schema has it: what sends one is broken.
+    """
     try:
-        return adapter.validate_json(text)
+        return adapter.validate_json(text, strict=True)
     except ValidationError as error:
         try:
             values = from_json(text)
@@ -111,6 +114,8 @@ def _key(error: ErrorDetails, values: Any) -> str:
     *_, last = error["loc"] or [None]
     for part in location:
         if isinstance(values, dict):
+            if part == values.get("type") and part != last:
+                continue  # a tag, which may be called as a key is
             absent = part not in values
             if absent and not (part == last and error["type"] == "missing"):
                 continue

@@ -139,8 +139,9 @@ def _moved(track: Track) -> str:
     others = _unjudged(track)
     if others:
         unseen = sum(m.sightings == 0 for m in others)
-        text += f" Of {len(others):,} more that home saw it is not known"
-        text += f" ({unseen:,} of them were not found on the way)." if unseen else "."
+        were = "was" if unseen == 1 else "were"
+        text += f" Of {count(len(others), 'other')} that home saw it is not known"
+        text += f"; {count(unseen, 'landmark')} {were} not found on the way." if unseen else "."
     return text
 
 

@@ -49,7 +49,7 @@ def check_recording(file: Path) -> None:
 def check_display() -> None:
     """Raise InputError when there is no display for the viewer to open on."""
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
-        raise InputError("no display to open the viewer on; a FILE.rrd is written without one")
+        raise InputError("no display to open the viewer on; name a FILE.rrd to be written instead")
 
 
 def write_recording(file: Path, drive: Drive, track: Track, images: Images) -> None:

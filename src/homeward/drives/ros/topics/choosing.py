@@ -23,6 +23,7 @@ OUR_SETTINGS = "/homeward/settings"
 OUR_ODOMETRY = "/homeward/odometry"
 OUR_BEARINGS = "/homeward/bearings"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+NO_PICTURES = "no pictures in it; of tags that it has already homeward run makes a drive"
 
 
 def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSettings:
@@ -33,8 +34,8 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
     Raises
     ------
     InputError
-        When a topic that was named is not there or of a type that does not serve, or when several
-        topics would serve equally and none was named.
+        When a topic that was named is not there or of a type that does not serve, when several
+        topics would serve equally and none was named, or when there are no pictures.
     """
     odometry = told.odometry or next(
         (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None
@@ -45,6 +46,8 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
     bearings = told.bearings or tuple(
         BearingsTopic(topic=t.name) for t in _of_best_type(survey, "bearings", types, taken)
     )
+    if pictures and not bearings:
+        raise InputError(NO_PICTURES, survey.log.path)
     truth = told.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(_with_camera(survey, topic) for topic in bearings)
     given = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
