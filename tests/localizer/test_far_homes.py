@@ -59,9 +59,9 @@ def test_of_two_homes_that_explain_as_much_the_far_one_is_less_probable():
     assert known.log_density(away.home) < known.log_density(close.home) - 2.0
     densities = [known.log_density(np.array([x, 0.0, 0.0])) for x in (0.0, 10.0, 100.0, 1000.0)]
     assert (np.diff(densities) < -1.0).all()
-    assert densities[-1] > -20.0  # and yet it may lie there
+    assert densities[-1] > densities[0] - 20.0  # and yet it may lie there
     told = replace(known, prior=np.array(FAR), prior_information=np.eye(3))
-    assert told.log_density(np.array(FAR)) == 0.0
+    assert told.log_density(np.array(FAR)) == told.log_density(np.array(NEAR))
 
 
 @pytest.mark.parametrize("times", [1e-2, 1e3])

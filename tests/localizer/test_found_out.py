@@ -7,15 +7,25 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, another_room, ring
 
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Mount, Odometry, Sightings
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    Mount,
+    Odometry,
+    Sightings,
+    Start,
+)
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.home.observation import HomeObservation
+from homeward.localizer.home.tracker import START_NOTE
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.reasons import Reason
+from homeward.track import run
 
 
 class Logged(Rig):
@@ -92,6 +102,22 @@ def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
     assert np.sqrt(np.mean(np.square(off))) < 0.08
     assert any("x: 0.2" in note or "x: 0.19" in note for note in track.notes)
     assert (NOISY_NOTE in track.notes) is (given is not None)
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_wrong_start_is_found_out_and_told(wrong):
+    rig = Logged(ring(10))
+    begin = rig.pose
+    rig.drive(40)
+    R, theta = math.hypot(begin.x, begin.y), math.atan2(begin.y, begin.x)
+    start = Start(R=R + wrong, theta=theta + wrong, alpha=begin.heading - wrong)
+    drive = rig.logged()
+    told = drive.settings.model_copy(update={"start": start})
+    track = run(drive, Localizer(drive.home, **told.robot))
+    truth = rig.answers[-1][1]
+    assert math.hypot(track.x[-1] - truth.x, track.y[-1] - truth.y) < 0.08
+    assert (START_NOTE in track.notes) is wrong
+    assert not any(m.moved for m in track.landmarks)
 
 
 def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():

@@ -11,8 +11,8 @@ from homeward.localizer.home.evidence import log_odds, log_outlier, log_set_prio
 from homeward.localizer.home.gauss_newton import CONVERGED, fit, solved
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
-from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
-from homeward.localizer.tunables import NOISY_PRIOR
+from homeward.localizer.home.problem import POSE_AND_YAW, Assumption, HomeProblem
+from homeward.localizer.tunables import GIVEN_WRONG
 
 PRIOR = np.array([0.1, -0.1, 0.2])
 
@@ -109,11 +109,24 @@ def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are()
     spread = spread + by_home @ np.linalg.inv(problem.initial_information) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
     wrong = log_outlier(*(part[~inliers] for part in found.innovations)).sum()
-    believed = math.log(1.0 - NOISY_PRIOR)
+    believed = 2.0 * math.log(1.0 - GIVEN_WRONG)  # of their noise, and of the start
     labels = believed + math.log(0.9 * 0.9**4 * 0.1**2 + 0.1 / (7.0 * math.comb(6, 2)))
-    # All sets share the prior's normalisation.
-    shared = 0.5 * np.linalg.slogdet(problem.initial_information / (2.0 * np.pi))[1]
-    assert found.log_evidence + shared == pytest.approx(density + wrong + labels, rel=1e-9)
+    assert found.log_evidence == pytest.approx(density + wrong + labels, rel=1e-9)
+
+
+def test_a_start_that_most_home_bearings_contradict_is_wrong():
+    rng = np.random.default_rng(3)
+    sound = replace(a_home(rng, q=8), covariance=1e-6 * np.eye(20), sigmas=np.full(8, 0.01))
+    home = np.array([0.1, 0.2, 0.0])
+    away = sound.landmarks - home[:2]
+    stored = np.arctan2(away[:, 1], away[:, 0]) + 0.01 * rng.normal(size=8)
+    seen = replace(sound, bearings=stored, prior_information=np.diag([400.0, 400.0, 100.0]))
+    near = search(replace(seen, prior=np.add(home, [0.05, -0.04, 0.05]))).best
+    assert near.problem.assumed.start
+    far = search(replace(seen, prior=np.add(home, [1.0, -1.5, 1.0]))).best
+    assert not far.problem.assumed.start
+    assert far.home == pytest.approx(near.home, abs=0.05)
+    assert far.inliers.all()
 
 
 def test_home_bearings_that_are_noisier_than_was_said_are_not_of_moved_landmarks():
@@ -125,9 +138,9 @@ def test_home_bearings_that_are_noisier_than_was_said_are_not_of_moved_landmarks
     for scale, noise in ((1.0, 0.01), (10.0, 0.1)):
         said = replace(sound, bearings=stored + noise * rng.normal(size=12))
         found = search(said)
-        assert found.best.problem.noise_scale == scale
+        assert found.best.problem.assumed.noise_scale == scale
         assert found.moved_probabilities().max() < 0.5
-    again = found.best.problem.with_noise(3.0)
+    again = found.best.problem.under(Assumption(3.0))
     assert again.sigmas == pytest.approx(np.full(12, 0.03))
 
 

@@ -17,7 +17,7 @@ from homeward.frames import Pose, between
 from homeward.localizer.home.evidence import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_for
-from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.problem import USUAL, HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
     centre,
@@ -189,7 +189,7 @@ def test_small_faults_do_not_make_a_pose_too_sure_of_itself():
 def test_where_most_landmarks_moved_home_can_be_looked_for_from_more_places():
     known = problem(dict(enumerate((0.3, -0.2, 0.5, -0.6, 0.15))))[1]
     few, many = seeds(known), seeds(known, 32)
-    sets = [inliers.tobytes() for _, inliers, scale in many if scale == 1.0]
+    sets = [inliers.tobytes() for _, inliers, assumed in many if assumed == USUAL]
     assert len(few) < len(many)
     assert len(sets) == len(set(sets)) > 8
     assert [(s, i.tobytes()) for _, i, s in few[:8]] == [(s, i.tobytes()) for _, i, s in many[:8]]

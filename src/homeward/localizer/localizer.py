@@ -113,7 +113,8 @@ class Localizer:
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.state.calibration
         survey = self.chart.map.registration.survey
         scale = survey.notes(self.chart.map.state) if survey.known.tells else self._notes
-        return (*scale, *noisy, *extrinsics.notes(calibration), *lag_notes(calibration))
+        robot = *extrinsics.notes(calibration), *lag_notes(calibration)
+        return (*scale, *noisy, *robot, *self.chart.home.notes)
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:

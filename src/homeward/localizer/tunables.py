@@ -77,10 +77,12 @@ UPHEAVAL = 0.1
 OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""
-NOISY_PRIOR = 0.01
-"""Prior probability that the given standard deviation of the home bearings is wrong ..."""
+GIVEN_WRONG = 0.01
+"""Prior probability that the given standard deviation of the home bearings is wrong, and that a
+given start is: in one of a hundred drives each [1]."""
 NOISE_SCALES = (3.0, 10.0)
-"""... and by which factors: half a decade tells one noise level from another [1]."""
+"""Factors by which that standard deviation may be wrong: half a decade tells one noise level from
+another [1]."""
 HOME_DISTANCE = 0.5
 """Typical distance of home from the centre of its landmarks: among them [range]."""
 MAX_RANGE = 20.0

@@ -24,7 +24,7 @@ from homeward.localizer.home.linearisation import (
     expected,
     inverted,
 )
-from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, YAW, Assumption, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
 from homeward.localizer.tunables import OUTLIER_SIGMA
 
@@ -151,18 +151,18 @@ class HomeFit:
     def log_evidence(self) -> float:
         """Log evidence of the set, up to a constant common to all sets."""
         problem = self.problem
-        before = problem.log_density(self.home) + problem.log_noise_prior
+        before = problem.log_density(self.home) + problem.log_assumption_prior
         return self.evidence.log_evidence + before
 
     @property
-    def key(self) -> tuple[float, bytes]:
+    def key(self) -> tuple[Assumption, bytes]:
         """Key: the noise scale of the home bearings, and the set."""
-        return self.problem.noise_scale, self.inliers.tobytes()
+        return self.problem.assumed, self.inliers.tobytes()
 
     @property
-    def seed(self) -> tuple[np.ndarray, np.ndarray, float]:
+    def seed(self) -> tuple[np.ndarray, np.ndarray, Assumption]:
         """Seed for a search: home, the set, and the noise scale of the home bearings."""
-        return self.home, self.inliers, self.problem.noise_scale
+        return self.home, self.inliers, self.problem.assumed
 
     @property
     def innovations(self) -> tuple[np.ndarray, np.ndarray]:

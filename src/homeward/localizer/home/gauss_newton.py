@@ -46,7 +46,7 @@ def fit(
 
 def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
     """Return a fit after a negligible change of the map, with the old linearisation."""
-    problem = problem.with_noise(fit.problem.noise_scale)
+    problem = problem.under(fit.problem.assumed)
     return solved(fit.linear.propagated(problem), fit.inliers, fit.inflation)
 
 

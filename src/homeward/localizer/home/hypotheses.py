@@ -19,15 +19,15 @@ from homeward.angles import wrap
 from homeward.localizer.geometry import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
-from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, USUAL, Assumption, HomeProblem
 from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
-from homeward.localizer.tunables import IMPROBABLE, MINIMAL, NOISE_SCALES
+from homeward.localizer.tunables import IMPROBABLE, MINIMAL
 
-Seed = tuple[np.ndarray, np.ndarray, float]
-"""Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and the noise
-scale assumed for them [1]."""
-Key = tuple[float, bytes]
-"""Key of a fit: noise scale and set."""
+Seed = tuple[np.ndarray, np.ndarray, Assumption]
+"""Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and what is
+assumed beside."""
+Key = tuple[Assumption, bytes]
+"""Key of a fit: assumption and set."""
 MAX_SEEDS = 8
 """Different sets from which a local search starts."""
 MAX_FLIPS = 12
@@ -84,8 +84,8 @@ class Hypotheses:
         off = np.array([f.home for f in self.fits]) - best.home
         off[:, 2] = wrap(off[:, 2])
         # By the smaller noise of both: the larger would hide that the other home is more precise.
-        scale = best.problem.noise_scale
-        finest = [f if f.problem.noise_scale < scale else best for f in self.fits]
+        scale = best.problem.assumed.noise_scale
+        finest = [f if f.problem.assumed.noise_scale < scale else best for f in self.fits]
         covariances = np.array([f.covariance for f in finest]) + 1e-12 * np.eye(3)
         apart = (off * np.linalg.solve(covariances, off[:, :, None])[:, :, 0]).sum(axis=1)
         return float(self.weights @ (apart > deviations**2))
@@ -102,8 +102,8 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
         Seeds beside those of the problem itself.
     """
     found: dict[Key, HomeFit] = {}
-    for home, inliers, scale in [*also, *seeds(problem)]:
-        _local_search(problem.with_noise(scale), home, inliers, found)
+    for home, inliers, assumed in [*also, *seeds(problem)]:
+        _local_search(problem.under(assumed), home, inliers, found)
     if not found:
         return None
     if problem.bearings.size <= MAX_FOR_PAIRS:
@@ -117,7 +117,7 @@ def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
     for pair in combinations(range(problem.bearings.size), 2):
         inliers = best.inliers.copy()
         inliers[list(pair)] ^= True
-        if inliers.sum() < problem.min_inliers or (problem.noise_scale, inliers.tobytes()) in found:
+        if inliers.sum() < problem.min_inliers or (problem.assumed, inliers.tobytes()) in found:
             continue
         tried = solved(best.linear, inliers)
         if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
@@ -127,24 +127,24 @@ def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
 def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Update the hypotheses after a small change of the map; flip where that is better."""
     found: dict[Key, HomeFit] = {}
-    leads: dict[float, HomeFit] = {}
+    leads: dict[Assumption, HomeFit] = {}
     for unconverged in hypotheses.unconverged:
-        noisy = problem.with_noise(unconverged.problem.noise_scale)
-        again = fit(noisy, unconverged.home, unconverged.inliers, steps=3)
+        under = problem.under(unconverged.problem.assumed)
+        again = fit(under, unconverged.home, unconverged.inliers, steps=3)
         if again is not None:
             found[again.key] = again
     for hypothesis, weight in zip(hypotheses.fits, hypotheses.weights.tolist(), strict=True):
-        scale = hypothesis.problem.noise_scale
-        lead = leads.get(scale)
-        noisy = problem.with_noise(scale) if lead is None else lead.problem
-        again = _fit_nearby(lead, noisy, hypothesis.home, hypothesis.inliers)
+        assumed = hypothesis.problem.assumed
+        lead = leads.get(assumed)
+        under = problem.under(assumed) if lead is None else lead.problem
+        again = _fit_nearby(lead, under, hypothesis.home, hypothesis.inliers)
         if again is None:
             continue
-        leads.setdefault(scale, again)
+        leads.setdefault(assumed, again)
         found[again.key] = again
-        flip = _best_flip(noisy, again) if weight > PROBABLE else None
+        flip = _best_flip(under, again) if weight > PROBABLE else None
         if flip is not None:
-            _local_search(noisy, again.home, flip, found)
+            _local_search(under, again.home, flip, found)
     return _weigh(found) if found else None
 
 
@@ -154,15 +154,15 @@ def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) 
     for f in hypotheses.fits:
         inliers = dict(zip(names, f.inliers.tolist(), strict=True))
         chosen = np.array([inliers.get(n, False) for n in now], bool)
-        seeds.append((f.home, chosen, f.problem.noise_scale))
+        seeds.append((f.home, chosen, f.problem.assumed))
     return seeds
 
 
 def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypotheses:
     """Try a seed: return the hypotheses, with those that a local search from it finds."""
     found = {f.key: f for f in (*hypotheses.unconverged, *hypotheses.fits)}
-    known, (home, inliers, scale) = set(found), seed
-    _local_search(problem.with_noise(scale), home, inliers, found)
+    known, (home, inliers, assumed) = set(found), seed
+    _local_search(problem.under(assumed), home, inliers, found)
     if known.issuperset(found):
         return hypotheses
     weighed = _weigh(found)
@@ -198,9 +198,9 @@ def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
 
 
 def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
-    """Return seeds of the local search, all sets of one noise scale being different.
+    """Return seeds of the local search, all sets under one assumption being different.
 
-    They are `most` for the given noise, and `MAX_SEEDS` for each larger one.
+    They are `most` under the usual assumption, and `MAX_SEEDS` under each other.
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
@@ -208,13 +208,13 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
     each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     innovations = innovations_from(cameras, points, marginals, problem.bearings)
-    for scale in (1.0, *NOISE_SCALES):
-        if problem.prior is not None:
-            found.append((problem.prior, np.ones(q, bool), scale))
+    for assumed in problem.assumptions:
+        under = problem.under(assumed)
+        if under.prior is not None:
+            found.append((under.prior, np.ones(q, bool), assumed))
         if len(cameras):
-            noisy = problem.with_noise(scale)
-            seen = most if scale == 1.0 else MAX_SEEDS
-            found.extend(_best_of_triples(cameras, innovations, noisy, seen))
+            number = most if assumed == USUAL else MAX_SEEDS
+            found.extend(_best_of_triples(cameras, innovations, under, number))
     return found
 
 
@@ -229,7 +229,7 @@ def _best_of_triples(
         first.setdefault(inliers[i].tobytes(), i)
     chosen = list(first.values())[:most]
     homes = compose(cameras[chosen], between(problem.mount, np.zeros(3)))
-    return [(h, i, problem.noise_scale) for h, i in zip(homes, inliers[chosen], strict=True)]
+    return [(h, i, problem.assumed) for h, i in zip(homes, inliers[chosen], strict=True)]
 
 
 def _local_search(
@@ -238,7 +238,7 @@ def _local_search(
     """Flip one bearing at a time while the evidence grows; collect all sets on the way."""
     best: HomeFit | None = None
     for _ in range(MAX_FLIPS):
-        known = found.get((problem.noise_scale, inliers.tobytes()))
+        known = found.get((problem.assumed, inliers.tobytes()))
         now = fit(problem, home, inliers) if known is None else known
         if now is None:
             return
@@ -291,7 +291,7 @@ def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:
     for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
         inliers = best.inliers.copy()
         inliers[i] ^= True
-        key = best.problem.noise_scale, inliers.tobytes()
+        key = best.problem.assumed, inliers.tobytes()
         if abs(best.odds[i]) < UNDECIDED and key not in found:
             tried = _fit_nearby(best, best.problem, best.home, inliers)
             if tried is not None and tried.converged:

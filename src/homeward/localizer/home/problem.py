@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.localizer.geometry import between, lever, rotation
-from homeward.localizer.tunables import HOME_DISTANCE, MAX_RANGE, MINIMAL, NOISE_SCALES, NOISY_PRIOR
+from homeward.localizer.tunables import GIVEN_WRONG, HOME_DISTANCE, MAX_RANGE, MINIMAL, NOISE_SCALES
 
 POSE_AND_YAW = 4
 """Length of the state before the landmarks: newest pose (3) and camera yaw (1)."""
@@ -24,6 +25,19 @@ MAX_STEP = 0.2
 """Longest step of home in a fit [range] ..."""
 MAX_TURN = 1.0
 """... and largest turn [rad]."""
+
+
+class Assumption(NamedTuple):
+    """Assumption on what was given of home, beside its bearings."""
+
+    noise_scale: float = 1.0
+    """Factor of the standard deviations of the home bearings [1]."""
+    start: bool = True
+    """Whether the start prior, if there is one, is right."""
+
+
+USUAL = Assumption()
+"""Everything is as it was given."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +61,8 @@ class HomeProblem:
     """(3,): home's pose in the odometry frame by the start prior."""
     prior_information: np.ndarray | None = None
     """(3, 3)"""
-    noise_scale: float = 1.0
-    """Noise scale assumed for the home bearings [1]."""
+    assumed: Assumption = USUAL
+    """What is assumed; without the start, there is no prior."""
 
     walk_excess: np.ndarray | None = None
     """(q, 2, 2): covariance of landmarks that may walk, beyond that in `covariance`."""
@@ -61,18 +75,31 @@ class HomeProblem:
         exactly = np.eye(3) * ORIGIN_SIGMA**-2
         return replace(self, prior=np.zeros(3), prior_information=exactly, surveyed=surveyed)
 
-    def with_noise(self, scale: float) -> HomeProblem:
-        """Return it with another noise scale of the home bearings."""
-        if scale == self.noise_scale:
+    def under(self, assumed: Assumption) -> HomeProblem:
+        """Return it under an assumption; one that rejected the start does not get it back."""
+        if assumed == self.assumed:
             return self
-        sigmas = scale / self.noise_scale * self.sigmas
-        return replace(self, sigmas=sigmas, noise_scale=scale)
+        sigmas = assumed.noise_scale / self.assumed.noise_scale * self.sigmas
+        changed = replace(self, sigmas=sigmas, assumed=assumed)
+        if assumed.start:
+            return changed
+        return replace(changed, prior=None, prior_information=None)
 
     @property
-    def log_noise_prior(self) -> float:
-        """Log prior of the noise scale."""
-        wrong = self.noise_scale != 1.0
-        return math.log(NOISY_PRIOR / len(NOISE_SCALES) if wrong else 1.0 - NOISY_PRIOR)
+    def assumptions(self) -> list[Assumption]:
+        """All assumptions to be tried, the usual one first."""
+        noisy = [Assumption(scale) for scale in (1.0, *NOISE_SCALES)]
+        doubtful = self.prior is not None and not self.surveyed.size
+        return [*noisy, Assumption(start=False)] if doubtful else noisy
+
+    @property
+    def log_assumption_prior(self) -> float:
+        """Log prior of the assumption."""
+        noisy = self.assumed.noise_scale != 1.0
+        noise = math.log(GIVEN_WRONG / len(NOISE_SCALES) if noisy else 1.0 - GIVEN_WRONG)
+        if self.assumed.start:
+            return noise + (0.0 if self.prior is None else math.log1p(-GIVEN_WRONG))
+        return noise + math.log(GIVEN_WRONG)
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -109,18 +136,20 @@ class HomeProblem:
         return float(max(max(dx, dy) / (MAX_STEP * self.range), turn / MAX_TURN))
 
     def log_density(self, home: np.ndarray) -> float:
-        """Return the log prior density of a home (3,), up to a constant.
+        """Return the log prior density of a home (3,), but for its offset from a start prior.
 
         Home saw its landmarks, and so is hardly farther from them than they are from each other, or
         from the robot, which sees them too. How much farther is unknown, so the density falls off
         slowly: a Cauchy distribution in two dimensions. Without it, homes a hundred metres away
         that explain a few bearings would count as much as near ones.
         """
-        if self.prior is not None or not self.bearings.size:
+        if self.prior_information is not None:
+            return 0.5 * float(np.linalg.slogdet(self.prior_information / TWO_PI)[1])
+        if not self.bearings.size:
             return 0.0
-        x, y = self.centre
-        away = math.hypot(float(home[0]) - x, float(home[1]) - y) / (HOME_DISTANCE * self.range)
-        return -1.5 * math.log1p(away**2)
+        (x, y), near = self.centre, HOME_DISTANCE * self.range
+        away = math.hypot(float(home[0]) - x, float(home[1]) - y) / near
+        return -1.5 * math.log1p(away**2) - 2.0 * math.log(TWO_PI * near)
 
     def is_plausible(self, home: np.ndarray) -> bool:
         """Return whether a home (3,) may be within sight of its landmarks."""

@@ -29,6 +29,7 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import INLIER
 
+START_NOTE = "The given start contradicts the home bearings, and is not used."
 SEARCH_EVERY = 40
 """Keyframes between two searches from scratch ..."""
 SEARCH_PATIENCE = 10
@@ -69,6 +70,12 @@ class HomeTracker:
         self._seeds: deque[Seed] = deque()
         self._searched = 0
         """Keyframe of the last search from scratch."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Findings about what was given of home; each a sentence."""
+        found = self.hypotheses
+        return () if found is None or found.best.problem.assumed.start else (START_NOTE,)
 
     def update(self, known: Map) -> None:
         """Update home after a change of the map; search for it anew when there is reason to."""
