@@ -279,7 +279,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    for package in ("bokeh.plotting", "casadi", "rerun", "rosbags.typesys"):
+    for package in ("bokeh.plotting", "casadi", "dask", "rerun", "rosbags.typesys", "websockets"):
         told = without(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(told)))
     assert without(ModuleNotFoundError(name="nobody")) is None

@@ -71,7 +71,7 @@ def test_size_and_shear_are_handed_on():
     begun = laid(home, now, known, place(home, known) @ shape.T + carry[:, 2], 1.25)
     off = np.abs(begun.shape - shape).max(axis=(1, 2))
     good = np.flatnonzero(begun.found & (off < 0.1))[:1]
-    places, found = propagate_matches(home, now, known[good], begun[good])
+    places, found = propagate_matches(home, now, known[good], begun.rows(good))
     assert len(found) >= 5
     there = places.T @ shape.T + carry[:, 2]
     assert np.median(np.hypot(*(found.place - there).T)) < 0.2
