@@ -58,7 +58,7 @@ _OF_EXTRAS = {
     **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
     **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),
-    **dict.fromkeys(("distributed", "h5netcdf", "xarray"), ("studies", "scale")),
+    **dict.fromkeys(("dask", "distributed", "h5netcdf", "xarray"), ("studies", "scale")),
     "rerun": ("views of a run", "view"),
     "websockets": ("WebSockets", "live"),
 }
