@@ -45,3 +45,9 @@ class Rejection(_Words):
     MAP_RESET = "the map was thrown away"
     LOST = "the robot is lost in its map"
     DIVERGED = "filter step diverged"
+
+
+def too_few_agree(number: int) -> str:
+    """Return the reason of a pose that only so many home bearings confirm."""
+    few = {0: "no home bearing agrees yet", 1: "only one home bearing agrees"}
+    return few.get(number, f"only {number} home bearings agree")

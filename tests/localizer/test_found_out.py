@@ -24,7 +24,7 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.reasons import Reason
+from homeward.reasons import Reason, too_few_agree
 from homeward.track import run
 
 
@@ -118,6 +118,12 @@ def test_a_wrong_start_is_found_out_and_told(wrong):
     assert math.hypot(track.x[-1] - truth.x, track.y[-1] - truth.y) < 0.08
     assert (START_NOTE in track.notes) is wrong
     assert not any(m.moved for m in track.landmarks)
+
+
+def test_how_few_agree_is_a_sentence():
+    assert too_few_agree(0) == "no home bearing agrees yet"
+    assert too_few_agree(1) == "only one home bearing agrees"
+    assert too_few_agree(3) == "only 3 home bearings agree"
 
 
 def test_home_is_no_noisier_than_its_camera_and_another_camera_is_not_doubted():

@@ -26,7 +26,7 @@ from homeward.estimator import (
 from homeward.filters.carrier import Carrier
 from homeward.filters.settings import Engine
 from homeward.naming import natural
-from homeward.reasons import Reason, Rejection
+from homeward.reasons import Reason, Rejection, too_few_agree
 
 RECENT = 20
 """Whether most sightings are rejected is judged by so many of the last ones."""
@@ -230,7 +230,7 @@ class OnlineFilter:
         if 2 * sum(self._recent) < len(self._recent):
             return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"
         if agreeing < CHECKED:
-            return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
+            return Status.UNVERIFIED, too_few_agree(agreeing)
         if age > NO_BEARINGS_S:
             return Status.COASTING, Reason.NO_BEARINGS.words
         return Status.LOCALISED, f"{agreeing} home bearings agree"

@@ -60,7 +60,7 @@ class Extrinsics:
             return ()
         names = [part for part in ("x", "y", "yaw") if part not in self._given.model_fields_set]
         values = {"x": estimate.x, "y": estimate.y, "yaw": estimate.heading}
-        right = ", ".join(f"{name}: {values[name]:.2f}" for name in names)
+        right = ", ".join(f"{name}: {round(values[name], 2) + 0.0:.2f}" for name in names)  # no -0
         return (CONTRADICTION.format(", ".join(names), right),)
 
     def test(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:

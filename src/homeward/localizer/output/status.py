@@ -22,7 +22,7 @@ from homeward.localizer.output.pose import (
 )
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import CLOSE, FIX_HYSTERESIS, INLIER, MINIMAL
-from homeward.reasons import Reason
+from homeward.reasons import Reason, too_few_agree
 
 
 def why_home_is_not_found(
@@ -180,7 +180,7 @@ class IntegrityMonitor:
         agreeing = int(np.count_nonzero(best.inliers)) + surveyed
         checked = int(np.count_nonzero(self._checked)) + surveyed
         if agreeing < CHECKED:
-            return Status.UNVERIFIED, f"only {agreeing} home bearings agree"
+            return Status.UNVERIFIED, too_few_agree(agreeing)
         if checked < CHECKED:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
