@@ -13,7 +13,9 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import NC
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.preintegration import MOUNT
+from homeward.localizer.output.pose import PoseEstimate
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import GIVEN_WRONG
 
 
 def mounted(mount, seed, told):
@@ -99,3 +101,49 @@ def test_it_is_denied_by_what_the_map_says_on_its_own():
     assert not vague.test(*told_by_map(np.full(3, 1e4), 1e-3, vague.sigmas))
     assert not vague.test(*told_by_map(np.full(3, 0.02), 1e8, vague.sigmas))  # near enough
     assert math.isfinite(vague.sigmas.sum())
+
+
+def calibrated(own, seen=0.0):
+    """A calibration by a map that alone would see the camera `seen` [m] ahead, within `own` [m]."""
+    held = Extrinsics(DriveSettings(), LocalizerSettings()).sigmas
+    mean, variances = np.zeros(NC), np.ones(NC)
+    variances[MOUNT] = 1.0 / (held**-2.0 + np.array([1.0, own**-2.0, own**-2.0]))
+    mean[MOUNT] = 0.0, seen * variances[MOUNT][1] / own**2, 0.0
+    return mean, variances
+
+
+def test_a_place_of_the_camera_that_is_assumed_is_as_uncertain_as_the_map_leaves_it():
+    def sigma(own, seen=0.0):
+        extrinsics = Extrinsics(DriveSettings(), LocalizerSettings())
+        return math.sqrt(extrinsics.assumed_covariance(*calibrated(own, seen), 5.0)[0, 0])
+
+    wrong = GIVEN_WRONG
+    assert sigma(1e6) == pytest.approx(0.5 * math.sqrt(wrong), rel=0.01)  # it says nothing
+    ratio = wrong / (1.0 - wrong) * (0.01 / 0.5) ** 2  # odds of elsewhere, ahead and aside
+    assert sigma(0.01) == pytest.approx(0.01 * math.sqrt(ratio / (1.0 + ratio)), rel=0.01)
+    assert sigma(0.01, 0.06) == pytest.approx(math.hypot(0.06, 0.01), rel=0.02)  # of 6 sigma
+    assert np.all(np.diff([sigma(own) for own in (0.001, 0.01, 0.1, 1.0, 10.0)]) > 0.0)
+
+
+def test_a_place_of_the_camera_that_is_told_or_estimated_is_not_assumed():
+    told = Extrinsics(DriveSettings(sensor=Sensor(x=0.0, y=0.0)), LocalizerSettings())
+    assert not told.assumed_covariance(*calibrated(0.1), 5.0).any()
+    one = Extrinsics(DriveSettings(sensor=Sensor(x=0.0)), LocalizerSettings())
+    x, y = np.diag(one.assumed_covariance(*calibrated(0.1), 5.0))
+    assert x == 0.0 < y
+    found = Extrinsics(DriveSettings(), LocalizerSettings())
+    found.contradicted = True
+    assert not found.assumed_covariance(*calibrated(0.1), 5.0).any()
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.0])
+def test_an_error_of_the_cameras_place_matters_as_far_as_the_robot_is_turned_from_home(heading):
+    camera = Pose(1.0, 2.0, heading)
+    nothing = np.zeros((3, 3))
+    off = np.array([0.03, -0.02])
+    c, s = math.cos(heading), math.sin(heading)
+    error = np.array([[c, -s], [s, c]]) @ off - off
+    told = PoseEstimate(camera, nothing).with_assumed_mount(np.outer(off, off), True)
+    assert told.covariance[:2, :2] == pytest.approx(np.outer(error, error), abs=1e-12)
+    other = PoseEstimate(camera, nothing).with_assumed_mount(np.outer(off, off), False)
+    assert np.trace(other.covariance) == pytest.approx(off @ off)

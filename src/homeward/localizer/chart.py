@@ -287,11 +287,18 @@ class Chart:
     def _find_home(self, now: float) -> None:
         """Update home after a change of the map, and the integrity monitor."""
         self.home.update(self.map)
-        observed, state = self.home.observation, self.map.state
-        self._integrity.mount_covariance = observed.mount_covariance(state)
+        self.share_extrinsics(self._integrity)
         self._integrity.scale_variance = self.map.scale_variance
         solved = self.map.solved and not self._coasts(now)
         self._integrity.update(self.home.hypotheses, solved, self.home.stayed(self.map))
+
+    def share_extrinsics(self, integrity: IntegrityMonitor) -> None:
+        """Let an integrity monitor know how uncertain the camera's position on the robot is."""
+        observed, state = self.home.observation, self.map.state
+        calibration = state.calibration, state.calibration_variances
+        integrity.same_camera = observed.same_camera
+        integrity.mount_covariance = observed.mount_covariance(state)
+        integrity.assumed_mount = self.extrinsics.assumed_covariance(*calibration, state.scale)
 
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""

@@ -128,6 +128,7 @@ def _rows(
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
         integrity = IntegrityMonitor(localizer.settings, drive.settings.odometry, drive.known.tells)
+        localizer.chart.share_extrinsics(integrity)
         integrity.update(hypotheses[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()
         last = k + 1 == stamps.size

@@ -78,8 +78,8 @@ OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""
 GIVEN_WRONG = 0.01
-"""Prior probability that the given standard deviation of the home bearings is wrong, and that a
-given start is: in one of a hundred drives each [1]."""
+"""Prior probability that the given standard deviation of the home bearings is wrong, that a given
+start is, and that a camera is elsewhere than assumed: in one of a hundred drives each [1]."""
 NOISE_SCALES = (3.0, 10.0)
 """Factors by which that standard deviation may be wrong: half a decade tells one noise level from
 another [1]."""

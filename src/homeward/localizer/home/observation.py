@@ -37,7 +37,8 @@ class HomeObservation:
             if math.isfinite(b.bearing)
         }
         self.mount = np.array(drive.home_mount.pose)
-        self._same_camera = drive.home_sensor is None
+        self.same_camera = drive.home_sensor is None
+        """Whether home was seen by the camera as it sits in the drive."""
         self._settings = settings
         self._prior = home_from_start(drive)
         self._names: list[str] = []
@@ -55,13 +56,13 @@ class HomeObservation:
 
     def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
         """Return the yaw of the camera on the robot at home, as given or as estimated [rad]."""
-        found = self._same_camera and found_out
+        found = self.same_camera and found_out
         return float(self.mount[2] + found * calibration[CAMERA_YAW])
 
     def mount_covariance(self, marginal: Marginal) -> np.ndarray:
         """Return the covariance (2, 2) of the camera's position on the robot [m^2]."""
         at = slice(3 + CAMERA_X, 3 + CAMERA_Y + 1)
-        return marginal.covariance[at, at] if self._same_camera else np.zeros((2, 2))
+        return marginal.covariance[at, at] if self.same_camera else np.zeros((2, 2))
 
     def with_noise(self, noise: BearingNoise) -> dict[str, HomeBearing]:
         """Return the home bearings with their present standard deviations."""
@@ -93,7 +94,7 @@ class HomeObservation:
         walk_excess = covariance[at] + walks[:, None, None] * walk_moment - averaged
         covariance[at] = averaged
         shift = np.zeros(3)
-        if self._same_camera:
+        if self.same_camera:
             shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
         return HomeProblem(
             mean=state.mean[columns],
@@ -101,7 +102,7 @@ class HomeObservation:
             bearings=bearings,
             sigmas=sigmas,
             mount=self.mount + shift,
-            same_camera=self._same_camera,
+            same_camera=self.same_camera,
             moved_prior=self._settings.moved_prior,
             walk_excess=walk_excess,
             prior=None if self._prior is None else self._prior[0],
@@ -118,7 +119,7 @@ class HomeObservation:
         # One that is not given is of a single sighting like any other.
         default = self._settings.home_sigma or noise.typical
         sigmas = np.where(np.isfinite(self._given), self._given, default)
-        if self._same_camera:  # its noise scale holds here, but no more noise than others have
+        if self.same_camera:  # its noise scale holds here, but no more noise than others have
             sigmas = np.maximum(sigmas, np.minimum(noise.scale * sigmas, noise.typical))
         return self._bearings, sigmas
 

@@ -7,13 +7,23 @@ looking ahead. Its estimate is tested against that, and freed if the test fails.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy.special import expit
 
 from homeward.drives.drive import DriveSettings
 from homeward.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import CLOSE, FINAL_GATE, LINEAR, NEGLIGIBLE, STANDSTILL
+from homeward.localizer.tunables import (
+    CLOSE,
+    FINAL_GATE,
+    GIVEN_WRONG,
+    LINEAR,
+    NEGLIGIBLE,
+    STANDSTILL,
+)
 
 CONTRADICTION = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
@@ -79,9 +89,8 @@ class Extrinsics:
         if self.contradicted or not self._not_given.any():
             return False
         tolerance = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
-        wide = np.array([LINEAR, CLOSE * scale, CLOSE * scale])
+        wide, own = self._free_sigmas(scale), self._information(variances)
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
-        own = precision - self.sigmas**-2.0
         observable = self._not_given & (own > wide**-2.0)
         own[~observable] = np.inf
         off = np.abs(mean) * precision / own
@@ -90,3 +99,31 @@ class Extrinsics:
         if self.contradicted:
             self.sigmas, self._tolerance = np.where(self._not_given, wide, self.sigmas), tolerance
         return self.contradicted
+
+    def assumed_covariance(
+        self, calibration: np.ndarray, variances: np.ndarray, scale: float
+    ) -> np.ndarray:
+        """Return the covariance (2, 2) of the camera's position where it is assumed, not known.
+
+        What is not given is held at zero, since to leave it free costs much; so its uncertainty is
+        not in the state. By Bayesian model averaging it is that of a free position, as the map
+        would estimate it, times the probability that the camera is elsewhere. Arguments are as of
+        `test`.
+        """
+        free = self._not_given[1:]
+        if self.contradicted or not free.any() or math.isinf(scale):
+            return np.zeros((2, 2))
+        prior = self._free_sigmas(scale)[1:] ** -2.0
+        slope = (calibration[MOUNT] / variances[MOUNT])[1:]
+        variance = 1.0 / (np.maximum(self._information(variances)[1:], 0.0) + prior)
+        log_odds = 0.5 * (slope**2 * variance + np.log(variance * prior))[free].sum()
+        off_centre = float(expit(log_odds + math.log(GIVEN_WRONG / (1.0 - GIVEN_WRONG))))
+        return np.diag(np.where(free, off_centre * (variance + (slope * variance) ** 2), 0.0))
+
+    def _information(self, variances: np.ndarray) -> np.ndarray:
+        """Return the information (3,) of the map on yaw, x and y, without their prior."""
+        return np.asarray(1.0 / variances[MOUNT] - self.sigmas**-2.0)
+
+    def _free_sigmas(self, scale: float) -> np.ndarray:
+        """Return the prior standard deviations (3,) of what is not given, once it is free."""
+        return np.array([LINEAR, CLOSE * scale, CLOSE * scale])

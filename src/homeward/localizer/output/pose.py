@@ -59,6 +59,15 @@ class PoseEstimate:
         covariance[:2, :2] += mount_covariance
         return PoseEstimate(self.pose, covariance)
 
+    def with_assumed_mount(self, covariance: np.ndarray, same_camera: bool) -> PoseEstimate:
+        """Return it with an error (2, 2) of the camera's position on the robot [m^2].
+
+        The pose is then that of the camera, less its offset as home saw it.
+        """
+        c, s = math.cos(self.pose.heading), math.sin(self.pose.heading)
+        turned = np.array([[c, -s], [s, c]]) - same_camera * np.eye(2)
+        return self.with_mount(turned @ covariance @ turned.T)
+
     def with_scale(self, sigma: float) -> PoseEstimate:
         """Return it with an error of the map's scale, of standard deviation `sigma` [1]."""
         out = np.array([self.pose.x, self.pose.y, 0.0])

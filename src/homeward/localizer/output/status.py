@@ -93,7 +93,11 @@ class IntegrityMonitor:
         self.fixed = False
         """Whether the pose is certain enough to be published."""
         self.mount_covariance = np.zeros((2, 2))
-        """Covariance of the camera's x and y on the robot [m^2]."""
+        """Covariance of the camera's x and y on the robot [m^2] ..."""
+        self.assumed_mount = np.zeros((2, 2))
+        """... and where these are assumed, not estimated [m^2]."""
+        self.same_camera = True
+        """Whether the camera sits now as it did at home."""
 
     @property
     def _scale_sigma(self) -> float:
@@ -167,6 +171,7 @@ class IntegrityMonitor:
     ) -> PoseEstimate:
         """Return an estimate after a motion since the keyframe, with all uncertainties."""
         estimate = estimate if moved is None else estimate.propagate(*moved)
+        estimate = estimate.with_assumed_mount(self.assumed_mount, self.same_camera)
         return estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
 
     def home_is_found(self, best: HomeFit) -> bool:
