@@ -139,6 +139,10 @@ class Gpu:
         """Return how much of its memory nobody uses."""
         return int(_checked(self._driver.cuMemGetInfo())[0])
 
+    def kernel(self, text: str, threads: int, shared: int) -> Kernel:
+        """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
+        return _kernel(self, text, threads, shared)
+
     @contextmanager
     def arrays(self) -> Iterator[Arrays]:
         """Memory that is freed at the end."""
@@ -177,11 +181,10 @@ class Gpu:
             for event in (begin, end):
                 driver.cuEventDestroy(event)
 
-    @lru_cache(maxsize=16)  # noqa: B019 (there is one GPU, for ever)
-    def kernel(self, text: str, threads: int, shared: int) -> Kernel:
-        """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
+    def load(self, code: bytes, threads: int, shared: int) -> Kernel:
+        """Load machine code."""
         driver = self._driver
-        module = _checked(driver.cuModuleLoadData(compiled(text, self.architecture)))
+        module = _checked(driver.cuModuleLoadData(code))
         function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))
         attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
         _checked(driver.cuFuncSetAttribute(function, attribute, shared))
@@ -237,3 +240,8 @@ def gpu() -> Gpu:
         When there is none.
     """
     return Gpu()
+
+
+@lru_cache(maxsize=16)
+def _kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
+    return device.load(compiled(text, device.architecture), threads, shared)

@@ -35,15 +35,18 @@ def execute(job: Job, single: bool) -> Result:
     device = gpu()
     device.use()
     result = empty_result(job)
-    of_runs = [g.values for g in (*job.start, *job.series) if len(g.values) > 1]
-    of_runs += outputs_of(result).values()
-    chunk = max(1, int(device.free_bytes() * SHARE) // (sum(a[0].nbytes for a in of_runs) + 8))
+    chunk = max(1, int(device.free_bytes() * SHARE) // _bytes_per_run(job, result))
     for first in range(0, job.runs, chunk):
         _execute_chunk(device, job, result, range(first, min(first + chunk, job.runs)), single)
     result.engine = "cuda"
     if result.again:
         result.notes = (f"{result.again} of {job.runs} runs were computed again in doubles.",)
     return result
+
+
+def _bytes_per_run(job: Job, result: Result) -> int:
+    given = [int(g.values[0].nbytes) for g in (*job.start, *job.series) if len(g.values) > 1]
+    return sum(given) + sum(int(a[0].nbytes) for a in outputs_of(result).values()) + 8
 
 
 def outputs_of(result: Result) -> dict[str, np.ndarray]:

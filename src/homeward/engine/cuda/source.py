@@ -11,6 +11,7 @@ import numpy as np
 from homeward.engine.batch.job import LARGEST, Job
 from homeward.engine.cuda.device import CudaError
 from homeward.engine.cuda.parts import parts_of, summed, template
+from homeward.filters.ekf import ExtendedKalmanFilter
 
 
 @dataclass
@@ -107,8 +108,8 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
     loop = job.program.separable
     if loop is None or loop.kind.model.q > MOST_LANDMARKS:
         raise CudaError(f"the GPU runs the paper's filters with up to {MOST_LANDMARKS} landmarks")
-    kind, estimated = loop.kind, loop.kind.model.estimated
-    n, q, r = kind.model.n, kind.model.q, len(estimated)
+    kind = loop.kind
+    n, q, r = kind.model.n, kind.model.q, len(kind.model.estimated)
     size = 4 if single else 8
     group = group or _threads_a_run(n, size)
     variables = Variables(job)
@@ -140,7 +141,6 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
     constants = np.concatenate([*variables.constants, np.zeros(1)])
     if constants.size * size > MOST_CONSTANTS_BYTES:
         raise CudaError(f"{constants.size} numbers that all runs share are too many for the GPU")
-    places = [estimated.index(i) if i in estimated else -1 for i in range(q)]
     defines = {
         "N": n,
         "Q": q,
@@ -154,7 +154,7 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
         "LARGEST": f"((REAL){LARGEST!r})",
         "SUMS": max(len(summed(job)), 1),
         "STOP": "false" if job.stop is None else f"({job.stop} != (REAL)0)",
-        "PARAMETERS": "{" + ", ".join(map(str, places)) + "}",
+        "PARAMETERS": "{" + ", ".join(str(_parameter(kind, i)) for i in range(q)) + "}",
     }
     struct = [f"  {_c_type(k, t, types)};" for k, t in fields]
     parts = parts_of(job, loop)
@@ -195,6 +195,11 @@ def _c_type(name: str, kind: type, types: dict[str, str]) -> str:
     if name.startswith(("series", "given")):
         return f"const double *{name}"
     return f"{types.get(name, 'double')} *{name}"
+
+
+def _parameter(kind: ExtendedKalmanFilter, landmark: int) -> int:
+    estimated = kind.model.estimated
+    return estimated.index(landmark) if landmark in estimated else -1
 
 
 def _filled(template: str, parts: Mapping[str, list[str]]) -> str:
