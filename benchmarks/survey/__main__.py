@@ -31,6 +31,8 @@ from homeward.track import run
 
 PARTICLE_SIGMA = 0.02
 """What the particle filter is told of bearings [rad]: much less, and it dies out."""
+RESTS = 10
+"""After so many readings at a stop it has come to rest; a stop with fewer says nothing."""
 HOW = ("homeward", "homeward, odometry not told", "resection", "particles")
 Reading = tuple[int, float, float, float, Pose]
 """At which stop, x [m], y [m], heading [rad], and the truth."""
@@ -113,8 +115,8 @@ def industry(seeds: int, gone: list[int], sigma: float, survey_sigma: float) -> 
                 if stop[0][0] < 0:
                     way += np.hypot(*off.T).tolist()
                     turn += [math.remainder(h - p.heading, math.tau) for _, _, _, h, p in stop]
-                else:
-                    off = off[10:]  # it has come to rest
+                elif len(off) > RESTS:
+                    off = off[RESTS:]
                     scatter.append(np.square(off - off.mean(axis=0)).sum(axis=1).mean())
                     bias.append(float(np.hypot(*off.mean(axis=0))))
         fix = "- | -"
