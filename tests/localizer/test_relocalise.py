@@ -70,10 +70,8 @@ def test_a_landmark_in_a_wrong_place_moves_no_robot_however_often_it_is_seen():
     assert relocalise(lines, (np.array(LOST), within(0.1, 0.05))) is None
 
 
-def test_a_sight_line_seen_again_takes_no_place_of_others():
-    cameras = [*way(5, step=0.1), *(5 * [Pose(0.4, 0.0, 0.16)])]
-    whole = lines_of([0, 1, 2, 3, 4, 0, 0, 0, 0, 0], cameras)
-    search = Search()
+def mapped():
+    """A smoother's state and landmarks, the five of `MARKS`, well known."""
     smoother = Smoother(np.ones(5), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0)
     landmarks = Landmarks(smoother, 0.06)
     for place in MARKS:
@@ -81,6 +79,24 @@ def test_a_sight_line_seen_again_takes_no_place_of_others():
         landmarks.mapped[str(number)] = Landmark(str(number), number)
     mean = np.concatenate([np.zeros(HEAD), MARKS.ravel()])
     smoother.state = Marginal(mean, 1e-4 * np.eye(mean.size))
+    return smoother, landmarks
+
+
+def test_equal_bearings_from_two_headings_are_two_sight_lines():
+    """As of a camera whose bearings are whole degrees: the robot turns, and says the same again."""
+    _, landmarks = mapped()
+    search = Search()
+    frame = WeighedFrame(0.0, ["0"], np.array([0.5]), np.array([0.01]))
+    for heading in (0.0, 0.5, 0.51, 0.0):
+        camera = Motion(np.array([0.0, 0.0, heading]), np.zeros((3, 3)), np.zeros((3, NC)))
+        search.add_bearings(frame, camera, landmarks)
+
+
+def test_a_sight_line_seen_again_takes_no_place_of_others():
+    cameras = [*way(5, step=0.1), *(5 * [Pose(0.4, 0.0, 0.16)])]
+    whole = lines_of([0, 1, 2, 3, 4, 0, 0, 0, 0, 0], cameras)
+    search = Search()
+    smoother, landmarks = mapped()
     for name, camera, seen in zip(whole.names, cameras, whole.bearings, strict=True):
         frame = WeighedFrame(0.0, [str(name)], np.array([seen]), np.array([0.01]))
         for _ in range(20):

@@ -45,9 +45,9 @@ class Search:
         each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
         for name, bearing, sigma in each:
             if name in landmarks.mapped:
-                last = next((seen for seen in reversed(self._seen) if seen[0] == name), None)
-                if last is not None and abs(_parallax(last, bearing, camera)) < CLOSE:
-                    self._seen.remove(last)
+                last = max((i for i, seen in enumerate(self._seen) if seen[0] == name), default=-1)
+                if last >= 0 and abs(_parallax(self._seen[last], bearing, camera)) < CLOSE:
+                    del self._seen[last]
                 self._seen.append((name, bearing, sigma, camera))
 
     def find(self, landmarks: Landmarks, state: Marginal) -> tuple[np.ndarray, np.ndarray] | None:
