@@ -84,12 +84,13 @@ def mapped():
 
 def test_equal_bearings_from_two_headings_are_two_sight_lines():
     """As of a camera whose bearings are whole degrees: the robot turns, and says the same again."""
-    _, landmarks = mapped()
+    smoother, landmarks = mapped()
     search = Search()
     frame = WeighedFrame(0.0, ["0"], np.array([0.5]), np.array([0.01]))
     for heading in (0.0, 0.5, 0.51, 0.0):
         camera = Motion(np.array([0.0, 0.0, heading]), np.zeros((3, 3)), np.zeros((3, NC)))
         search.add_bearings(frame, camera, landmarks)
+    assert search.find(landmarks, smoother.state) is None  # one landmark tells no pose
 
 
 def test_a_sight_line_seen_again_takes_no_place_of_others():

@@ -89,7 +89,7 @@ class Extrinsics:
         if self.contradicted or not self._not_given.any():
             return False
         tolerance = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
-        wide, own = self._free_sigmas(scale), self._information(variances)
+        wide, own = _free_sigmas(scale), self._information(variances)
         mean, precision = calibration[MOUNT], 1.0 / variances[MOUNT]
         observable = self._not_given & (own > wide**-2.0)
         own[~observable] = np.inf
@@ -113,7 +113,7 @@ class Extrinsics:
         free = self._not_given[1:]
         if self.contradicted or not free.any() or math.isinf(scale):
             return np.zeros((2, 2))
-        prior = self._free_sigmas(scale)[1:] ** -2.0
+        prior = _free_sigmas(scale)[1:] ** -2.0
         slope = (calibration[MOUNT] / variances[MOUNT])[1:]
         variance = 1.0 / (np.maximum(self._information(variances)[1:], 0.0) + prior)
         log_odds = 0.5 * (slope**2 * variance + np.log(variance * prior))[free].sum()
@@ -124,6 +124,7 @@ class Extrinsics:
         """Return the information (3,) of the map on yaw, x and y, without their prior."""
         return np.asarray(1.0 / variances[MOUNT] - self.sigmas**-2.0)
 
-    def _free_sigmas(self, scale: float) -> np.ndarray:
-        """Return the prior standard deviations (3,) of what is not given, once it is free."""
-        return np.array([LINEAR, CLOSE * scale, CLOSE * scale])
+
+def _free_sigmas(scale: float) -> np.ndarray:
+    """Return the prior standard deviations (3,) of yaw, x and y that are free."""
+    return np.array([LINEAR, CLOSE * scale, CLOSE * scale])

@@ -108,13 +108,20 @@ def relocalise(
     found.sort(key=lambda f: -f[0])
     log_evidence, best = found[0]
     rivals = [0.0, *(f[0] for f in found[1:])]  # 0: no landmark is where it is mapped
+    if not _is_proved(log_evidence, rivals):
+        return None
     if expected is not None:
         rivals.append(_log_evidence_of(*expected, lines))
-    if log_evidence - float(np.logaddexp.reduce(rivals)) < MIN_LOG_ODDS:
-        return None
+        if not _is_proved(log_evidence, rivals):
+            return None
     most = CLOSE * float(_distances(best.pose[None], lines)[0])
     uncertain = np.diag(best.covariance)[:2].max() >= most**2
     return None if uncertain else (best.pose, best.covariance)
+
+
+def _is_proved(log_evidence: float, rivals: list[float]) -> bool:
+    """Return whether a pose is more probable than all its rivals together, by `MIN_LOG_ODDS`."""
+    return log_evidence - float(np.logaddexp.reduce(rivals)) >= MIN_LOG_ODDS
 
 
 def _log_evidence_of(pose: np.ndarray, covariance: np.ndarray, lines: SightLines) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.tunables import CLOSE, RECENT
@@ -71,8 +71,8 @@ class Search:
         )
         if self._lost:
             return relocalise(lines)
-        began = state.propagate(self._to_newest.inverse())
-        return relocalise(lines, (began.mean[:3], began.covariance[:3, :3]))
+        began, by_head = state.pose_after(self._to_newest.inverse())
+        return relocalise(lines, (began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T))
 
 
 def _parallax(last: tuple[str, float, float, Motion], bearing: float, camera: Motion) -> float:
