@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test test-mcu test-ros wheel test-wheel lint docs paper bench clean
+.PHONY: install demo plan test test-interpreter test-mcu test-ros wheel test-wheel lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -22,9 +22,12 @@ demo: install
 plan: install
 	$(BIN)/homeward plan warehouse --out out/plan
 
-# FAST=1: without what renders, looks at pictures, drives a browser or many drives.
 test: install
-	$(BIN)/python -m pytest $(if $(FAST),-m "not slow")
+	$(BIN)/python -m pytest
+
+# The tests whose result can depend on the Python version, for a second Python (PYTHON=python3.13).
+test-interpreter: install
+	$(BIN)/python -m pytest -m interpreter
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
 test-mcu: install

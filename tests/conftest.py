@@ -13,21 +13,49 @@ settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
 
-IN_BROWSER = (
-    "report/test_page_in_browser",
-    "report/test_site_in_browser",
-    "studio/test_studio_in_browser",
+INTERPRETER = (
+    "cli/test_first_minutes",
+    "cli/test_json",
+    "cli/test_refusals",
+    "drives/ros/test_round_trip",
+    "drives/test_folder",
+    "drives/test_landmarks_yaml",
+    "engine/native",
+    "live/test_live_messages",
+    "live/test_server",
+    "studies/test_blocks",
+    "studies/test_cluster",
+    "studio/test_studio_server",
+    "test_by_value",
+    "test_core_install",
+    "test_imports",
+    "test_one_thread",
+    "test_plugins",
 )
-SLOW = ("vision", "consistency", "simulation/test_render", *IN_BROWSER)
-"""What renders, looks at pictures, drives a browser or many drives: half of the time of all."""
+"""Tests whose result can depend on the Python version: imports, command line, text and YAML files,
+validation, pickling, subprocesses, threads and sockets. Numerical results are tested once."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what `make test FAST=1` leaves out."""
+    """Mark the tests of `make test-interpreter`, and keep shared fixtures on one worker."""
     here = Path(__file__).parent
     for item in items:
-        if item.path.relative_to(here).as_posix().startswith(SLOW):
-            item.add_marker("slow")
+        if item.path.relative_to(here).as_posix().startswith(INTERPRETER):
+            item.add_marker("interpreter")
+        if group := _shared_fixture(item):
+            item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _shared_fixture(item: pytest.Item) -> str | None:
+    """Return a name common to all tests that use the same module or session fixture of a file."""
+    fixtures = getattr(item, "_fixtureinfo", None)
+    if fixtures is None:
+        return None
+    for name, definitions in sorted(fixtures.name2fixturedefs.items()):
+        shared = definitions[-1]
+        if shared.scope in ("module", "session") and shared.baseid.endswith(".py"):
+            return f"{shared.baseid}::{name}"
+    return None
 
 
 @pytest.fixture(scope="session")
@@ -42,8 +70,13 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory) -> None:
-    """Keep compiled code of tests out of the user's cache, and the user's out of tests."""
-    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+    """Keep compiled code of tests out of the user's cache, and the user's out of tests.
+
+    All workers of a run share one cache, so that each program is compiled once.
+    """
+    base = tmp_path_factory.getbasetemp()
+    run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    os.environ["XDG_CACHE_HOME"] = str(run / "cache")
 
 
 @pytest.fixture

@@ -41,7 +41,6 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/do/places.md"])
 def test_commands_run_as_they_stand(page, here):
     commands = shown(page)

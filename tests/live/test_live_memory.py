@@ -54,7 +54,6 @@ def watch(folder):
         sys.stdout.write(f"{answers} {sys.getallocatedblocks()} {megabytes}\n")
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc here")
 def test_a_recorded_session_grows_by_nothing_once_it_is_warm(tmp_path):
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"

@@ -192,7 +192,6 @@ def test_a_steady_speed_has_no_noise_of_samples():
     assert np.mean(steady) == pytest.approx(0.3, abs=0.03)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("size", "times"), [(0.1, 0.3), (1.0, 0.1), (1.0, 3.0)])
 def test_nothing_told_costs_little(size, times):
     rmse, nees, pose, at_best, _, _ = row(*drive_of(size, times, 0), False)

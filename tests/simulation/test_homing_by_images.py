@@ -37,7 +37,6 @@ CAMERAS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("projection", CAMERAS)
 def test_a_camera_of_another_kind_comes_home(projection):
     loop = ImageLoop(eye("office", 0, **{"camera.projection": projection} | CAMERAS[projection]))

@@ -44,7 +44,6 @@ def untold(seconds):
     ), drive.settings
 
 
-@pytest.mark.slow
 def test_what_a_drive_was_made_of_is_learnt_and_honest():
     drive, true = untold(90.0)
     fractions = []
@@ -122,7 +121,6 @@ def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
         tune([drive], lambda _: None)
 
 
-@pytest.mark.slow
 def test_deviations_that_sightings_bring_are_left_alone():
     drive, _ = untold(60.0)
     told = np.full(drive.sightings.t.size, 0.01)

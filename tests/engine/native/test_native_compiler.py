@@ -102,7 +102,6 @@ def zig():
     return Path(package.origin).with_name("zig")
 
 
-@pytest.mark.slow
 def test_zigs_compiler_needs_nothing_of_the_system(zig, cache, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
@@ -110,7 +109,6 @@ def test_zigs_compiler_needs_nothing_of_the_system(zig, cache, monkeypatch):
     assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
 
 
-@pytest.mark.slow
 def test_a_wheel_may_be_of_another_machine(zig, cache, tmp_path, monkeypatch):
     other = "aarch64" if platform.machine() == "x86_64" else "x86_64"
     (tmp_path / "nothing.c").touch()
