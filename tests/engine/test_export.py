@@ -194,6 +194,22 @@ def test_what_cannot_be_exported_is_said(tmp_path, words, said):
     assert not (tmp_path / "out").exists()
 
 
+def test_exporting_again_keeps_the_files_of_the_user(tmp_path):
+    words = "export", "ekf", "--landmarks", 7, "--out", tmp_path / "lib"
+    assert call(*words).exit_code == 0
+    written = {p for p in (tmp_path / "lib").rglob("*") if p.is_file()}
+    mine = [tmp_path / "lib" / name for name in ("src/mine.c", "examples/own/main.c", "notes.md")]
+    for file in mine:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("mine")
+    for file in written:
+        file.write_text("stale")
+    (tmp_path / "lib" / "library.properties").write_text("name=homeward")
+    assert call(*words).exit_code == 0
+    assert all(file.read_text() == "mine" for file in mine)
+    assert all(file.read_text() != "stale" for file in written)
+
+
 def test_a_folder_of_others_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     answer = call("export", "ekf", "--landmarks", 7, "--out", tmp_path)

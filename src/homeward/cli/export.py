@@ -35,7 +35,7 @@ def export(
     settings = validated(FilterSettings, key_values(changes or []))
     files = project(landmarks, settings, precision == "float")
     check_output(out, MARKER)
-    with whole_folder(out, MARKER) as scratch:
+    with whole_folder(out, MARKER, merge=True) as scratch:
         for name, text in files.items():
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_text(text, encoding="utf-8")

@@ -42,10 +42,20 @@ def check_output(directory: Path, marker: str) -> None:
 
 
 @contextmanager
-def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
+def whole_folder(directory: Path, marker: str, merge: bool = False) -> Iterator[Path]:
     """Lend a scratch folder whose files enter `directory` together, once all are written.
 
     `marker` enters last: a folder that holds it is whole.
+
+    Parameters
+    ----------
+    directory : Path
+        The output folder.
+    marker : str
+        Name of the file that marks earlier output.
+    merge : bool
+        Whether other files in subfolders of earlier output stay, as where users work in them;
+        by default a new subfolder replaces the old one, so that no old frame stays.
 
     Raises
     ------
@@ -60,11 +70,14 @@ def whole_folder(directory: Path, marker: str) -> Iterator[Path]:
             # Inside, not beside: beside may be another file system, where a move is a copy.
             with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=directory) as scratch:
                 yield Path(scratch)
-                for file in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
-                    place = directory / file.name
+                for entry in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
+                    place = directory / entry.name
+                    if merge and entry.is_dir():
+                        shutil.copytree(entry, place, copy_function=os.replace, dirs_exist_ok=True)
+                        continue
                     if place.is_dir() and not place.is_symlink():
                         shutil.rmtree(place)
-                    os.replace(file, place)
+                    os.replace(entry, place)
         except BaseException:
             if new:
                 with suppress(OSError):
