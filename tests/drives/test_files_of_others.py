@@ -72,6 +72,17 @@ def test_yaml_that_is_a_trap(tmp_path, read, text):
     assert len(refusal(read, file)) < 300
 
 
+@EVERY
+@pytest.mark.parametrize(
+    "text", ["name: a\nname: b\n", "name: {x: 1, y: 2, x: 3}\n", "- {a: 1}\n- {b: 2, 'b': 2}\n"]
+)
+def test_a_key_given_twice_is_refused(tmp_path, read, text):
+    (file := tmp_path / "twice.yaml").write_text(text)
+    line = refusal(read, file)
+    assert "is given twice, first in row" in line
+    assert line.startswith(f", row {len(text.splitlines())}: ")
+
+
 @TYPED
 @pytest.mark.parametrize(
     "value",

@@ -122,6 +122,8 @@ def _measure(node: Any, known: dict[Any, tuple[int, int]], depth: int) -> tuple[
     if node not in known:
         mapping = isinstance(node, yaml.MappingNode)
         parts = [part for pair in node.value for part in pair] if mapping else node.value
+        if mapping:
+            _refuse_duplicate_keys(node)
         found = [_measure(part, known, depth + 1) for part in parts]
         known[node] = 1 + sum(n for n, _ in found), 1 + max((d for _, d in found), default=0)
     size, height = known[node]
@@ -130,6 +132,15 @@ def _measure(node: Any, known: dict[Any, tuple[int, int]], depth: int) -> tuple[
     if depth + height > DEEPEST:
         raise _Refused(TOO_DEEP, node)
     return size, height
+
+
+def _refuse_duplicate_keys(mapping: yaml.MappingNode) -> None:
+    """Refuse a key that stands twice in a mapping: YAML libraries keep the last value silently."""
+    first: dict[str, yaml.ScalarNode] = {}
+    for key, _ in mapping.value:
+        if isinstance(key, yaml.ScalarNode) and first.setdefault(key.value, key) is not key:
+            row = first[key.value].start_mark.line + 1
+            raise _Refused(f"key {key.value!r} is given twice, first in row {row}; keep one", key)
 
 
 def _check_scalar(node: yaml.ScalarNode) -> None:
