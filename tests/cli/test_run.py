@@ -151,6 +151,28 @@ def test_run_yaml_takes_no_changes_and_must_be_one(short, tmp_path):
     assert "other.yaml" in refused(call("run", tmp_path / "other.yaml", "--out", out))
 
 
+def test_run_yaml_executes_code_only_where_the_option_names_it(short, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine_here.py").write_text(
+        "from pathlib import Path\nfrom homeward import Localizer\n"
+        "Path('executed').touch()\n"
+        "def make(home, **robot):\n    return Localizer(home, **robot)\n"
+    )
+    out = tmp_path / "out"
+    done(call("run", short, "--out", out))
+    file = out / "run.yaml"
+    settings = yaml.safe_load(file.read_text())
+    settings |= {"estimator": "mine_here:make", "settings": {}}
+    file.write_text(yaml.safe_dump(settings))
+    line = refused(call("run", file, "--out", out))
+    assert "Python code outside homeward" in line
+    assert "--estimator mine_here:make" in line
+    assert not Path("executed").exists()
+    assert "--estimator" in refused(call("run", file, "--estimator", "ekf", "--out", out))
+    call("run", file, "--estimator", "mine_here:make", "--out", out)
+    assert Path("executed").exists()
+
+
 def test_real_drive_runs_to_the_end(data_dir, tmp_path):
     out = tmp_path / "out"
     drive = data_dir / "MRCLAM_Dataset6"

@@ -149,9 +149,10 @@ def _start(text: str | None) -> str | tuple[float, float, float] | None:
 
 
 def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
-    """Return the settings of a new run of a drive, or, of a run.yaml, those of that run.
+    """Return the settings of a new run of a drive, or those in the run.yaml of an earlier run.
 
-    `given` is what options say, by name; there must be none with a run.yaml.
+    `given` holds the options by name. A run.yaml allows none, except that `estimator` confirms
+    an estimator named package.module:make: a file from elsewhere must not choose code to execute.
     """
     from homeward.drives.opening import SAMPLE
     from homeward.drives.text.settings import validated
@@ -159,10 +160,19 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
 
     file = Path(drive)
     if file.suffix in (".yaml", ".yml") and is_there(file) and not os.path.isdir(file):
-        if given:
-            option = "--" + ("set" if "settings" in given else min(given).replace("_", "-"))
+        earlier = load_run(file)
+        confirmed = given.get("estimator") == earlier.estimator
+        changed = sorted(given.keys() - ({"estimator"} if confirmed else set()))
+        if changed:
+            option = "--" + ("set" if "settings" in given else changed[0].replace("_", "-"))
             raise InputError(f"{option} cannot be changed: the run repeats as it was", file)
-        return load_run(file)
+        if ":" in earlier.estimator and not confirmed:
+            raise InputError(
+                f"estimator: {earlier.estimator} is Python code outside homeward; to execute it, "
+                f"use `homeward run {drive} --estimator {earlier.estimator}`",
+                file,
+            )
+        return earlier
     if drive != SAMPLE or is_there(file):
         drive = os.path.realpath(file)
     return validated(RunSettings, {"drive": drive, **given})
@@ -202,12 +212,11 @@ def _run(
     names: tuple[str | None, float | None, str | None],
     json: bool,
 ) -> None:
-    from homeward.places.files import save_place
     from homeward.report.place.words import route_words, visit_words
     from homeward.report.run.folder import PAGE, missing_extra, write_run
     from homeward.scoring import score
     from homeward.studies.single_run import finish, prepare
-    from homeward.studies.visits import ToStore, after_visit, check_update
+    from homeward.studies.visits import ToStore, check_update, save_visit
 
     store, lack = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
@@ -221,8 +230,7 @@ def _run(
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
         if update and settings.place is not None:
             try:
-                after, reasons = after_visit(complete, drive, estimator, track, store)
-                save_place(after, settings.place, complete.place_version or 0)
+                after, reasons = save_visit(complete, drive, estimator, track, store)
                 lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # told below the answer, which is there nevertheless
                 after, lost = None, error
