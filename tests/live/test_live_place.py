@@ -241,13 +241,20 @@ def test_where_the_place_cannot_be_written_the_visit_goes_on(place, monkeypatch)
     assert newest(place) == 2
 
 
-def test_who_was_not_quick_enough_overwrites_nothing(place):
+def test_two_robots_that_save_one_place_both_merge_their_visits(place):
+    before = len(load_place(place).visits)
     rigs = [in_place(place, update=True, seed=0).until(localised) for _ in range(2)]
-    for rig in rigs:
-        rig.until(lambda r: r.robot.t > 10.0)
+    for rig, end in zip(rigs, (10.0, 12.0), strict=True):
+        rig.until(lambda r, end=end: r.robot.t > end)
+        assert "stayed" in asked(rig, SavePlace())
+    assert newest(place) == 3
+    assert len(load_place(place).visits) == before + 2
+    # The first robot's visit is in version 2 up to here, and counts once.
+    assert "holds this visit up to its last save" in asked(rigs[0], SavePlace())
+    asked(rigs[0], Reset())
+    rigs[0].until(lambda r: r.robot.t > 20.0)
     assert "stayed" in asked(rigs[0], SavePlace())
-    assert "changed meanwhile" in asked(rigs[1], SavePlace())
-    assert newest(place) == 2
+    assert newest(place) == 4
 
 
 def lines_of_a_drive():

@@ -13,7 +13,7 @@ from visited import new_place, room, told
 
 from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
-from homeward.places.files import KEPT, load_place, newest, save_place, undo
+from homeward.places.files import KEPT, load_place, newest, save_place, undo, update_place
 from homeward.places.place import FIRST_DAY, LAST_DAY
 from homeward.places.visiting import merged
 from homeward.report.place.words import date
@@ -110,6 +110,70 @@ def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):
     os.utime(folder / ".being-written-x", (0.0, 0.0))
     save_place(before, folder)
     assert sorted(p.name for p in folder.iterdir()) == ["0001", "0002", "0003", "0004"]
+
+
+def test_a_visit_is_merged_again_when_another_robot_saves_meanwhile(folder):
+    base, rng = load_place(folder), np.random.default_rng(7)
+    others = []
+
+    def visit(known):
+        if len(others) < 2:  # another robot is quicker, twice
+            others.append(save_place(merged(known, told(room(), rng, when=2.0)), folder))
+        return merged(known, told(room(), rng, when=3.0))
+
+    after, version = update_place(folder, visit)
+    assert version == others[-1] + 1 == newest(folder)
+    assert len(after.visits) == len(base.visits) + 3
+
+    def hopeless(known):
+        save_place(known, folder)
+        return known
+
+    with pytest.raises(InputError, match="changed meanwhile"):
+        update_place(folder, hopeless)
+
+
+def test_versions_have_the_permissions_of_the_umask(folder):
+    before = os.umask(0o027)
+    try:
+        number = save_place(load_place(folder), folder)
+    finally:
+        os.umask(before)
+    version = folder / f"{number:04d}"
+    assert version.stat().st_mode & 0o777 == 0o750
+    assert {file.stat().st_mode & 0o777 for file in version.iterdir()} == {0o640}
+
+
+def test_the_rest_of_an_interrupted_deletion_goes(folder):
+    (folder / "0000").mkdir()
+    (folder / "0000" / "visits.csv").write_text("half")
+    (folder / "notes").mkdir()
+    save_place(load_place(folder), folder)
+    assert sorted(p.name for p in folder.iterdir()) == ["0001", "0002", "0003", "notes"]
+
+
+@pytest.mark.parametrize("position", [40, 200, 900])
+def test_a_damaged_covariance_is_one_line(folder, position):
+    file = folder / "0002" / "covariance.npz"
+    data = bytearray(file.read_bytes())
+    data[position : position + 8] = b"\xff" * 8
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r"covariance\.npz: is damaged"):
+        load_place(folder)
+
+
+@pytest.mark.parametrize(
+    "table", ["landmarks.csv", "homes.csv", "home_bearings.csv", "visits.csv", "events.csv"]
+)
+def test_a_missing_column_is_one_line(folder, table):
+    file = folder / "0002" / table
+    header, *rows = file.read_text().splitlines()
+    for name in header.split(","):
+        if (table, name) == ("landmarks.csv", "sigma"):
+            continue  # for people; the covariance holds it
+        file.write_text("\n".join([header.replace(name, f"not_{name}", 1), *rows]) + "\n")
+        with pytest.raises(InputError, match=table):
+            load_place(folder)
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):

@@ -88,13 +88,12 @@ def merge(
     other: Annotated[Path, typer.Argument(help="A place of the same room by another robot.")],
 ) -> None:
     """Merge another robot's place of the same room into a place."""
-    from homeward.places.files import load_place, newest, save_place
+    from homeward.places.files import load_place, update_place
     from homeward.places.visiting import merged_places
     from homeward.report.place.words import visit_words
 
-    version = newest(folder)
-    now = merged_places(load_place(folder, version), load_place(other))
-    save_place(now, folder, version)
+    added = load_place(other)
+    now, _ = update_place(folder, lambda known: merged_places(known, added))
     say(visit_words(now))
 
 
@@ -110,12 +109,10 @@ def forget(
     ] = None,
 ) -> None:
     """Forget landmarks, homes or routes of a place."""
-    from homeward.places.files import load_place, newest, save_place
+    from homeward.places.files import update_place
     from homeward.report.place.words import forget_words
 
-    version = newest(folder)
-    now = load_place(folder, version).without(landmarks or [], home or [], route or [])
-    save_place(now, folder, version)
+    now, _ = update_place(folder, lambda p: p.without(landmarks or [], home or [], route or []))
     say(forget_words(now))
 
 

@@ -26,11 +26,19 @@ from homeward.live.messages import BearingsIn
 from homeward.live.samples import Samples, last_of_equal, table
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
-from homeward.places.files import check_place, is_place, load_place, newest, save_place
+from homeward.places.files import (
+    PlaceChangedError,
+    check_place,
+    is_place,
+    load_place,
+    newest,
+    save_place,
+    update_place,
+)
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
 from homeward.places.route import Route, route_of, seen_along, taught_along
-from homeward.places.telling import require_name, told_along
+from homeward.places.telling import Told, require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
 from homeward.report.place.words import visit_words
@@ -78,6 +86,8 @@ class Visiting:
     def begin(self) -> None:
         """Begin a visit: nothing was seen on it yet, and what was merged before stays."""
         self.place = self._after
+        self._is_merged = False
+        """Whether a part of this visit is in the newest version that this session wrote."""
         self._samples, self._poses = Samples(), array("d")
         self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
         self._routes: dict[str, tuple[Route, JointMap]] = {}
@@ -245,16 +255,43 @@ class Visiting:
         for name, (answer, seen) in self._stored.items():
             told = told.store_home(name, answer, seen)
         told = replace(told, routes=dict(self._routes))
-        if self.place is None:
-            after = first_place(self.name, localizer, told, home)
-        else:
-            after = merged(self.place, told)
-        if self._folder is not None:
-            self._version = save_place(after, self._folder, self._version)
+        after = self._save(localizer, told, home)
         lost = [f" Home {name} was not stored." for name in self._stored if name not in after.homes]
         lost += [f" Route {n} was not stored." for n in self._routes if n not in after.routes]
         self._after, self.saved = after, True
         return visit_words(after) + "".join(lost)
+
+    def _save(self, localizer: Localizer, told: Told, home: str) -> Place:
+        """Merge the measurements of the visit into the place, write it, and return it."""
+
+        def with_visit(known: Place) -> Place:
+            self.place = known
+            return merged(known, told)
+
+        if self.place is not None and self._folder is not None and not self._is_merged:
+            after, self._version = update_place(self._folder, with_visit)
+        else:
+            if self.place is None:
+                after = first_place(self.name, localizer, told, home)
+            else:
+                after = merged(self.place, told)
+            if self._folder is not None:
+                self._version = self._save_again(after, self._folder)
+        self._is_merged = True
+        return after
+
+    def _save_again(self, after: Place, folder: Path) -> int:
+        """Replace what an earlier save of this visit wrote; return the version."""
+        try:
+            return save_place(after, folder, self._version)
+        except PlaceChangedError as error:
+            if not self._is_merged:
+                raise
+            raise PlaceChangedError(
+                f"{error.what}, and holds this visit up to its last save; "
+                "reset the map to save the rest as a new visit",
+                error.file,
+            ) from error
 
 
 def _sigma(estimate: Estimate) -> float:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 import shutil
-import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from homeward.drives.text.files import is_there, naming, require_folder
@@ -24,6 +25,14 @@ KEPT = 10
 SCRATCH = ".being-written-"
 CUT_SHORT_S = 3600.0
 """What was begun so long ago nobody writes any more; till then it may be another robot's [s]."""
+
+
+MAX_MERGES = 5
+"""Attempts to merge a visit while other robots save the same place."""
+
+
+class PlaceChangedError(InputError):
+    """A place got a newer version while a change of it was computed."""
 
 
 def is_place(folder: Path) -> bool:
@@ -77,13 +86,14 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
     folder : path-like
         New, empty, or of a place.
     after : int, optional
-        The version that it was made from: where there is a newer one, somebody else was quicker.
+        The version that it was made from.
 
     Raises
     ------
+    PlaceChangedError
+        When the folder has a version newer than `after`: another robot saved meanwhile.
     InputError
-        When the folder holds something else, or cannot be written, or has a newer version, or the
-        place contradicts itself.
+        When the folder holds something else, or cannot be written, or the place contradicts itself.
     """
     path = Path(folder)
     if place.map.homes != tuple(place.homes):
@@ -98,23 +108,61 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
         found = _versions(path)
         number = max(found, default=0) + 1
         if after is not None and number != after + 1:
-            raise InputError(f"was changed meanwhile: version {number - 1} is newer", path)
-        scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=path))
+            raise PlaceChangedError(f"was changed meanwhile: version {number - 1} is newer", path)
+        scratch = _new_scratch(path)
         try:
             write_version(place, scratch)
             for file in (*scratch.iterdir(), scratch):
                 _sync(file)
             while not _enters(scratch, path / _name(number)):
                 if after is not None:
-                    raise InputError(f"was changed meanwhile: version {number} is newer", path)
+                    raise PlaceChangedError(
+                        f"was changed meanwhile: version {number} is newer", path
+                    )
                 number += 1
         except BaseException:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
         _sync(path)
         for old in sorted(found)[: max(0, len(found) + 1 - KEPT)]:
-            shutil.rmtree(path / _name(old), ignore_errors=True)
+            _remove(path / _name(old))
+        for half_deleted in (p for p in path.iterdir() if _is_half_deleted(p)):
+            _remove(half_deleted)
     return number
+
+
+def update_place(
+    folder: str | os.PathLike[str], change: Callable[[Place], Place]
+) -> tuple[Place, int]:
+    """Change the newest version of a place and save it; again if another robot saves meanwhile.
+
+    Parameters
+    ----------
+    folder : path-like
+        Of the place.
+    change : callable
+        Returns the changed place; called with the newest version, at most `MAX_MERGES` times.
+
+    Returns
+    -------
+    place : Place
+        The changed place.
+    version : int
+        Its number.
+
+    Raises
+    ------
+    InputError
+        As `load_place` and `save_place`, and whatever `change` raises.
+    """
+    for _ in range(MAX_MERGES):
+        version = newest(folder)
+        after = change(load_place(folder, version))
+        try:
+            return after, save_place(after, folder, version)
+        except PlaceChangedError as error:
+            changed = error
+    raise changed
 
 
 def undo(folder: str | os.PathLike[str]) -> int:
@@ -130,12 +178,30 @@ def undo(folder: str | os.PathLike[str]) -> int:
     if len(found) < 2:
         raise InputError("there is no older version to go back to", path)
     with naming(path, "cannot be written"):
-        # Out of the way by one rename, so that it is there whole or not at all.
-        scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=path))
-        (path / _name(found[-1])).rename(scratch / "undone")
-        _sync(path)
-        shutil.rmtree(scratch, ignore_errors=True)
+        _remove(path / _name(found[-1]))
     return found[-2]
+
+
+def _new_scratch(path: Path) -> Path:
+    """Return a new folder in `path`, with the permissions that the user's umask gives."""
+    scratch = path / f"{SCRATCH}{secrets.token_hex(8)}"
+    scratch.mkdir()
+    return scratch
+
+
+def _remove(version: Path) -> None:
+    """Delete a version: out of the way by one rename first, so that it is whole or gone."""
+    scratch = _new_scratch(version.parent)
+    version.rename(scratch / version.name)
+    _sync(version.parent)
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _is_half_deleted(entry: Path) -> bool:
+    """Return whether an entry is the rest of a version whose deletion was interrupted."""
+    name = entry.name
+    is_version = name.isdecimal() and name.isascii() and name == _name(int(name))
+    return is_version and entry.is_dir() and not (entry / SETTINGS).exists()
 
 
 def _enters(scratch: Path, version: Path) -> bool:

@@ -228,8 +228,12 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
     """Return the homes with what was seen there."""
     table = read_csv(
         path,
-        {"home": identifiers, "landmark": identifiers, "bearing": numbers},
-        {"sigma": numbers_or_nothing},
+        {
+            "home": identifiers,
+            "landmark": identifiers,
+            "bearing": numbers,
+            "sigma": numbers_or_nothing,
+        },
     )
     table.require_angle("bearing")
     known = np.array([name in stored for name in table["home"]], bool)
@@ -243,7 +247,9 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
 
 def _covariance(path: Path, size: int) -> np.ndarray:
     """Return the covariance of a map with so many coordinates."""
-    damaged = "is damaged: not the covariance of this place"
+    damaged = (
+        "is damaged: not the covariance of this place; `homeward place undo` goes one version back"
+    )
     if size > 2 * MOST_LANDMARKS:
         raise InputError(f"more than {MOST_LANDMARKS:,} landmarks", path)
     with naming(path, "cannot be read"), opened(path) as stream:
@@ -256,8 +262,10 @@ def _covariance(path: Path, size: int) -> np.ndarray:
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as arrays:
                 covariance = np.asarray(arrays["covariance"], float)
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError):
-            raise InputError(damaged, path) from None
+        except InputError:
+            raise
+        except Exception as error:  # zipfile, zlib and NumPy raise a dozen types for damaged data
+            raise InputError(damaged, path) from error
     sound = covariance.shape == (size, size) and np.isfinite(covariance).all()
     if not sound or not np.allclose(covariance, covariance.T):
         raise InputError(damaged, path)

@@ -15,7 +15,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.places.files import is_place, load_place, newest
+from homeward.places.files import is_place, load_place, newest, save_place, update_place
 from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
 from homeward.places.telling import fingerprint, last_look, require_name, told_by
 from homeward.places.visiting import FIRST_HOME, first_place, merged
@@ -66,7 +66,7 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
 
 
 def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
-    """Refuse before a run of minutes what `after_visit` would refuse after it.
+    """Refuse before a run of minutes what `save_visit` would refuse after it.
 
     Raises
     ------
@@ -103,21 +103,33 @@ def day_of(run: RunSettings, drive: Drive) -> float:
     return when
 
 
-def after_visit(
+def save_visit(
     run: RunSettings,
     drive: Drive,
     estimator: Estimator,
     track: Track,
     store: ToStore = NOTHING,
 ) -> tuple[Place, list[str]]:
-    """Return the place of a run as it is afterwards, and why something was not stored in it.
+    """Merge a run into the newest version of its place, and save that.
 
-    All of it from `prepare` and `finish`.
+    Parameters
+    ----------
+    run, drive, estimator, track
+        From `prepare` and `finish`.
+    store : ToStore
+        What the place is to keep by name.
+
+    Returns
+    -------
+    place : Place
+        The place afterwards.
+    reasons : list of str
+        Why something was not stored in it.
 
     Raises
     ------
     HomewardError
-        When there is too little to be kept.
+        When there is too little to be kept, or the place cannot be written.
     """
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
@@ -136,8 +148,9 @@ def after_visit(
             lost.append(f"route {quoted(store.route)}: {error}")
     if not run.place_version:
         after = first_place(Path(run.place).name, estimator, told)
+        save_place(after, run.place, 0)
     else:
-        after = merged(load_place(run.place, run.place_version), told)
+        after, _ = update_place(run.place, lambda known: merged(known, told))
     for what, name, kept in (("home", store.home, told.homes), ("route", store.route, told.routes)):
         if name in kept and name not in (after.homes if what == "home" else after.routes):
             lost.append(f"{what} {quoted(str(name))} was not stored")
