@@ -1,6 +1,6 @@
-"""Check of camera settings by two panoramas: whether one is mirrored, or the horizon elsewhere.
+"""Check of camera settings by two panoramas: whether one is mirrored, or the horizon is wrong.
 
-Each other setting is tried, and told where its number of false alarms is far smaller.
+Each other setting is tried, and reported where it fits far more of the same matches.
 """
 
 from __future__ import annotations
@@ -8,17 +8,23 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats import binom
 
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.cameras.ring import Ring
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import View, look
-from homeward.vision.geometry.a_contrario import LARGEST_LOG_FALSE_ALARMS
+from homeward.vision.geometry.a_contrario import (
+    LARGEST_LOG_FALSE_ALARMS,
+    random_fit_probability,
+)
 
 HORIZONS = np.linspace(0.1, 0.9, 9)
 """Shares of the height at which the horizon is tried."""
 LEAST_OFF = 0.15
 """Horizons that differ from the given one by less than this share of the height are not tried."""
+MIN_SIGMAS = 2.0
+"""Matches gained over matches lost, in standard deviations of a difference by chance."""
 
 
 def better_settings(
@@ -51,17 +57,45 @@ def better_settings(
             return "the pictures agree only if one of them is mirrored: mirror it back"
     if isinstance(camera, Ring):
         return None
-    told = seen.acceptance.log_false_alarms if seen.motion else 0.0
-    best, most = None, told + LARGEST_LOG_FALSE_ALARMS - math.log10(HORIZONS.size)
+    fits, best, most = _matches(seen), None, 0
     for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
         home, now = (look(p, other, v.mask, v.finder) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
-        if found.accepted and found.acceptance.log_false_alarms < most:
-            best, most = horizon, found.acceptance.log_false_alarms
+        gain = _gain(fits, found)
+        if gain > most:
+            best, most = horizon, gain
     if best is None:
         return None
     return (
         f"the pictures agree far better with the horizon at {best:.1f} of the height than at "
-        f"{camera.horizon:g}: set it in images.yaml (camera: horizon)"
+        f"{camera.horizon:g} ({most} more matches fit): set it in images.yaml (camera: horizon)"
     )
+
+
+def _matches(seen: Comparison) -> dict[tuple[int, int], bool]:
+    """Return whether each match, by its rows at home and now, fits the motion found."""
+    rows = zip(seen.home_row.tolist(), seen.now_row.tolist(), strict=True)
+    return dict(zip(rows, seen.agrees.tolist(), strict=True))
+
+
+def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
+    """Return how many more of the same matches another horizon fits; 0 where that may be chance.
+
+    With the right horizon, the matches that do not fit are wrong ones, and fit the motion of
+    another horizon only at random. Numbers of false alarms of whole comparisons do not decide:
+    near home every horizon fits, and they differ by chance.
+    """
+    if not found.accepted or found.motion is None:
+        return 0
+    both = [(fits[match], fit) for match, fit in _matches(found).items() if match in fits]
+    unfit = sum(not before for before, _ in both)
+    gained = sum(fit and not before for before, fit in both)
+    lost = sum(before and not fit for before, fit in both)
+    # A moved object may by chance suit another horizon, but then as many static matches do not.
+    if gained - lost <= MIN_SIGMAS * math.sqrt(gained + lost):
+        return 0
+    chance = random_fit_probability(found.motion, found.pairs)
+    tests = math.log10(HORIZONS.size)
+    log_chance = binom.logsf(gained - 1, unfit, chance) / math.log(10.0)
+    return gained - lost if log_chance < LARGEST_LOG_FALSE_ALARMS - tests else 0

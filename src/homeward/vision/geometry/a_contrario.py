@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, sector_of
-from homeward.vision.geometry.epipolar import INLIER, Pairs, residuals
+from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, squares
 
 LARGEST_LOG_FALSE_ALARMS = -4.0
@@ -152,7 +152,7 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     k = min(_capped(s[fit.inlier]) for s in sectors)
     if k <= 2:
         return 0.0
-    chance = _chance(fit, pairs, heading)
+    chance = random_fit_probability(fit.motion, pairs, heading)
     choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
     models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
     if heading is not None:
@@ -160,8 +160,8 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
 
 
-def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
-    """Return the probability that a random match fits the motion."""
+def random_fit_probability(motion: Motion, pairs: Pairs, heading: float | None = None) -> float:
+    """Return the probability that a random match fits a motion; parameters as in `assess`."""
     n, searched = len(pairs), math.pi if heading is None else WITHIN
     shifts = np.unique(np.linspace(1, n - 1, round(8 * math.pi / searched)).astype(int))
     order = np.argsort(pairs.now[:, 0], kind="stable")
@@ -172,7 +172,7 @@ def _chance(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     if heading is not None:
         turned = wrap(shuffled.home[:, 0] - shuffled.now[:, 0] - heading)
         shuffled = shuffled[np.abs(turned) < WITHIN]
-    found = residuals(np.array([fit.motion]), shuffled)
+    found = residuals(np.array([motion]), shuffled)
     fits = int((squares(found) <= INLIER**2).sum())
     return (fits + 1) / (len(shuffled) + 2)
 
