@@ -129,14 +129,39 @@ def test_a_folder_by_command(record, tmp_path):
     assert drive.home["2"].bearing == pytest.approx(np.arctan2(0.2, 1.0), abs=2e-4)
 
 
-def test_a_folder_that_tells_when_home_was_needs_no_picture_of_it(record, tmp_path):
-    folder = shutil.copytree(record, tmp_path / "no-home")
+@pytest.fixture
+def homeless(record, tmp_path):
+    folder = shutil.copytree(record, tmp_path / "homeless")
     (folder / "home.png").unlink()
-    asked = ["see", folder, "--tags", "36h11", "--out"]
-    assert "home" in refused(call(*asked, tmp_path / "none"))
-    (folder / "drive.yaml").write_text("home: {spin: [0, 1]}\n")
-    done(call(*asked, tmp_path / "drive"))
+    return folder
+
+
+def test_a_folder_that_specifies_when_home_was_needs_no_picture_of_it(homeless, tmp_path):
+    (homeless / "drive.yaml").write_text("home: {spin: [0, 1]}\n")
+    done(call("see", homeless, "--tags", "36h11", "--out", tmp_path / "drive"))
     assert set(open_drive(tmp_path / "drive").home) == {"0", "1", "2", "3"}
+
+
+@pytest.mark.parametrize(("option", "number"), [("--home-spin", 4), ("--home-during", 2)])
+def test_options_specify_when_home_was_seen(homeless, tmp_path, option, number):
+    until = {"--home-spin": "0,1", "--home-during": "0,0.3"}[option]
+    asked = "see", homeless, "--tags", "36h11", "--out", tmp_path / "drive"
+    assert f"{option} must be" in refused(call(*asked, option, "3"))
+    done(call(*asked, option, until))
+    assert len(read_folder(tmp_path / "drive").home) == number
+
+
+def test_a_folder_of_tags_takes_home_from_home_csv(homeless, tmp_path):
+    (homeless / "home.csv").write_text("landmark,bearing\n2,0.1\n3,1.5\n7,-1\n")
+    (homeless / "images.yaml").write_text("tags: 36h11\ncamera: {file: camera.yaml, pitch: 0.0}\n")
+    done(call("see", homeless, "--out", tmp_path / "drive"))
+    assert set(read_folder(tmp_path / "drive").home) == {"2", "3", "7"}
+    assert set(open_drive(homeless).home) == {"2", "3", "7"}
+
+
+def test_a_later_drive_of_tags_needs_no_home(homeless, tmp_path):
+    done(call("see", homeless, "--tags", "36h11", "--out", tmp_path / "drive"))
+    assert read_folder(tmp_path / "drive").home == {}
 
 
 def test_a_forward_camera_without_tags_and_size_is_refused(record, tmp_path):

@@ -37,6 +37,13 @@ HomeSpin = Annotated[
         help="Home is where the robot turned on the spot meanwhile [s from the drive's start].",
     ),
 ]
+HomeDuring = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FROM,UNTIL",
+        help="Home is where the robot stood meanwhile [s from the drive's start].",
+    ),
+]
 Changes = Annotated[
     list[str] | None,
     typer.Option(
@@ -91,13 +98,13 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     return a, b, c
 
 
-def spin_span(text: str | None) -> tuple[float, float] | None:
-    """Return the two times [s] of ``--home-spin``; errors as `three_numbers`."""
+def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, float] | None:
+    """Return the two times [s] of an option; errors as `three_numbers`."""
     if text is None:
         return None
-    begin, end = _numbers(text, "--home-spin", "two")
+    begin, end = _numbers(text, option, "two")
     if not 0.0 <= begin < end:
-        raise InputError(f"--home-spin must be FROM,UNTIL [s] from the start on, not {text!r}")
+        raise InputError(f"{option} must be FROM,UNTIL [s] from the start on, not {text!r}")
     return begin, end
 
 

@@ -9,7 +9,15 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, Force, Topics, progress
+from homeward.cli.options import (
+    AsJson,
+    Force,
+    HomeDuring,
+    HomeSpin,
+    Topics,
+    progress,
+    spin_span,
+)
 from homeward.cli.terminal import answer, no_answer, say, warn
 
 
@@ -27,6 +35,8 @@ def see(
         typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
     ] = None,
     topics: Topics = None,
+    home_spin: HomeSpin = None,
+    home_during: HomeDuring = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -34,16 +44,26 @@ def see(
 
     Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
     camera, the home image, and a mask, black where the robot itself is seen; drive.yaml and
-    truth.csv are handed on. Where no landmark was found, the exit status is 1.
+    truth.csv are handed on. Tags need no home image: home.csv, --home-spin or --home-during serve
+    as well, and a drive in a known place needs none. Where no landmark was found, the exit status
+    is 1.
     """
+    from homeward.drives.drive import HomeWhen
     from homeward.drives.folder import ODOMETRY, write_folder
-    from homeward.errors import InputError
+    from homeward.drives.home.choosing import with_home
+    from homeward.errors import InputError, speaking_of
     from homeward.report.images.sightings import describe_sightings
     from homeward.report.output import check_output
     from homeward.vision.recorded.recording import see_recording
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)
+    spin, during = spin_span(home_spin), spin_span(home_during, "--home-during")
+    when = None
+    if spin or during:
+        if spin and during:
+            raise InputError("--home-spin or --home-during, not both")
+        when = HomeWhen(spin=spin, during=during)
     with progress(f"looking at {folder}") as tell:
         drive = see_recording(
             folder,
@@ -53,6 +73,9 @@ def see(
             topics=topics,
             force=force,
         )
+        if when is not None:
+            with speaking_of(folder):
+                drive = with_home(drive, when)
         write_folder(drive, out)
     if json:
         seen = Counter(drive.sightings.landmark.tolist())

@@ -153,17 +153,29 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     InputError
         When there is none, more than one could be it, or it lies outside the folder.
     """
+    found = home_images(folder, settings)
+    if len(found) != 1:
+        what = "no home image" if not found else f"{len(found)} files named home"
+        raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
+    return found[0]
+
+
+def home_images(folder: Path, settings: ImageSettings) -> list[Path]:
+    """Return the file named in the settings, or all that may be the home image.
+
+    Raises
+    ------
+    InputError
+        When one lies outside the folder.
+    """
     if settings.home is not None:
-        return file_within(folder, settings.home, "home", folder / IMAGE_SETTINGS)
+        return [file_within(folder, settings.home, "home", folder / IMAGE_SETTINGS)]
     found = sorted(
         f
         for f in folder.iterdir()
         if f.stem.lower() == HOME_STEM and f.suffix.lower() not in ("", ".csv", ".yaml")
     )
-    if len(found) != 1:
-        what = "no home image" if not found else f"{len(found)} files named home"
-        raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
-    return file_within(folder, found[0].name, "home", folder)
+    return [file_within(folder, file.name, "home", folder) for file in found]
 
 
 def _evenly(things: Sequence[object], number: int) -> list[int]:

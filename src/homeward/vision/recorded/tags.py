@@ -8,11 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings
+from homeward.drives.folder import HOME, read_home
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.text.files import is_there
 from homeward.errors import InputError, speaking_of
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.recorded.folder import IMAGE_SETTINGS, drive_beside, home_image
+from homeward.vision.recorded.folder import (
+    IMAGE_SETTINGS,
+    drive_beside,
+    home_image,
+    home_images,
+)
 from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 from homeward.vision.tags.front_end import TagFrontEnd
@@ -27,8 +33,9 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     Parameters
     ----------
     path : Path
-        A folder with images.csv, or a video; beside it odometry.csv, a home image, and images.yaml
-        with the camera.
+        A folder with images.csv, or a video; next to it odometry.csv, images.yaml with the camera,
+        and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
+        may specify when the robot was at home, or a place has its home.
     family : str, optional
         Of the tags; None: images.yaml's.
     tell : callable, optional
@@ -54,12 +61,17 @@ def see_tags(path: Path, family: str | None = None, tell: Tell | None = None) ->
     if not frames.t.size:
         raise InputError("no pictures in it", path)
     blind = drive_beside(folder, frames.t, remarks)
-    home = _home(eye, folder, settings) if blind.settings.home is None else {}
+    home = _home(eye, folder, settings, remarks) if blind.settings.home is None else {}
     seen = _sightings(eye, frames, remarks, tell)
     return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
 
 
-def _home(eye: TagFrontEnd, folder: Path, settings: ImageSettings) -> dict[str, HomeBearing]:
+def _home(
+    eye: TagFrontEnd, folder: Path, settings: ImageSettings, remarks: dict[str, int]
+) -> dict[str, HomeBearing]:
+    """Return the home bearings of the home image or, without one, of home.csv; or none."""
+    if not home_images(folder, settings):
+        return read_home(folder / HOME, remarks) if is_there(folder / HOME) else {}
     place = home_image(folder, settings)
     with speaking_of(place):
         home = eye.see(read_grey(place)).home
