@@ -7,8 +7,10 @@ import pytest
 from refusals import refusal
 from valid_drive import VALID, put
 
+from homeward.drives.foreign.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive
+from homeward.drives.ros.info import log_info
 from homeward.drives.saving import save_drive
 from homeward.frames import Pose
 
@@ -72,6 +74,26 @@ def test_tables_that_are_no_drive_yet_are_sent_to_import(tmp_path):
     (tmp_path / "wheels.CSV").write_text("time;speed\n")
     for place in (tmp_path, tmp_path / "wheels.CSV"):
         assert "homeward import makes one" in refusal(open_drive, place)
+
+
+def test_a_bag_folder_with_a_home_csv_is_a_bag(tmp_path):
+    """Unless it has the odometry.csv of a drive folder; `import` names the right command."""
+    log, bag = tmp_path / "run.mcap", tmp_path / "bag"
+    drive = open_drive(put(tmp_path / "run"))
+    save_drive(drive, log)
+    bag.mkdir()
+    (bag / "home.csv").write_text("landmark,bearing\na,0.25\n")
+    log.rename(bag / "run.mcap")
+    topics, imported = bag / "topics.yaml", lambda path: understand([path])
+    topics.write_text("home: {csv: home.csv}\n")
+    assert open_drive(bag, topics=topics).home["a"].bearing == 0.25
+    assert log_info(bag).kind.startswith("ROS 2 bag folder")
+    for path in (bag, bag / "run.mcap"):
+        assert "`homeward run` and `homeward info` read it" in refusal(imported, path)
+    assert "this is a drive folder" in refusal(imported, tmp_path / "run")
+    assert "name the files in it" in refusal(imported, tmp_path)
+    (bag / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
+    assert log_info(bag).kind.startswith("drive folder")
 
 
 def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):

@@ -20,6 +20,7 @@ from homeward.drives.drive import (
     Truth,
 )
 from homeward.drives.one_clock import remark_other_units
+from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.drives.text.table import (
@@ -46,8 +47,13 @@ BEYOND_A_TURN = "bearings beyond a full turn, wrapped (are they in degrees?)"
 
 
 def is_drive_folder(path: Path) -> bool:
-    """Whether any of the files that every drive folder has is there."""
-    return any(is_there(path / name) for name in REQUIRED)
+    """Whether any of the files that every drive folder has is there.
+
+    The folder of a ROS 2 bag may contain a home.csv: without odometry.csv it is a bag.
+    """
+    if is_there(path / ODOMETRY):
+        return True
+    return any(is_there(path / name) for name in REQUIRED) and not is_log(path)
 
 
 def knows_home(folder: Path) -> bool:

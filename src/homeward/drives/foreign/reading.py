@@ -15,6 +15,7 @@ from homeward.drives.folder import (
     BY_SPIN,
     REPEATED_ODOMETRY,
     home_of,
+    is_drive_folder,
     odometry_of,
     sightings_of,
     truth_of,
@@ -25,6 +26,7 @@ from homeward.drives.foreign.parts import UNIX_S, Understood, parts_of
 from homeward.drives.foreign.sheet import sheet
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_one_clock
+from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError
@@ -55,6 +57,8 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     InputError
         When a file cannot be read, is no part of a drive, or a column may be several things.
     """
+    for path in files:
+        _refuse_drives(path)
     sheets = [sheet(path) for path in files]
     told = told_columns(columns, {name for one in sheets for name in one.names})
     parts = parts_of(sheets, told)
@@ -75,6 +79,17 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
                 seen = next(u for u in found if u.column.role == "bearing")
                 angle = None if seen.column.unit else seen.unit
     return found
+
+
+def _refuse_drives(path: Path) -> None:
+    """Refuse a folder, or a log, which needs no import."""
+    if is_log(path):
+        ways = "`homeward run` and `homeward info` read it without an import"
+        raise InputError(f"this is a ROS bag or an MCAP file: {ways}", path)
+    if path.is_dir():
+        is_drive = is_drive_folder(path)
+        way = "this is a drive folder: use `homeward run`" if is_drive else "name the files in it"
+        raise InputError(f"not a text file but a folder; {way}", path)
 
 
 def drive_of(
