@@ -2,6 +2,7 @@
 
 import csv
 import math
+import time
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from homeward.drives.foreign.reading import about_home, drive_of, understand
 from homeward.drives.foreign.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
+from homeward.report.canvas import png
+from homeward.report.imported import glance
 
 
 def rows(name):
@@ -318,6 +321,27 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, text, columns, complaint):
     with pytest.raises(InputError, match=complaint) as found:
         drive_of(understand([file], columns), "odd")
     assert len(str(found.value).splitlines()) == 1
+
+
+def test_many_columns_and_many_ids_take_no_long_time(tmp_path):
+    """One row of 100,000 commas took 30 s: each name was taken apart for each role."""
+    commas, wide, home = (tmp_path / f"{name}.csv" for name in ("commas", "wide", "home"))
+    begin = time.process_time()
+    for count in (100_000, 1_000_000):
+        commas.write_text("," * count + "\n")
+        with pytest.raises(InputError, match="columns; at most 10,000 are read"):
+            understand([commas])
+    assert time.process_time() - begin < 2.0
+    ids = [f"L{k}" for k in range(5000)]
+    wide.write_text(f"t,{','.join(ids)}\n" + f"0{',0.5' * 5000}\n")
+    home.write_text("id,bearing\n" + "".join(f"{name},0.5\n" for name in ids))
+    odometry = tmp_path / "odometry.csv"
+    odometry.write_text(TWISTS)
+    begin = time.process_time()
+    drive = drive_of(understand([odometry, wide, home]), "wide")
+    assert drive.sightings.t.size == len(drive.home) == 5000
+    png(glance(drive))  # drew 5,000 labels
+    assert time.process_time() - begin < 6.0
 
 
 @pytest.mark.parametrize("data", [b"\xff\xfe\x00", b"\x00" * 5000, b"a;b\n" * 3])

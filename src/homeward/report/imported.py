@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -16,7 +17,7 @@ from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
 LABELS, CLEAR = (1.14, 1.25, 1.36), 0.12
 """How far out labels stand, of a circle of 1, and how far apart those equally far out are [rad]."""
 MOST_DRAWN = 100
-"""Landmarks whose bearings are drawn; of more the first."""
+"""Landmarks that are drawn, at home and on the way; of more the first."""
 
 
 def glance(drive: Drive) -> Figure:
@@ -35,7 +36,8 @@ def glance(drive: Drive) -> Figure:
         way.set(title="Where odometry alone leads", xlabel="[m]", aspect="equal")
         way.set_adjustable("datalim")
 
-        home = sorted((seen.bearing, natural(name), name) for name, seen in drive.home.items())
+        drawn = itertools.islice(drive.home.items(), MOST_DRAWN)
+        home = sorted((seen.bearing, natural(name), name) for name, seen in drawn)
         bearings = np.array([bearing for bearing, _, _ in home])
         for radius, (bearing, _, name) in zip(label_radii(bearings), home, strict=True):
             rose.plot([bearing] * 2, [0.0, 1.0], color=BLUE, lw=0.8)
@@ -47,8 +49,8 @@ def glance(drive: Drive) -> Figure:
 
         lines = figure.add_subplot(grid[1, :])
         s = drive.sightings
-        names = sorted(set(s.landmark.tolist()), key=natural)
-        for k, name in enumerate(names[:MOST_DRAWN]):
+        names = list(dict.fromkeys(s.landmark.tolist()))[:MOST_DRAWN]
+        for k, name in enumerate(sorted(names, key=natural)):
             seen = s.landmark == name
             colour = f"C{k % 7}" if name in drive.home else MUTED
             since = s.t[seen] - drive.span[0]

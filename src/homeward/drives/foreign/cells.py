@@ -17,6 +17,8 @@ NOTHING = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
 THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")
 DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[ T]\d\d:\d\d")
 
+_WHOLE = re.compile(r"^(\d+)\.0+$")
+
 
 def number_parser(decimal_comma: bool) -> Parser:
     """Return what parses numbers, of which some may be missing (NaN)."""
@@ -41,7 +43,7 @@ def names(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> n
     """Parse ids, of which some may be missing; 3.0 is 3, which a table of numbers made of it."""
     values = np.full(len(cells), "", object)
     there = [k for k, cell in enumerate(cells) if cell.strip().lower() not in NOTHING]
-    plain = [re.sub(r"^(\d+)\.0+$", r"\1", cells[k].strip()) for k in there]
+    plain = [_WHOLE.sub(r"\1", cells[k].strip()) for k in there]
     values[there] = identifiers(name, plain, [rows[k] for k in there], path)
     return values
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from homeward.errors import InputError
 
@@ -55,6 +56,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
 }
 """The quantity of each role, and the words for it, in English and German; a dot stands for whatever
 parts words."""
+_SOUGHT = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
+_SIZES = sorted({len(words) for sought in _SOUGHT.values() for words in sought})
 AND = re.compile(r",(?=\s*\w+\s*=)")
 """Parts what is told of two columns; other commas are of their names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
@@ -176,7 +179,7 @@ def _likeliest(role: str, names: Sequence[str]) -> list[str]:
 
 def _together(names: Sequence[str]) -> Iterator[Column]:
     """Yield what several columns tell together, as ROS writes it: a time, or a quaternion."""
-    by_words = {tuple(words_in(name)): name for name in names}
+    by_words = {words_in(name): name for name in names}
     for words, name in by_words.items():
         *stem, last = words or ("",)
         whole = next((by_words[*stem, s] for s in SECONDS if (*stem, s) in by_words), None)
@@ -202,10 +205,11 @@ def is_unit(text: str) -> bool:
     return any(plain in units for units in UNITS.values())
 
 
-def words_in(name: str) -> list[str]:
+@lru_cache(maxsize=2**15)
+def words_in(name: str) -> tuple[str, ...]:
     """Return the words and numbers of a column's name in lower case, without a unit in brackets."""
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(<].*", "", name))
-    return re.findall(r"[^\W\d_]+|\d+", plain.lower())
+    return tuple(re.findall(r"[^\W\d_]+|\d+", plain.lower()))
 
 
 def unit_in(name: str, quantity: str) -> str | None:
@@ -226,10 +230,6 @@ def _unit(text: str) -> str:
 def _likeness(name: str, role: str) -> tuple[int, int]:
     """Return how well a name fits a role: how long its word for it is, and how little is left."""
     words = words_in(name)
-    fit = 0
-    for text in ROLES[role][1].split():
-        sought = text.split(".")
-        spans = (words[k : k + len(sought)] for k in range(len(words)))
-        if sought in spans:
-            fit = max(fit, len(sought))
+    spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
+    fit = max((len(span) for span in spans if span in _SOUGHT[role]), default=0)
     return (fit, -len(words)) if fit else NOTHING

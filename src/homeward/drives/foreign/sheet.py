@@ -20,6 +20,8 @@ from homeward.errors import InputError
 DELIMITERS = ("\t", ";", "|", ",", " ")
 """In this order: a decimal comma is none where semicolons part the fields as well."""
 COMMENTS = ("#", "%")
+MAX_COLUMNS = 10_000
+"""A column for each landmark is the widest table there is, and a place has fewer landmarks."""
 LOOKED_AT = 50
 """So many lines tell the form of all."""
 
@@ -58,6 +60,8 @@ def sheet(path: Path) -> Sheet:
     if not rows:
         raise InputError("empty file", path)
     delimiter, width = _parted(rows, path)
+    if width > MAX_COLUMNS:
+        raise InputError(f"{width:,} columns; at most {MAX_COLUMNS:,} are read", path)
     # Above the table a title may stand, and its lines may end with a separator that heads do not.
     rows = _below_titles(rows, delimiter, width)
     head, *body = (_fields(line, delimiter) for line in rows)

@@ -279,14 +279,17 @@ def _places(
     row: int,
 ) -> dict[str, int]:
     """Find the wanted columns in the header."""
-    missing = [name for name in required if name not in header]
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(header):
+        places.setdefault(name, []).append(place)
+    missing = [name for name in required if name not in places]
     if missing:
         found = _shown(",".join(header), path)
         raise InputError(f"no column {', '.join(missing)} in the header{found}", path, row)
     for name in wanted:
-        if header.count(name) > 1:
+        if len(places.get(name, ())) > 1:
             raise InputError(f"column {name} stands twice in the header", path, row)
-    return {name: header.index(name) for name in wanted if name in header}
+    return {name: places[name][0] for name in wanted if name in places}
 
 
 def _collect(
