@@ -91,12 +91,101 @@ def test_other_separators_marks_names_and_units_are_the_same_drive(odd):
 def test_no_header_and_a_sign_are_told(tmp_path):
     bare = tmp_path / "bare.csv"
     bare.write_text("0,0.1,10\n0.1,0.1,20\n")
-    with pytest.raises(InputError, match="'1', '2', '3' are none of"):
+    with pytest.raises(InputError, match=r"not recognised as .* Its columns are '1', '2', '3'"):
         understand([bare])
     found = understand([bare], ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
     assert [one.how for one in found] == ["told"] * 3
     table = found[0].table
     assert table["omega"] == pytest.approx(np.radians([-10, -20]))
+
+
+def written(folder, **texts):
+    """The files of these texts, without their headers."""
+    for name, text in texts.items():
+        (folder / f"{name}.csv").write_text(text.partition("\n")[2])
+    return [folder / f"{name}.csv" for name in texts]
+
+
+def test_numbers_of_columns_are_no_landmarks(tmp_path):
+    """Columns 1, 2, 3 of a file without a header were taken for tags of these names."""
+    seen, home = SEEN.replace("L", ""), AT_HOME.replace("L", "")
+    files = written(tmp_path, odometry=TWISTS, bearings=seen, home=home)
+    plain = drive_of(understand(files, FILES_TOLD), "plain")
+    assert plain.odometry.v.tolist() == [0.1, 0.2, 0.3]
+    assert plain.sightings.landmark.tolist() == ["1", "2", "1"]
+    assert plain.home["2"].bearing == -0.5
+    # One of them without a header: no file need be named.
+    for name, text in (("bearings", seen), ("home", home)):
+        (tmp_path / f"{name}.csv").write_text(text)
+    drive = drive_of(understand(files, ["t=1, v=2, omega=-3"]), "one")
+    assert drive.odometry.omega.tolist() == [-0.2, 0.1, 0.0]
+    written(tmp_path, bearings=seen)
+    with pytest.raises(InputError, match=r"name the file, as in --columns 'bearings.csv: t=1"):
+        understand(files, ["t=1, v=2, omega=3"])
+    with pytest.raises(InputError, match="no file has a column '3'"):
+        understand(files, ["home.csv: landmark=3"])
+
+
+FILES_TOLD = (
+    "odometry.csv: t=1[s], v=2, omega=3",
+    "bearings.csv: t=1, landmark=2, bearing=3",
+    "home.csv:landmark=1,bearing=2",
+)
+
+
+def circle(form):
+    """Rows of half a turn to the left on a circle of 1 m, by time and heading."""
+    return "".join(form(t, a) + "\n" for t, a in enumerate(np.linspace(0, np.pi, 5)))
+
+
+def tum(t, a):
+    return f"{t}.0 {math.sin(a)} {1 - math.cos(a)} 0 0 0 {math.sin(a / 2)} {math.cos(a / 2)}"
+
+
+def echoed(t, a):
+    """A nav_msgs/Odometry as ``ros2 topic echo --csv`` prints it."""
+    pose = [math.sin(a), 1 - math.cos(a), 0, 0, 0, math.sin(a / 2), math.cos(a / 2)]
+    numbers = [*pose, *[0.0] * 36, np.pi / 4, 0.0, 0.0, 0.0, 0.0, np.pi / 4, *[0.0] * 36]
+    return ",".join(
+        [str(1 + t // 4), str(t % 4 * 250_000_000), "odom", "base_link", *map(repr, numbers)]
+    )
+
+
+@pytest.mark.parametrize("name", ["odom.tum", "robot_pose.txt"])
+def test_a_tum_trajectory_is_odometry_or_the_true_path(tmp_path, name):
+    (tmp_path / name).write_text(circle(tum))
+    (tmp_path / "b.csv").write_text(SEEN)
+    (tmp_path / "h.csv").write_text(AT_HOME)
+    files = [tmp_path / each for each in (name, "b.csv", "h.csv")]
+    drive = drive_of(understand(files), "tum")
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
+    (tmp_path / "truth.tum").write_text(circle(tum))
+    (tmp_path / "odometry.csv").write_text(TWISTS)
+    files = [*files[1:], tmp_path / "truth.tum", tmp_path / "odometry.csv"]
+    heading = drive_of(understand(files), "tum").truth.heading
+    assert heading == pytest.approx(np.linspace(0, np.pi, 5))
+    with pytest.raises(InputError, match="nothing tells odometry"):
+        drive_of(understand(files[:-1]), "tum")
+    told = drive_of(understand(files, ["truth.tum: t=1[ms], x=2[cm]"]), "told").truth
+    assert told.t == pytest.approx(np.arange(5) / 1000)
+    assert told.x == pytest.approx(np.sin(np.linspace(0, np.pi, 5)) / 100)
+
+
+def test_odometry_as_ros2_topic_echo_prints_it(tmp_path):
+    files = [tmp_path / name for name in ("echo.csv", "b.csv", "h.csv")]
+    texts = circle(echoed), SEEN.replace("0.", "1."), AT_HOME
+    for file, text in zip(files, texts, strict=True):
+        file.write_text(text)
+    drive = drive_of(understand(files), "echo")
+    assert drive.odometry.t.tolist() == [1.0, 1.25, 1.5, 1.75, 2.0]
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 5)
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 5)
+    # Poses alone, of a PoseStamped.
+    cells = [row.split(",") for row in texts[0].splitlines()]
+    files[0].write_text("".join(",".join([*row[:3], *row[4:11]]) + "\n" for row in cells))
+    poses = drive_of(understand(files), "poses").odometry
+    assert poses.omega == pytest.approx([np.pi] * 4 + [0])
 
 
 def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
@@ -291,7 +380,17 @@ def test_units_in_names(name, quantity, unit):
     [
         ("", (), "empty file"),
         ("alone\n1\n2\n", (), "no table"),
-        ("a,b\n1,2\n3,4\n", (), "none of"),
+        (
+            "a,b\n1,2\n3,4\n",
+            (),
+            r"not recognised as odometry \(time, speed, turn rate\), detections \(time, landmark "
+            r"id, bearing\), .* as in --columns 't=a'",
+        ),
+        (
+            ",".join(f"c{k}" for k in range(89)) + ("\n" + "1," * 88 + "1") * 2,
+            (),
+            r"'c11', \.\.\. \(89 in all\)",
+        ),
         ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v is 'x'"),
         ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
         ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),

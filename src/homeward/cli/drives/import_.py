@@ -23,8 +23,9 @@ def import_(
     columns: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ROLE=COLUMN[UNIT]",
+            metavar="[FILE:]ROLE=COLUMN[UNIT]",
             help="What a column is, several with commas; a minus before COLUMN turns the sign. "
+            "Without a header, columns are 1, 2, 3. "
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
         ),
     ] = None,

@@ -89,6 +89,8 @@ class Column:
     more: tuple[str, ...] = ()
     """Columns that tell it together with this one: the nanoseconds of a time whose seconds it has;
     z, x and y of a quaternion whose w it is."""
+    file: str | None = None
+    """Name of the only file that it is specified for; None: any file with such a column."""
 
     @property
     def quantity(self) -> str:
@@ -101,35 +103,43 @@ class Column:
         return next(iter(UNITS[self.quantity]))
 
 
-def told_columns(texts: Sequence[str], there: Collection[str]) -> list[Column]:
-    """Return the columns of ``ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
+def told_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:
+    """Return the columns of ``[FILE:]ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
+
+    `there` holds the names and numbers of columns by the name of their file.
 
     Raises
     ------
     InputError
-        When one has another form, role or unit are not known, or NAME is not among those `there`.
+        When one has another form, role or unit are not known, or there is no column NAME.
     """
-    columns = []
-    for text in (part.strip() for whole in texts for part in AND.split(whole)):
+    return [column for text in texts for column in _told(text, there)]
+
+
+def _told(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
+    """Yield the columns of one text, which may begin with the name of a file."""
+    file, colon, rest = whole.partition(":")
+    only = file.strip() if colon and file.strip() in there else None
+    for text in (part.strip() for part in AND.split(whole if only is None else rest)):
         role, equals, name = (part.strip() for part in text.partition("="))
         if not equals or not name.lstrip("-"):
             raise InputError(f"--columns {text}: must be ROLE=COLUMN[UNIT]")
         if role not in ROLES:
             raise InputError(f"--columns {text}: a column is one of {', '.join(ROLES)}")
+        known = [names for name, names in there.items() if only in (None, name)]
         units, sign = UNITS[ROLES[role][0]], -1.0 if name.startswith("-") else 1.0
         name = name.removeprefix("-")
         unit = unit_in(name, ROLES[role][0])
         bracketed = re.fullmatch(r"(.*?)\s*\[([^\[\]]+)\]", name)
-        if name not in there and bracketed:
+        if bracketed and not any(name in names for names in known):
             name, unit = bracketed[1], _unit(bracketed[2])
             if unit not in units:
                 raise InputError(
                     f"--columns {text}: units of {role} are {', '.join(units) or 'none'}"
                 )
-        if name not in there:
+        if not any(name in names for names in known):
             raise InputError(f"--columns {text}: no file has a column {name!r}")
-        columns.append(Column(role, name, unit, sign, told=True))
-    return columns
+        yield Column(role, name, unit, sign, told=True, file=only)
 
 
 def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[str, Column] | None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from homeward.drives.foreign.cells import names, number_parser, time_parser
-from homeward.drives.foreign.columns import KINDS, UNITS, Column, assigned, times_in
+from homeward.drives.foreign.columns import UNITS, Column, assigned, times_in
 from homeward.drives.foreign.sheet import Sheet
 from homeward.drives.foreign.wide import landmark_columns, landmark_in, long, unit_of
 from homeward.drives.text.table import Parser, Table, read_csv
@@ -23,6 +24,17 @@ UNIX_S = (1e9, 4.1e9)
 """Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
 LATE_S = 1.0
 """Rows that come later than this are not just late: a clock was set, or it is two drives [s]."""
+RECOGNISED = {
+    "odometry": "time, speed, turn rate",
+    "detections": "time, landmark id, bearing",
+    "home bearings": "landmark id, bearing",
+    "poses": "time, x, y, heading",
+}
+"""The tables of a drive and their columns, in words; `KINDS` has the roles."""
+MAX_SHOWN = 12
+"""Columns that an error message names."""
+TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
+"""In the name of a file with poses: they are the true ones, not odometry."""
 LEFT_OUT = "rows of {} in which something is missing, left out"
 SORTED = "rows of {} out of order, sorted by time"
 
@@ -125,29 +137,46 @@ def parts_of(sheets: Sequence[Sheet], told: Sequence[Column]) -> list[Part]:
     """Return what files hold of a drive: each at least one kind."""
     parts, odd = list[Part](), list[Sheet]()
     for one in sheets:
-        kinds = {kind: assigned(kind, one.names, told) for kind in ("odometry", "bearings")}
+        mine = one.specified(told)
+        kinds = {kind: assigned(kind, one.names, mine) for kind in ("odometry", "bearings")}
         if not any(kinds.values()):  # poses beside twists are the odometry's own
-            kinds = {kind: assigned(kind, one.names, told) for kind in ("truth", "home")}
+            kinds = {kind: assigned(kind, one.names, mine) for kind in ("truth", "home")}
         parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
         if not kinds.get("bearings") and not kinds.get("home"):
             odd.append(one)
     ids = _ids(parts, odd)
     for one in odd:
-        across, t = landmark_columns(one.names, ids), times_in(one.names, told)
+        # The number of a column is no landmark, although tags are called by numbers, too.
+        across = {} if one.headless else landmark_columns(one.names, ids)
+        t = times_in(one.names, one.specified(told))
         if across and (t is not None or one.one_row):
             parts.append(_wide_part(one, across, t))
         elif all(part.sheet is not one for part in parts):
-            needs = "; ".join(", ".join(roles) for roles in KINDS.values())
-            raise InputError(
-                f"its columns {', '.join(map(repr, one.names[:12]))} are none of: {needs}. "
-                f"Say which is which, as in --columns 't={one.names[0]}'",
-                one.path,
-            )
-    if all(part.kind != "odometry" for part in parts):
-        for part in parts:
-            if part.kind == "truth" and "odom" in part.sheet.path.name.lower():
-                part.kind = "odometry"
+            raise InputError(_not_recognised(one.names), one.path)
+    _find_odometry(parts)
     return parts
+
+
+def _not_recognised(names: Sequence[str]) -> str:
+    """Return the message for a table that is no part of a drive."""
+    *most, last = (f"{words} ({needs})" for words, needs in RECOGNISED.items())
+    shown = ", ".join(map(repr, names[:MAX_SHOWN]))
+    more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
+    return (
+        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: say which "
+        f"is which, as in --columns 't={names[0]}'"
+    )
+
+
+def _find_odometry(parts: Sequence[Part]) -> None:
+    """Take poses for odometry where no table has twists: those of a file called so, or the only."""
+    if any(part.kind == "odometry" for part in parts):
+        return
+    poses = [part for part in parts if part.kind == "truth"]
+    for part in poses:
+        name = part.sheet.path.name.lower()
+        if "odom" in name or (len(poses) == 1 and not TRUE_PATH.search(name)):
+            part.kind = "odometry"
 
 
 def _ids(parts: Sequence[Part], odd: Sequence[Sheet]) -> set[str]:
@@ -157,7 +186,7 @@ def _ids(parts: Sequence[Part], odd: Sequence[Sheet]) -> set[str]:
         if part.kind == "home":
             known |= set(part.read(None)[0].table["landmark"].tolist())
     for one in odd:
-        if one.one_row and times_in(one.names, ()) is None:
+        if one.one_row and not one.headless and times_in(one.names, ()) is None:
             known |= {landmark_in(name)[0] for name in one.names}
     return known
 

@@ -50,7 +50,7 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     files : sequence of path
         Tables with whatever separator, decimal mark, header and units.
     columns : sequence of str
-        ``ROLE=COLUMN[UNIT]``, of what names do not say, or say wrongly.
+        ``[FILE:]ROLE=COLUMN[UNIT]``, of what names do not say, or say wrongly.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     for path in files:
         _refuse_drives(path)
     sheets = [sheet(path) for path in files]
-    told = told_columns(columns, {name for one in sheets for name in one.names})
+    told = told_columns(columns, {one.path.name: (*one.names, *one.numbers) for one in sheets})
     parts = parts_of(sheets, told)
     found: list[Understood] = []
     clock: str | None = None
@@ -70,7 +70,9 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     for kind in KINDS:
         mine = [part for part in parts if part.kind == kind]
         for extra in mine[1:]:
-            raise InputError(f"a second file with {kind}; one is enough", extra.sheet.path)
+            way = f"; name the file, as in --columns '{extra.sheet.path.name}: t=1, ...'"
+            way = way if extra.sheet.headless else ""
+            raise InputError(f"a second file with {kind}; one is enough{way}", extra.sheet.path)
         for part in mine:
             part.alone = sum(other.sheet is part.sheet for other in parts) == 1
             found += part.read(clock, angle)

@@ -7,12 +7,13 @@ import csv
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 from homeward.drives.foreign.cells import NOTHING, is_number
-from homeward.drives.foreign.columns import is_unit
+from homeward.drives.foreign.columns import Column, is_unit
+from homeward.drives.foreign.layouts import layout
 from homeward.drives.text.files import naming, opened
 from homeward.drives.text.table import Form, text_lines
 from homeward.errors import InputError
@@ -35,12 +36,24 @@ class Sheet:
     decimal_comma: bool
     one_row: bool
     """Whether it has a single row below its header."""
+    headless: bool = False
+    """Whether it has no header, so that its columns have numbers."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its columns; 1, 2, 3, ... where it has no header."""
+        """Of its columns; 1, 2, 3, ... where it has no header, unless its layout is known."""
         assert self.form.names is not None
         return self.form.names
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """The names of its columns by their number, where it has no header."""
+        return {str(k): name for k, name in enumerate(self.names, 1)} if self.headless else {}
+
+    def specified(self, columns: Sequence[Column]) -> list[Column]:
+        """Return those `columns` that a user specified for this file, by the names in it."""
+        own = (c for c in columns if c.file in (None, self.path.name))
+        return [replace(c, name=self.numbers.get(c.name, c.name)) for c in own]
 
 
 def sheet(path: Path) -> Sheet:
@@ -78,13 +91,14 @@ def sheet(path: Path) -> Sheet:
             names = [f"{n} [{unit}]" if unit else n for n, unit in zip(names, units, strict=False)]
             skip = first.index(rows[1]) + 1
     else:
-        names = above if len(above) == len(head) else [str(k + 1) for k in range(len(head))]
         body = [head, *body]
+        numbers = [str(k + 1) for k in range(len(head))]
+        names = above if len(above) == len(head) else list(layout(body) or numbers)
     names = [*names, *[""] * (width - len(names))]
     cells = [cell for row in body or [head] for cell in row]
     comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
     form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding)
-    return Sheet(path, form, comma, len(body) == 1)
+    return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head))
 
 
 def _encoding(path: Path) -> str:
