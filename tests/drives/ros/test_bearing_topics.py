@@ -41,7 +41,9 @@ def test_points_one_topic_a_landmark(made):
             header = log.header(t, frame)
             log.write(f"/mark/{name}", t, log.make(kind, header=header, point=point(log, *place)))
 
-    drive = made(fill)
+    with pytest.raises(InputError, match=r"/mark/shelf \(frame camera_optical_frame\) is one of"):
+        made(fill)
+    drive = made(fill, "drive: {sensor: {yaw: 0.0}}\n")
     seen = dict(zip(drive.sightings.landmark, drive.sightings.bearing, strict=True))
     assert seen == pytest.approx({"door": math.pi / 4, "shelf": -math.pi / 4})
     assert sum(drive.remarks.values()) == 1

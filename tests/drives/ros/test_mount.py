@@ -13,6 +13,7 @@ from homeward.drives.ros.measurements.bearings import BEARINGS, POSE_ARRAY, TAGS
 from homeward.drives.ros.measurements.mount import BODY_IN_OPTICAL, LEVEL, Transforms, mount
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.errors import InputError
+from homeward.frames import Pose, between, compose
 
 
 def turn(yaw=0.0, pitch=0.0, roll=0.0):
@@ -102,15 +103,15 @@ def test_what_is_no_tree_is_refused_and_what_is_not_tied_yet_is_waited_for():
             tree(told("base_link", "camera", q=dict.fromkeys("xyzw", bad)))
 
 
-def static(log, t, matrix, shift):
-    """A message of ROS that has the camera on the robot."""
+def static(log, t, matrix, shift, camera="camera"):
+    """A message of ROS that has a camera on the robot."""
     rotation = log.make("geometry_msgs/msg/Quaternion", **quaternion(matrix))
     vector = log.make("geometry_msgs/msg/Vector3", x=shift[0], y=shift[1], z=0.0)
     inner = log.make("geometry_msgs/msg/Transform", translation=vector, rotation=rotation)
     stamped = log.make(
         "geometry_msgs/msg/TransformStamped",
         header=log.header(t, "base_link"),
-        child_frame_id="camera",
+        child_frame_id=camera,
         transform=inner,
     )
     return log.make("tf2_msgs/msg/TFMessage", transforms=[stamped])
@@ -141,3 +142,68 @@ def test_a_log_tells_the_mount_where_its_topics_file_asks(made, suffix):
             topics,
             suffix,
         )
+
+
+FRONT, REAR = (0.2, 0.1, 0.3), (0.2, 0.1, -2.5)
+"""Extrinsics of two cameras [m, m, rad]."""
+
+
+def of_two_cameras(log, point=None, transforms=(), rear="rear"):
+    """Both see landmark a ahead; as a bearing, or as a `point` in space (m ahead, m left)."""
+    for t in stamps(3):
+        for k, frame in enumerate(("front", rear)):
+            if point is None:
+                message = bearings_message(log, t, [f"a{k}"], [0.1])
+            else:
+                placed = log.make("geometry_msgs/msg/Point", x=point[0], y=point[1], z=0.0)
+                message = log.make(
+                    "geometry_msgs/msg/PointStamped", header=log.header(t, frame), point=placed
+                )
+            message.header.frame_id = frame
+            log.write(f"/b{k}", t, message)
+        for frame, (x, y, yaw) in transforms:
+            log.write("/tf_static", t, static(log, t, turn(yaw), (x, y), frame))
+
+
+TWO = "bearings: [{{topic: /b0, {0}}}, {{topic: /b1, {1}}}]\n"
+
+
+def sensor(pose):
+    return "sensor: {{x: {}, y: {}, yaw: {}}}".format(*pose)
+
+
+def seen_by(drive):
+    return dict(zip(drive.sightings.landmark.tolist(), drive.sightings.bearing, strict=True))
+
+
+def test_two_cameras_have_a_mount_each(made):
+    """In the topics file or in /tf_static; bearings are given for the first camera."""
+    by_hand = made(of_two_cameras, TWO.format(sensor(FRONT), sensor(REAR)))
+    transforms = ("front", FRONT), ("rear", REAR)
+    by_transforms = made(lambda log: of_two_cameras(log, None, transforms), TWO.format("", ""))
+    one_each = made(of_two_cameras, TWO.format("", sensor(REAR)) + f"drive: {{{sensor(FRONT)}}}\n")
+    for drive in (by_hand, by_transforms, one_each):
+        assert drive.settings.sensor.pose == pytest.approx(FRONT)
+        assert seen_by(drive) == pytest.approx({"a0": 0.1, "a1": 0.1 - 2.8})
+    behind = sensor((-0.2, 0.1, 3.0))
+    # A camera without a frame_id is one more, too; one frame on two topics is one camera.
+    same = made(lambda log: of_two_cameras(log, rear="front"), TWO.format("", ""))
+    assert seen_by(same) == pytest.approx({"a0": 0.1, "a1": 0.1})
+    for words, rear, told, tf in (
+        (r"/b0 \(frame front\) is one of several cameras", "rear", ("", ""), ()),
+        (r"/b1 \(frame rear\) is one of several cameras", "rear", (sensor(FRONT), ""), ()),
+        (r"/b1 \(frame not named\) is one of", "", ("", ""), transforms),
+        (r"/b1 \(frame rear\) is 0.40 m from /b0", "rear", (sensor(FRONT), behind), ()),
+    ):
+        with pytest.raises(InputError, match=words):
+            made(lambda log, r=rear, t=tf: of_two_cameras(log, None, t, r), TWO.format(*told))
+
+
+def test_points_in_space_of_cameras_in_different_places(made):
+    """What both see at one place has one bearing, however far apart they are."""
+    topics = TWO.format(f"landmark: a0, {sensor(FRONT)}", f"landmark: a1, {sensor((-0.5, 0, 1))}")
+    drive = made(lambda log: of_two_cameras(log, (3.0, 1.0)), topics)
+    place = compose(Pose(-0.5, 0.0, 1.0), Pose(3.0, 1.0, 0.0))
+    there = between(Pose(*FRONT), place)
+    expected = {"a0": math.atan2(1.0, 3.0), "a1": math.atan2(there.y, there.x)}
+    assert seen_by(drive) == pytest.approx(expected)

@@ -15,9 +15,10 @@ from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_time
 from homeward.drives.ros.containers.bag_folder import open_log
-from homeward.drives.ros.measurements.bearings import Eye, SightingRows
+from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
 from homeward.drives.ros.measurements.camera import CameraRows
-from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
+from homeward.drives.ros.measurements.extrinsics import Camera, extrinsics
+from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
@@ -106,12 +107,16 @@ class _Reading:
         self._seen = [self._take_sightings(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
-            self._at_home = self._take_sightings(BearingsTopic(topic=plan.home.topic))
+            self._at_home = self._rows_of(BearingsTopic(topic=plan.home.topic))()
+            self._take(plan.home.topic, self._at_home.add)
         self._transforms = Transforms()
         if plan.mount is not None:
             if not plan.bearings:
                 raise InputError(f"mount is for topics of bearings: {NAME_BEARINGS}")
             known.topic(TF_STATIC)
+        if plan.mount is not None or (
+            len(plan.bearings) > 1 and TF_STATIC in (topic.name for topic in known.topics)
+        ):
             self._take(TF_STATIC, self._transforms.add)
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
@@ -149,27 +154,44 @@ class _Reading:
         return told or own, own.epoch or 0
 
     def _mount(self) -> None:
-        """Let the camera sit where the transforms say, if they are asked."""
-        frames = self._plan.mount
-        if frames is None:
+        """Set the extrinsics of the camera, and give all bearings in the frame of the first one."""
+        self._cameras = [
+            Camera(frame, rows)
+            for by_frame in self._seen
+            for frame, rows in by_frame.items()
+            if len(rows)
+        ]
+        sensor = extrinsics(self._cameras, self._transforms, self._plan)
+        if sensor is None:
             return
-        for rows in self._seen:
-            found = mount(self._transforms, frames, rows.kind, rows.told)
-            if found is None:
-                raise InputError(not_tied(frames))
-            sits, rows.told = found
-        sensor = self._settings.sensor.model_copy(update=dict(sits))
-        self._settings = self._settings.model_copy(update={"sensor": sensor})
+        update: dict[str, Any] = dict(sensor)
+        if any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
+            update["field_of_view"] = None  # that of one camera is not that of all
+        sensor_now = self._settings.sensor.model_copy(update=update)
+        self._settings = self._settings.model_copy(update={"sensor": sensor_now})
 
     def _take(self, topic: str, taker: Taker) -> None:
         self._takers.setdefault(topic, []).append(taker)
 
-    def _take_sightings(self, told: BearingsTopic) -> SightingRows:
+    def _take_sightings(self, told: BearingsTopic) -> dict[str, SightingRows]:
+        """Return the sightings of a topic by frame, as they will come in."""
+        rows: dict[str, SightingRows] = {}
+        new = self._rows_of(told)
+
+        def add(t: float, message: Any) -> None:
+            frame = frame_of(message)
+            if frame not in rows:
+                rows[frame] = new()
+            rows[frame].add(t, message)
+
+        self._take(told.topic, add)
+        return rows
+
+    def _rows_of(self, told: BearingsTopic) -> Callable[[], SightingRows]:
         kind = self._known.topic(told.topic).type
         eye = self._eye if kind in PICTURES else None
-        rows = SightingRows(told, kind, self._remarks, self._take_camera(told), eye)
-        self._take(told.topic, rows.add)
-        return rows
+        camera = self._take_camera(told)
+        return lambda: SightingRows(told, kind, self._remarks, camera, eye)
 
     def _take_camera(self, told: BearingsTopic) -> Callable[[], Lens | None]:
         """Return what tells the camera of a topic when the walk is over."""
@@ -201,11 +223,13 @@ class _Reading:
                 tell((1 + log.done) / 2)
 
     def _sightings(self) -> Sightings:
-        parts = [rows.columns() for rows in self._seen]
+        parts = [camera.rows.columns() for camera in self._cameras]
         if not parts:
             return Sightings.of_rows(())
         columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-        order = in_order(columns["t"], "sightings", self._remarks)
+        for part in parts:
+            in_order(part["t"], "sightings", self._remarks)  # counted for each camera
+        order = np.argsort(columns["t"], kind="stable")
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
         return sightings_of(rows, self._remarks)
 

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Positive, Strict
+from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Mount, Positive, Strict
 
 
 class OdometryTopic(Strict):
@@ -51,6 +51,8 @@ class BearingsTopic(Strict):
     where the name of the frame says so."""
     sigma: Positive | None = None
     """Standard deviation of a bearing that has none of its own [rad]."""
+    sensor: Mount | None = None
+    """Extrinsics of the camera of this topic; None: as `LogSettings.mount` or `drive` specify."""
 
     @property
     def tilt(self) -> dict[str, float]:
@@ -68,8 +70,9 @@ NAME_HOME = "name it under home in a topics file (csv, topic, during or spin: [f
 class MountFrames(Strict):
     """Frames of /tf_static that tell where the camera sits."""
 
-    camera: Annotated[str, Field(min_length=1)]
-    """The camera's; optical where its name says so, or the bearings' `axes`."""
+    camera: Annotated[str, Field(min_length=1)] | None = None
+    """The camera's; optical where its name says so, or the bearings' `axes`. None: the frame_id of
+    the bearings. Where these have several frames, each is looked up."""
     base: Annotated[str, Field(min_length=1)] = "base_link"
     """The robot's."""
 

@@ -16,6 +16,7 @@ from homeward.drives.ros.messages.names import BEARINGS, PICTURES
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError
+from homeward.frames import Pose, compose
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"
@@ -163,10 +164,19 @@ READERS: dict[str, Reader] = {
 }
 """By type, the best first."""
 
+IN_SPACE = tuple(kind for kind in READERS if kind not in (BEARINGS, *IN_IMAGE))
+"""Types whose points are in space [m]."""
+
+
+def frame_of(message: Any) -> str:
+    """Return the frame that the header of a message names; empty without one."""
+    header = getattr(message, "header", None)
+    return str(getattr(header, "frame_id", "")).strip("/")
+
 
 def _axes(message: Any, told: BearingsTopic) -> str:
     """Return how the axes of a message's frame lie (REP 103)."""
-    frame = message.header.frame_id.strip("/")
+    frame = frame_of(message)
     if frame in FIXED_FRAMES:
         raise InputError(
             f"{told.topic}: its points are in the frame {frame}, which does not move with the "
@@ -197,9 +207,14 @@ class SightingRows:
         eye: Eye | None = None,
     ) -> None:
         self.told, self.kind, self._camera, self._eye = told, kind, camera, eye
+        self.in_reference = Pose(0.0, 0.0, 0.0)
+        """The camera in the frame of the camera that all bearings are given for [m, m, rad]."""
         self._t: list[float] = []
         self._kept: list[Sighting] = []
         self._remarks = remarks
+
+    def __len__(self) -> int:
+        return len(self._t)
 
     def add(self, t: float, message: Any) -> None:
         """Take the message of time `t` [s]."""
@@ -229,6 +244,8 @@ class SightingRows:
     def columns(self) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
         bearing, sigma = self._measured()
+        if self.kind not in IN_SPACE and self.in_reference.heading:  # else to the last bit
+            bearing = bearing + self.in_reference.heading
         if self.told.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
         ids = np.array([seen.landmark for seen in self._kept], object)
@@ -245,8 +262,9 @@ class SightingRows:
         a, b, sigma = np.array(rows, float).reshape(-1, 3).T
         if self.kind == BEARINGS:
             return a, sigma
-        if self.kind not in IN_IMAGE:
-            return np.arctan2(b, a), sigma
+        if self.kind in IN_SPACE:
+            x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
+            return np.arctan2(y, x), sigma
         camera = self._camera()
         if camera is None:
             raise InputError(

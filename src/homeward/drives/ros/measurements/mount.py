@@ -97,6 +97,7 @@ def mount(
     InputError
         When the camera is tilted more than bearings of that type can be used with.
     """
+    assert frames.camera is not None
     place = transforms.find(frames.base, frames.camera)
     if place is None:
         return None

@@ -65,6 +65,7 @@ def _of_best_type(
     if len(found) > 1 and found[0].type != POINT:
         kind, names = found[0].type, ", ".join(t.name for t in found)
         way = f"name one under {what} in a topics file"
+        way += ", or several, each with its sensor" if what == "bearings" else ""
         raise InputError(f"several topics of {kind}: {names}; {way}", survey.log.path)
     return found
 
