@@ -24,6 +24,7 @@ from drives.ros.crafted import (
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.opening import open_drive
+from homeward.drives.ros.info import log_info
 from homeward.drives.saving import save_drive
 from homeward.errors import InputError
 
@@ -74,6 +75,31 @@ def test_truncated_anywhere(tmp_path, whole, suffix):
     for size in [20, 100, *range(200, len(data) - 1, len(data) // 15), len(data) - 1]:
         path.write_bytes(data[:size])
         refusal(open_drive, path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "command"),
+    [(".bag", "`rosbag reindex FILE`"), (".mcap", "`mcap recover FILE"), (".db3", '".recover"')],
+)
+def test_the_command_that_repairs_a_truncated_log_is_named(tmp_path, whole, suffix, command):
+    data, folder = whole[suffix], tmp_path / "bag"
+    folder.mkdir()
+    for size in (len(data) // 3, len(data) // 2, len(data) - 20):
+        for path in (tmp_path / f"cut{suffix}", folder / f"cut{suffix}"):
+            path.write_bytes(data[:size])
+            assert command in refusal(open_drive, path)
+        assert command in refusal(log_info, path)
+        if suffix != ".bag":
+            assert command in refusal(open_drive, folder)
+
+
+def test_types_of_foreign_channels_are_named_as_in_the_log(tmp_path):
+    path = tmp_path / "log.mcap"
+    for kind in ("foxglove.Log", "", "a/b/c", "a/msg/C"):
+        path.write_bytes(mcap(mcap_messages([bytes(20)], kind, "")))
+        assert [topic.type for topic in log_info(path).topics] == [kind]
+    path.write_bytes(mcap(mcap_messages([bytes(20)], "a/C", "")))
+    assert log_info(path).topics[0].type == "a/msg/C"
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])

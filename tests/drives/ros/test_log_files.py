@@ -9,6 +9,7 @@ from drives.ros.build import EPOCH, odometry, stamps
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from homeward.drives.opening import open_drive
+from homeward.drives.ros.info import log_info
 from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.messages.definitions import DEFINITIONS, typestore
 from homeward.drives.ros.settings import LogSettings
@@ -52,6 +53,41 @@ def test_a_log_without_definitions_and_bags_of_several_compressed_files(tmp_path
     assert drive.odometry.t.tolist() == pytest.approx(
         [*np.arange(5) / 10, *(1 + np.arange(5) / 10)]
     )
+
+
+def test_info_and_run_agree_on_a_log_without_definitions(tmp_path):
+    """Types that are known here are read; of others `info` gives the reason why `run` refuses."""
+    import sqlite3
+
+    path, home = tmp_path / "humble.db3", tmp_path / "home.csv"
+    home.write_text("landmark,bearing\n3,0.25\n")
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("home: {csv: home.csv}\n")
+    with writing(path) as log:
+        for t in stamps(5):
+            log.write("/odom", t, odometry(log, t, 0.2, 0.1))
+            place = {"position": log.make("geometry_msgs/msg/Point", x=1.0, z=1.0)}
+            within = {"header": None, "pose": {"pose": place}}
+            tag = {"id": np.array([3], np.int32), "size": np.array([0.1]), "pose": within}
+            tags = [log.make("apriltag_ros/msg/AprilTagDetection", **tag)]
+            kind, header = "apriltag_ros/msg/AprilTagDetectionArray", log.header(t, "camera")
+            log.write("/detections", t, log.make(kind, header=header, detections=tags))
+    with sqlite3.connect(path) as database:
+        database.execute("DROP TABLE message_definitions")
+    database.close()
+    drive = open_drive(path, topics=topics)
+    assert drive.sightings.landmark.tolist() == ["3"] * 5
+    assert drive.sightings.bearing == pytest.approx([-np.pi / 4] * 5)
+    assert "/detections can tell bearings." in log_info(path).remarks
+    with sqlite3.connect(path) as database:
+        kind = "fiducial_msgs/msg/FiducialTransformArray"
+        database.execute("UPDATE topics SET type = ? WHERE name = '/detections'", (kind,))
+    database.close()
+    with pytest.raises(InputError, match="the log does not say what a") as refused:
+        open_drive(path, topics=topics)
+    assert f"{refused.value.what}." in log_info(path).remarks
+    assert log_info(path, topics).remarks[-1] == f"homeward run refuses it: {refused.value.what}."
+    assert not any("/detections can tell" in line for line in log_info(path).remarks)
 
 
 def test_messages_compressed_one_by_one(tmp_path):

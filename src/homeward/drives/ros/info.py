@@ -32,7 +32,6 @@ from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, Topic, survey
-from homeward.drives.ros.topics.times import Clock
 from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import InputError
 
@@ -80,16 +79,24 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)
     from homeward.drives.ros.containers.bag_folder import open_log  # the extra bags
+    from homeward.drives.ros.reading import calibrated
 
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = open_log(path)
-    known = survey(log, tell=tell)
+    half = None if tell is None else lambda done: tell(done / 2)
+    known = survey(
+        log, keep=(OUR_SETTINGS, *(kind for kinds, _ in _SERVES for kind in kinds)), tell=half
+    )
     try:
-        plan = choose(known, told)
+        plan = choose(known, calibrated(told, path if topics is None else topics))
     except InputError as error:
         return LogInfo(log.kind, known.topics, None, (f"{error.what}.", *_candidates(known)))
     missing = tuple(_missing(plan))
-    remarks = (*missing, *(_candidates(known) if missing else ()), *_clock_refused(known, plan))
+    remarks = (
+        *missing,
+        *(_candidates(known) if missing else ()),
+        *_tried(known, plan, topics, tell),
+    )
     return LogInfo(log.kind, known.topics, plan, remarks)
 
 
@@ -144,14 +151,22 @@ def _judged(path: Path) -> Iterator[str]:
         yield REFUSED.format(error.what)
 
 
-def _clock_refused(known: Survey, plan: LogSettings) -> Iterator[str]:
-    """Yield why the clocks of a log are refused where it would run."""
-    if OUR_SETTINGS in (topic.name for topic in known.topics):
-        return  # its clock is the drive's, with the epoch that its settings name
+def _tried(
+    known: Survey, plan: LogSettings, topics: Path | None, tell: Tell | None
+) -> Iterator[str]:
+    """Yield the remarks of reading a log as `homeward run` does, and why it is refused."""
+    from homeward.drives.ros.reading import read_planned  # the extra bags
+
+    if plan.odometry is None:
+        return
     try:
-        Clock(known, plan, None)
+        drive = on_one_clock(read_planned(known, plan, topics, tell), known.log.path)
     except InputError as error:
         yield REFUSED.format(error.what)
+        return
+    yield from drive.remark_lines
+    if plan.bearings and not drive.sightings.t.size:
+        yield REFUSED.format("no sightings of landmarks in it")
 
 
 def _missing(plan: LogSettings) -> Iterator[str]:
@@ -176,7 +191,14 @@ _SERVES: tuple[tuple[tuple[str, ...], str], ...] = (
 
 
 def _candidates(known: Survey) -> Iterator[str]:
-    """Say what each topic could serve as."""
+    """Say what each topic could serve as, if its messages can be decoded."""
+    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
+
     for topic in known.topics:
         if words := next((words for types, words in _SERVES if topic.type in types), ""):
-            yield f"{topic.name} can tell {words}."
+            first = known.kept[topic.name]
+            try:
+                Decoder().decode(first.channel, first.data)
+                yield f"{topic.name} can tell {words}."
+            except InputError as error:
+                yield f"{error.what}."

@@ -68,14 +68,24 @@ def read_log(
     """
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if tell is None else lambda done: tell(done / 2)
-    told = _calibrated(told, path if topics is None else topics)
+    told = calibrated(told, path if topics is None else topics)
     known = survey(open_log(path), keep=(OUR_SETTINGS,), tell=first_half)
-    plan = choose(known, told, pictures=eye is not None)
-    with speaking_of(path):
+    return read_planned(known, choose(known, told, pictures=eye is not None), topics, tell, eye)
+
+
+def read_planned(
+    known: Survey,
+    plan: LogSettings,
+    topics: Path | None = None,
+    tell: Tell | None = None,
+    eye: Eye | None = None,
+) -> Drive:
+    """Read a drive from the topics of a `plan`; the others as `read_log`, which see."""
+    with speaking_of(known.log.path):
         return _Reading(known, plan, topics, eye).drive(tell)
 
 
-def _calibrated(told: LogSettings, beside: Path) -> LogSettings:
+def calibrated(told: LogSettings, beside: Path) -> LogSettings:
     """Return settings in which calibration files are read."""
     topics = tuple(
         topic.model_copy(update={"camera": read_calibration(beside.parent, topic.camera)})

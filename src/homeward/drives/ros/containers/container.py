@@ -82,6 +82,10 @@ class Log(Protocol):
         """
 
 
+class DamagedLog(InputError):
+    """A log whose bytes are not sound: cut short, overwritten, or not closed by its recorder."""
+
+
 class Source:
     """A file read from front to end; nothing is read before its length was found to be possible."""
 
@@ -112,7 +116,7 @@ class Source:
 
     def _check(self, size: int, what: str) -> None:
         if size > self.size - self.at:
-            raise InputError(
+            raise DamagedLog(
                 f"truncated or damaged: {what} at byte {self.at} is said to have {size} bytes, "
                 f"and {self.size - self.at} are left",
                 self.path,
@@ -127,6 +131,8 @@ class RecordFile(ABC):
 
     kind: str
     magic: bytes
+    repair: str
+    """The command that repairs such a file, as a clause."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -134,7 +140,7 @@ class RecordFile(ABC):
 
     def messages(self) -> Iterator[Message]:
         """Walk the messages; see `Log`."""
-        with walking(self.path), opened(self.path) as stream:
+        with walking(self.path, self.repair), opened(self.path) as stream:
             self._source, self._budget = Source(self.path, stream), Budget(self.path)
             self._unpacker = Unpacker(self._budget)
             self._channels: dict[int, Channel] = {}
@@ -151,7 +157,7 @@ class RecordFile(ABC):
     def _require(self, fits: bool) -> None:
         """Refuse a file whose index does not fit what was met."""
         if not fits:
-            raise InputError("damaged: its index tells of other messages", self.path)
+            raise DamagedLog("damaged: its index tells of other messages", self.path)
 
 
 class Budget:
@@ -197,14 +203,14 @@ class Unpacker:
             try:
                 raw = _INFLATERS[compression](bytes(data), size + 1)
             except (OSError, RuntimeError, EOFError, ValueError, zstd.ZstdError) as error:
-                raise InputError(
+                raise DamagedLog(
                     f"a chunk is not {compression}: {in_short(error)}", self._path
                 ) from error
         else:
             raise InputError(f"chunks are compressed by {quoted(compression)}", self._path)
         if len(raw) != size:
             more = "more" if len(raw) > size else len(raw)
-            raise InputError(f"a chunk of {size} bytes unpacks to {more}", self._path)
+            raise DamagedLog(f"a chunk of {size} bytes unpacks to {more}", self._path)
         return raw
 
     def unpack_whole(self, data: bytes) -> bytes:
@@ -223,17 +229,20 @@ _INFLATERS: dict[str, Callable[[bytes, int], bytes]] = {
 
 
 @contextmanager
-def walking(path: Path) -> Iterator[None]:
-    """Make an InputError of whatever a damaged file gives rise to."""
+def walking(path: Path, repair: str = "") -> Iterator[None]:
+    """Make an InputError of whatever a damaged file gives rise to, with the way to `repair` it."""
     try:
         with naming(path, "cannot be read"):
             yield
+    except DamagedLog as error:
+        what = error.what
     except KeyError as error:  # as of a message whose channel was not told
-        raise InputError(
-            f"damaged: it refers to {in_short(error)}, which is not in it", path
-        ) from error
+        what = f"damaged: it refers to {in_short(error)}, which is not in it"
     except (struct.error, ValueError, IndexError, OverflowError) as error:
-        raise InputError(f"damaged: {in_short(error)}", path) from error
+        what = f"damaged: {in_short(error)}"
+    else:
+        return
+    raise InputError(f"{what}; {repair}" if repair else what, path)
 
 
 def sized(data: memoryview, at: int, length: str = "<I") -> tuple[memoryview, int]:
@@ -252,6 +261,9 @@ def in_short(error: Exception) -> str:
 
 
 def ros2_type(name: str) -> str:
-    """Return a type's name with its ``/msg/`` in it, which ROS 1 leaves out."""
-    package, _, rest = name.partition("/")
-    return name if "/" in rest else f"{package}/msg/{rest}"
+    """Return a type's name with its ``/msg/`` in it, which ROS 1 leaves out.
+
+    The name of another kind of type, as of protobuf, stays as it is.
+    """
+    package, slash, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if slash and "/" not in rest else name

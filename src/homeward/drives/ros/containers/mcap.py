@@ -6,9 +6,15 @@ import struct
 from binascii import crc32
 from collections.abc import Iterator
 
-from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
+from homeward.drives.ros.containers.container import (
+    Channel,
+    DamagedLog,
+    Message,
+    RecordFile,
+    ros2_type,
+    sized,
+)
 from homeward.drives.ros.containers.magic import MCAP
-from homeward.errors import InputError
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _CHUNK_INDEX, _STATISTICS = 0x08, 0x0B
@@ -20,6 +26,7 @@ class Mcap(RecordFile):
     """An MCAP file."""
 
     kind, magic = "MCAP", MCAP
+    repair = "`mcap recover FILE -o NEW.mcap` saves the messages before the damage"
 
     def _walk(self) -> Iterator[Message]:
         self._schemas: dict[int, tuple[str, str, str]] = {}
@@ -42,7 +49,7 @@ class Mcap(RecordFile):
             else:
                 yield from self._record(op, record)
         if source.take(len(MCAP), "the last line") != MCAP:
-            raise InputError("damaged: it does not end as an MCAP file does", source.path)
+            raise DamagedLog("damaged: it does not end as an MCAP file does", source.path)
         counted = self._met if self._counted is None else self._counted
         self._require(self._indexed in (set(), self._chunks) and counted == self._met)
 

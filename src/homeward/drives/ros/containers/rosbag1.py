@@ -6,7 +6,14 @@ import struct
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from homeward.drives.ros.containers.container import Channel, Message, RecordFile, ros2_type, sized
+from homeward.drives.ros.containers.container import (
+    Channel,
+    DamagedLog,
+    Message,
+    RecordFile,
+    ros2_type,
+    sized,
+)
 from homeward.drives.ros.containers.magic import ROSBAG1
 from homeward.errors import InputError
 
@@ -21,6 +28,7 @@ class Rosbag1(RecordFile):
     """A ROS 1 bag."""
 
     kind, magic = "ROS 1 bag", ROSBAG1
+    repair = "`rosbag reindex FILE` repairs a bag that is cut short"
 
     def _walk(self) -> Iterator[Message]:
         self._counted = 0
@@ -47,7 +55,7 @@ class Rosbag1(RecordFile):
         """Read the header of a record of the file, and the size of its data."""
         (size,) = struct.unpack("<I", self._source.take(4, "a record's header"))
         if size > LARGEST_HEADER:
-            raise InputError(f"damaged: a record's header of {size} bytes", self._source.path)
+            raise DamagedLog(f"damaged: a record's header of {size} bytes", self._source.path)
         fields = _fields(memoryview(self._source.take(size, "a record's header")))
         (data_size,) = struct.unpack("<I", self._source.take(4, "a record"))
         return fields, data_size
@@ -81,11 +89,9 @@ class Rosbag1(RecordFile):
         (index,) = struct.unpack("<Q", fields[b"index_pos"])
         (chunks,) = struct.unpack("<I", fields[b"chunk_count"])
         if index == 0:
-            raise InputError(
-                "was not closed by its recorder and has no index; rosbag reindex mends it", path
-            )
+            raise DamagedLog("was not closed by its recorder and has no index", path)
         if index > self._source.size:
-            raise InputError("truncated: its index lies beyond its end", path)
+            raise DamagedLog("truncated: its index lies beyond its end", path)
         self._declared = (index, chunks)
 
 

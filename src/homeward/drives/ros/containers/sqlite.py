@@ -15,6 +15,7 @@ from homeward.drives.ros.containers.container import (
     LARGEST_BLOCK,
     Budget,
     Channel,
+    DamagedLog,
     Message,
     in_short,
     ros2_type,
@@ -35,6 +36,7 @@ class Sqlite:
     """A sqlite3 file of a ROS 2 bag."""
 
     kind = "ROS 2 bag (sqlite3)"
+    repair = '`sqlite3 FILE ".recover" | sqlite3 NEW.db3` saves what is sound'
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -42,15 +44,16 @@ class Sqlite:
 
     def messages(self) -> Iterator[Message]:
         """Walk the messages; see `Log`."""
-        with walking(self.path):
+        with walking(self.path, self.repair):
             self._check_length()
             try:
                 yield from self._messages()
             except sqlite3.Error as error:
                 reason = f"not a bag that sqlite can read: {in_short(error)}"
+                kind: type[InputError] = DamagedLog
                 if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
-                    reason = "takes more steps to read than a bag of its size can"
-                raise InputError(reason, self.path) from error
+                    reason, kind = "takes more steps to read than a bag of its size can", InputError
+                raise kind(reason, self.path) from error
 
     def _check_length(self) -> None:
         """Refuse a file that is shorter than its header says; sqlite may not notice."""
@@ -63,7 +66,7 @@ class Sqlite:
             changes == valid_for
             and pages * (65536 if page == 1 else page) > self.path.stat().st_size
         ):
-            raise InputError("truncated: the file is shorter than its header says", self.path)
+            raise DamagedLog("truncated: the file is shorter than its header says", self.path)
 
     def _messages(self) -> Iterator[Message]:
         # Immutable: nothing is written beside it, not even a lock.

@@ -23,7 +23,7 @@ def _told(package: str) -> dict[str, str]:
 
 DEFINITIONS = _told("homeward_msgs")
 """The types of `homeward_msgs`, with their .msg files."""
-_WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs")
+_WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs") | _told("apriltag_ros")
 """For logs that hold no definitions, as those of ROS 2 before Iron in sqlite3."""
 
 

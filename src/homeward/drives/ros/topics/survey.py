@@ -80,7 +80,7 @@ class Survey:
     topics: tuple[Topic, ...]
     """By name."""
     kept: dict[str, Message]
-    """First message of each topic that was asked for."""
+    """First message of each topic that was asked for, by its name."""
 
     def topic(self, name: str) -> Topic:
         """Return the topic of that name.
@@ -100,7 +100,7 @@ class Survey:
 def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Survey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
-    Of the topics in `keep` the first message is kept.
+    The first message of each topic is kept whose name or type is in `keep`.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
         if record is None:
             record = array("q"), array("q") if begins_with_header(channel) else None
             records[channel.topic, channel.type] = record
-            if channel.topic in keep:
+            if channel.topic in keep or channel.type in keep:
                 kept[channel.topic] = message._replace(data=bytes(message.data))
         receive, header = record
         try:
