@@ -82,6 +82,28 @@ def test_of_equal_stamps_the_last_counts_and_is_counted(tmp_path):
     }
 
 
+def test_rows_that_are_a_little_late_are_sorted_as_in_a_log(tmp_path):
+    """By 0.25 s, or written twice; an import and a log had sorted them, a folder was refused."""
+    rows = b"0.5,0.1,0.2\n0.75,0.3,0\n0.5,0.1,0.2\n0.75,0.3,0\n1.0,0.1,-0.2\n"
+    seen = b"t,landmark,bearing\n0.6,a,0.4\n0.35,b,-0.5\n0.6,a,0.4\n"
+    true = b"t,x,y,heading\n1.0,1.1,0.0,0.1\n0.0,1.0,0.0,0.0\n"
+    folder = put(
+        tmp_path / "run", odometry_csv=b"t,v,omega\n" + rows, bearings_csv=seen, truth_csv=true
+    )
+    drive = read_folder(folder)
+    assert drive.odometry.t.tolist() == [0.5, 0.75, 1.0]
+    assert drive.odometry.v.tolist() == [0.1, 0.3, 0.1]
+    assert drive.sightings.landmark.tolist() == ["b", "a", "a"]
+    assert drive.truth.x.tolist() == [1.0, 1.1]
+    assert drive.remarks == {
+        "rows of bearings out of order, sorted by time": 1,
+        "sightings of a landmark already seen at the same stamp; the last counts": 1,
+        "rows of odometry out of order, sorted by time": 1,
+        "odometry rows with a repeated stamp": 2,
+        "rows of truth out of order, sorted by time": 1,
+    }
+
+
 def test_no_sightings_and_no_home_bearings_are_legal(tmp_path):
     drive = read_folder(
         put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n", home_csv=b"landmark,bearing\n")
@@ -134,8 +156,8 @@ HOSTILE = [
     ("odometry.csv", b"t,v,omega\n1_0,0,0\n", "odometry.csv, row 2: t is '1_0', not a finite"),
     ("odometry.csv", b"t,v,omega\n0,0\n", "odometry.csv, row 2: 2 fields where 3 are due"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n\n1,0,0,0\n", "odometry.csv, row 4: 4 fields where 3"),
-    ("odometry.csv", b"t,v,omega\n1,0,0\n2,0,0\n1.5,0,0\n",
-     "odometry.csv, row 4: time runs backwards: 1.5 after 2.0"),
+    ("odometry.csv", b"t,v,omega\n1,0,0\n4,0,0\n3.5,0,0\n1.5,0,0\n",
+     "odometry.csv, row 5: time runs backwards by 2.5 s: 1.5 after 4.0; rows may be up to 1 s out"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n1,0\x00,0\n", "odometry.csv, row 3: v is '0\\x00', not"),
     ("odometry.csv", b"t,v,omega\r\n0,0,0\r\n1,\xff,0\r\n", "odometry.csv, row 3: not UTF-8 text"),
     ("odometry.csv", "t,v,omega\n0,0,0\n".encode("utf-16"), "odometry.csv, row 1: not UTF-8 text"),
@@ -155,7 +177,7 @@ HOSTILE = [
     ("bearings.csv", HEADER + b"0,a,0.1,nan\n", "bearings.csv, row 2: sigma is 'nan', not a fini"),
     ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,?\n", "bearings.csv, row 3: sigma is '?', not a"),
     ("bearings.csv", HEADER + b"0,a,1e300,\n", "bearings.csv, row 2: bearing is '1e+300', too lar"),
-    ("bearings.csv", HEADER + b"1,a,0,\n0,a,0,\n", "bearings.csv, row 3: time runs backwards: 0.0"),
+    ("bearings.csv", HEADER + b"2,a,0,\n0,a,0,\n", "bearings.csv, row 3: time runs backwards by"),
     ("home.csv", b"", "home.csv: empty file"),
     ("home.csv", b"landmark\na\n", "home.csv, row 1: no column bearing in the header 'landmark'"),
     ("home.csv", b"landmark,bearing\na,0\nb,0\n a,1\n",
@@ -164,7 +186,7 @@ HOSTILE = [
     ("truth.csv", b"t,x,y,heading\n", "truth.csv: no rows"),
     ("truth.csv", b"t,x,y\n0,0,0\n", "truth.csv, row 1: no column heading"),
     ("truth.csv", b"t,x,y,heading\n0,0,0,0\n1,0,NaN,0\n", "truth.csv, row 3: y is 'NaN', not a"),
-    ("truth.csv", b"t,x,y,heading\n1,0,0,0\n0,0,0,0\n", "truth.csv, row 3: time runs backwards"),
+    ("truth.csv", b"t,x,y,heading\n2,0,0,0\n0,0,0,0\n", "truth.csv, row 3: time runs backwards"),
     ("drive.yaml", b"sensor:\n  x: [1\n", "drive.yaml, row 3: not YAML: "),
     ("drive.yaml", b"- 1\n", "drive.yaml: not a mapping of keys to values"),
     ("drive.yaml", b"sensor: 5\n", "drive.yaml: sensor: must be keys and values, not 5"),

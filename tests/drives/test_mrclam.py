@@ -119,16 +119,16 @@ HOSTILE = [
     (LANDMARKS, b"6 1 2 0 0\n6 1 2 0 0\n", "Landmark_Groundtruth.dat, row 2: subject is '6.0', wh"),
     (ODOMETRY, b"", "Robot1_Odometry.dat: no rows"),
     (ODOMETRY, b"# c\n0 0 0\n1 0\n", "Robot1_Odometry.dat, row 3: 2 fields where 3 are due"),
-    (ODOMETRY, b"1 0 0\n0 0 0\n", "Robot1_Odometry.dat, row 2: time runs backwards: 0.0 after 1.0"),
+    (ODOMETRY, b"2 0 0\n0 0 0\n", "Robot1_Odometry.dat, row 2: time runs backwards by 2 s: 0.0"),
     (ODOMETRY, b"0 0 0\n1 inf 0\n", "Robot1_Odometry.dat, row 2: v is 'inf', not a finite number"),
     (ODOMETRY, b"0 0 0\n1 \xfe 0\n", "Robot1_Odometry.dat, row 2: not UTF-8 text"),
     (ODOMETRY, b"0 0 0\n1 0\x00 0\n", "Robot1_Odometry.dat, row 2: v is '0\\x00', not a finite"),
     (MEASUREMENT, None, "Robot1_Measurement.dat: cannot be read: No such file"),
-    (MEASUREMENT, b"1 63 1 0\n0 63 1 0\n", "Robot1_Measurement.dat, row 2: time runs backwards"),
+    (MEASUREMENT, b"2 63 1 0\n0 63 1 0\n", "Robot1_Measurement.dat, row 2: time runs backwards"),
     (MEASUREMENT, b"1 63 1 0,5\n", "Robot1_Measurement.dat, row 1: bearing is '0,5', not a finite"),
     (MEASUREMENT, b"1 63 1 1e9\n", "Robot1_Measurement.dat, row 1: bearing is '1000000000.0', too"),
     (TRUTH, b"# c\n", "Robot1_Groundtruth.dat: no rows"),
-    (TRUTH, b"1 0 0 0\n0 0 0 0\n", "Robot1_Groundtruth.dat, row 2: time runs backwards"),
+    (TRUTH, b"2 0 0 0\n0 0 0 0\n", "Robot1_Groundtruth.dat, row 2: time runs backwards"),
 ]  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.drives.clock import LATE_S
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -40,6 +41,7 @@ ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
 BY_SPIN = "no --home-spin FROM,TO [s] says when the robot turned round there"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
+SORTED = "rows of {} out of order, sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
 REPEATED_SIGHTINGS = "sightings of a landmark already seen at the same stamp; the last counts"
@@ -81,7 +83,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     Returns
     -------
     Drive
-        Bearings are wrapped; of equal stamps in odometry and truth the last counts, and so it does
+        Rows up to `LATE_S` out of order are sorted by time, and counted. Bearings are wrapped; of
+        equal stamps in odometry and truth the last counts, and so it does
         of sightings of one landmark at one stamp; they are counted in its remarks, which also say
         when angles or stamps seem to be in other units. Landmark ids lose the white space around
         them.
@@ -150,6 +153,44 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
             _move_into_place(staging, folder)
 
 
+def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
+    """Return a table in order of its times `t` [s]; equal ones stay as they are.
+
+    `remarks` counts the rows of `what` that are out of order. Rows may be up to `LATE_S` late, or
+    go through one landmark after the other.
+
+    Raises
+    ------
+    InputError
+        When a row is later: a clock was set back, or these are two drives.
+    """
+    t = table["t"]
+    late = np.maximum.accumulate(t) - t
+    if not late.any():
+        return table
+    if late.max() > LATE_S and not _by_landmarks(table):
+        i = int(np.argmax(late > LATE_S))
+        raise InputError(
+            f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
+            f"{float(t[: i + 1].max())!r}; rows may be up to {LATE_S:g} s out of order",
+            table.file,
+            int(table.row[i]),
+        )
+    order = np.argsort(t, kind="stable")
+    remarks[SORTED.format(what)] = int((late > 0).sum())
+    columns = {name: values[order] for name, values in table.columns.items()}
+    return Table(table.file, table.row[order], columns)
+
+
+def _by_landmarks(table: Table) -> bool:
+    """Whether a table goes through one landmark after the other, each in order of time."""
+    if "landmark" not in table.columns:
+        return False
+    ids, t = table["landmark"], table["t"]
+    changes = int((ids[1:] != ids[:-1]).sum()) + 1
+    return changes == len(set(ids.tolist())) and bool((np.diff(t)[ids[1:] == ids[:-1]] >= 0).all())
+
+
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
     """Check a table with times `t` [s], keep the last of equal stamps and count the others.
 
@@ -195,6 +236,7 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
 
 def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
     """Return the odometry of a table with t, v, omega; errors and remarks as `read_folder`."""
+    table = sorted_by_time(table, "odometry", remarks)
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     remark_other_units(table["t"], remarks)
     return Odometry(table["t"], table["v"], table["omega"])
@@ -208,7 +250,7 @@ def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     """Return those of a table with t, landmark, bearing[, sigma]; as `read_sightings`."""
-    table.require_order()
+    table = sorted_by_time(table, "bearings", remarks)
     bearings = wrapped(table, "bearing", remarks)
     sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table))
     count_repeats(sightings, remarks)
@@ -254,7 +296,7 @@ def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
 
 def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
     """Return the truth of a table with t, x, y, heading; errors and remarks as `read_folder`."""
-    table = without_repeats(table, remarks, REPEATED_TRUTH)
+    table = without_repeats(sorted_by_time(table, "truth", remarks), remarks, REPEATED_TRUTH)
     table.require_angle("heading")
     return Truth(table["t"], table["x"], table["y"], table["heading"])
 

@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sensor, Sightings, Truth
-from homeward.drives.folder import count_repeats, odometry_of, truth_of, wrapped
+from homeward.drives.folder import (
+    count_repeats,
+    odometry_of,
+    sorted_by_time,
+    truth_of,
+    wrapped,
+)
 from homeward.drives.text.files import is_there, require_folder
 from homeward.drives.text.table import Table, read_columns
 from homeward.errors import InputError
@@ -131,7 +137,7 @@ def _read_sightings(
 ) -> Sightings:
     """Read the sightings of landmarks; every other subject with a barcode is a robot."""
     table = read_columns(path, ("t", "barcode", "range", "bearing"))
-    table.require_order()
+    table = sorted_by_time(table, "bearings", remarks)
     seen = [subjects.get(barcode) for barcode in _whole(table, "barcode")]
     of_landmark = np.array([subject in landmarks for subject in seen], bool)
     unknown = seen.count(None)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from homeward.drives.folder import sorted_by_time
 from homeward.drives.foreign.cells import names, number_parser, time_parser
 from homeward.drives.foreign.columns import UNITS, Column, assigned, times_in
 from homeward.drives.foreign.sheet import Sheet
@@ -22,8 +23,6 @@ FASTEST = 10.0
 """No robot of ours drives so fast [m/s]; a number above it is of another unit."""
 UNIX_S = (1e9, 4.1e9)
 """Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
-LATE_S = 1.0
-"""Rows that come later than this are not just late: a clock was set, or it is two drives [s]."""
 RECOGNISED = {
     "odometry": "time, speed, turn rate",
     "detections": "time, landmark id, bearing",
@@ -36,7 +35,6 @@ MAX_SHOWN = 12
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
 """In the name of a file with poses: they are the true ones, not odometry."""
 LEFT_OUT = "rows of {} in which something is missing, left out"
-SORTED = "rows of {} out of order, sorted by time"
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,10 @@ class Part:
             if column.quantity != "name":
                 unit, _ = units[role] = _unit(table, column, clock, angle)
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
-        ordered, remarks = _in_order(dataclasses.replace(table, columns=values), self.kind)
+        remarks: dict[str, int] = {}
+        ordered = dataclasses.replace(table, columns=values)
+        if "t" in values:
+            ordered = sorted_by_time(ordered, self.kind, remarks)
         if missing:
             remarks[LEFT_OUT.format(self.kind)] = missing
         return [
@@ -208,38 +209,6 @@ def _value(raw: Table, column: Column) -> np.ndarray:
         w, (z, x, y) = raw[column.name], (raw[name] for name in column.more)
         return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
     return raw[column.name]
-
-
-def _in_order(table: Table, kind: str) -> tuple[Table, dict[str, int]]:
-    """Return a table in order of time where it is a little out of it, or goes by landmarks."""
-    if "t" not in table.columns:
-        return table, {}
-    t = table["t"]
-    newest = np.maximum.accumulate(t)
-    late = newest - t
-    if not late.any():
-        return table, {}
-    if late.max() > LATE_S and not _by_landmarks(table):
-        i = int(np.argmax(late > LATE_S))
-        raise InputError(
-            f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
-            f"{float(newest[i])!r}; rows may be up to {LATE_S:g} s out of order",
-            table.file,
-            int(table.row[i]),
-        )
-    order = np.argsort(t, kind="stable")
-    columns = {name: values[order] for name, values in table.columns.items()}
-    sorted_ = Table(table.file, table.row[order], columns)
-    return sorted_, {SORTED.format(kind): int((late > 0).sum())}
-
-
-def _by_landmarks(table: Table) -> bool:
-    """Whether a table goes through one landmark after the other, each in order of time."""
-    if "landmark" not in table.columns:
-        return False
-    ids, t = table["landmark"], table["t"]
-    changes = int((ids[1:] != ids[:-1]).sum()) + 1
-    return changes == len(set(ids.tolist())) and bool((np.diff(t)[ids[1:] == ids[:-1]] >= 0).all())
 
 
 def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds
@@ -20,8 +21,6 @@ OTHER_CLOCKS = (
     "their headers are of different clocks, or they were not recorded together; "
     "clock: receive in a topics file may help"
 )
-LATEST_S = 1.0
-"""A stamp further behind that of an earlier message is of a clock that was set back [s]."""
 
 
 class Clock:
@@ -96,7 +95,7 @@ def _check_never_set(topic: Topic) -> None:
         return
     stamps = topic.header[np.argsort(topic.receive, kind="stable")]
     behind = np.maximum.accumulate(stamps) - stamps
-    if behind.max() > LATEST_S * NANO:
+    if behind.max() > LATE_S * NANO:
         raise InputError(
             f"{topic.name}: time runs back by {behind.max() / NANO:.3f} s at message "
             f"{int(np.argmax(behind)) + 1}: a clock was set; with clock: receive in a topics file "
