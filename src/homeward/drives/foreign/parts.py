@@ -153,19 +153,20 @@ def parts_of(sheets: Sequence[Sheet], told: Sequence[Column]) -> list[Part]:
         if across and (t is not None or one.one_row):
             parts.append(_wide_part(one, across, t))
         elif all(part.sheet is not one for part in parts):
-            raise InputError(_not_recognised(one.names), one.path)
+            raise InputError(_not_recognised(one), one.path)
     _find_odometry(parts)
     return parts
 
 
-def _not_recognised(names: Sequence[str]) -> str:
+def _not_recognised(one: Sheet) -> str:
     """Return the message for a table that is no part of a drive."""
+    names, file = one.names, f"{one.path.name}: " if one.headless else ""
     *most, last = (f"{words} ({needs})" for words, needs in RECOGNISED.items())
     shown = ", ".join(map(repr, names[:MAX_SHOWN]))
     more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
     return (
         f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: say which "
-        f"is which, as in --columns 't={names[0]}'"
+        f"is which, as in --columns '{file}t={names[0]}'"
     )
 
 
