@@ -9,6 +9,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control import Twist, advance
 from homeward.drives.drive import Odometry
+from homeward.drives.plausibility import without_implausible
 from homeward.estimator import HOLD_S
 from homeward.frames import Pose
 
@@ -19,7 +20,8 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     Parameters
     ----------
     odometry : Odometry
-        At least one twist; each holds until the next, at most `HOLD_S`.
+        At least one twist; each holds until the next, at most `HOLD_S`. Where the motion is
+        unknown, the last known twist is used.
     t : ndarray, shape (n,)
         Times asked for [s].
 
@@ -34,6 +36,7 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
 
 def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     """Return what `dead_reckoning` does, headings counted beyond a turn."""
+    odometry = odometry.bridged
     twists, held = Twist(odometry.v, odometry.omega), np.minimum(np.diff(odometry.t), HOLD_S)
     heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
     steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
@@ -44,8 +47,10 @@ def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     return advance(begun, Twist(*(a[last] for a in twists)), since)
 
 
-def twists_from_poses(t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:
     """Return the twists that lead from each pose to the next along an arc.
+
+    The motion of a pose that jumps is unknown, and counted in `remarks`.
 
     Parameters
     ----------
@@ -53,17 +58,36 @@ def twists_from_poses(t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.n
         Strictly increasing [s].
     rows : ndarray, shape (n, 3)
         x [m], y [m], heading [rad]. What a pose moves sideways is left out.
+    remarks : dict
+        Counts by reason in words.
 
     Returns
     -------
-    v, omega : ndarray, shape (n,)
-        [m/s], [rad/s]; each holds to the next pose, the last is 0.
+    Odometry
+        Each twist holds to the next pose, the last is 0.
+    """
+    forward, sideways, turn = steps_between(rows)
+    # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
+    way = forward / np.sinc(turn / math.tau)
+    v, omega, sideways = (np.append(step / np.diff(t), 0.0) for step in (way, turn, sideways))
+    return without_implausible(Odometry(t, v, omega), remarks, sideways)
+
+
+def steps_between(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return forward and sideways step [m] and turn [rad] from each pose to the next.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, 3)
+        x [m], y [m], heading [rad].
+
+    Returns
+    -------
+    forward, sideways, turn : ndarray, shape (n - 1,)
+        Along and to the left of the heading half-way.
     """
     dx, dy = np.diff(rows[:, 0]), np.diff(rows[:, 1])
     turn = np.asarray(wrap(np.diff(rows[:, 2])))
     middle = rows[:-1, 2] + turn / 2
-    chord = dx * np.cos(middle) + dy * np.sin(middle)
-    # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
-    way = chord / np.sinc(turn / math.tau)
-    dt = np.diff(t)
-    return np.append(way / dt, 0.0), np.append(turn / dt, 0.0)
+    cos, sin = np.cos(middle), np.sin(middle)
+    return dx * cos + dy * sin, dy * cos - dx * sin, turn

@@ -271,7 +271,10 @@ class Columns:
 
 @dataclass(frozen=True)
 class Odometry(Columns):
-    """Twists; each holds from its stamp to the next. All arrays have shape (n,)."""
+    """Twists; each holds from its stamp to the next. All arrays have shape (n,).
+
+    Where both v and omega are NaN, the motion is unknown from that stamp to the next.
+    """
 
     t: np.ndarray
     """Strictly increasing times [s]."""
@@ -279,6 +282,16 @@ class Odometry(Columns):
     """Forward speed [m/s]."""
     omega: np.ndarray
     """Turn rate [rad/s]."""
+
+    @property
+    def bridged(self) -> Self:
+        """The same with each unknown twist replaced by the last known one, at first by 0."""
+        known = np.isfinite(self.v) & np.isfinite(self.omega)
+        if known.all():
+            return self
+        last = np.maximum.accumulate(np.where(known, np.arange(known.size), -1))
+        v, omega = (np.where(last < 0, 0.0, part[last]) for part in (self.v, self.omega))
+        return type(self)(self.t, v, omega)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from homeward.drives.drive import (
     Truth,
 )
 from homeward.drives.one_clock import remark_other_units
+from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.drives.text.settings import read_settings, settings_yaml
@@ -230,8 +231,18 @@ def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
 
 
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
-    """Read odometry.csv (t, v, omega); `remarks` says what is odd about its stamps."""
-    return odometry_of(read_csv(path, {"t": numbers, "v": numbers, "omega": numbers}), remarks)
+    """Read odometry.csv (t, v, omega); `remarks` lists anomalies of stamps and motion.
+
+    A row in which both v and omega are empty starts an interval of unknown motion.
+    """
+    columns = {"t": numbers, "v": numbers_or_nothing, "omega": numbers_or_nothing}
+    table = read_csv(path, columns)
+    for name in ("v", "omega"):
+        empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
+        if empty.any():
+            reason = f"{name} is empty; where the motion is unknown, leave both v and omega empty"
+            raise InputError(reason, path, int(table.row[np.argmax(empty)]))
+    return odometry_of(table, remarks)
 
 
 def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
@@ -239,7 +250,7 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
     table = sorted_by_time(table, "odometry", remarks)
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     remark_other_units(table["t"], remarks)
-    return Odometry(table["t"], table["v"], table["omega"])
+    return without_implausible(Odometry(table["t"], table["v"], table["omega"]), remarks)
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
@@ -305,8 +316,14 @@ def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
     """Write all files of a drive into `staging`; errors speak of `folder`."""
     if not drive.odometry.t.size:
         raise InputError("no rows", folder / ODOMETRY)
+    may_lack = {"sigma"}
+    if (np.isnan(drive.odometry.v) == np.isnan(drive.odometry.omega)).all():
+        may_lack |= {"v", "omega"}  # unknown motion
     for name, columns in _columns(drive).items():
-        cells = [_cells(column, values, folder / name) for column, values in columns.items()]
+        cells = [
+            _cells(column, values, folder / name, column in may_lack)
+            for column, values in columns.items()
+        ]
         write_csv(staging / name, columns, zip(*cells, strict=True))
     for name, model in ((SETTINGS, drive.settings), (KNOWN, drive.known)):
         if text := settings_yaml(model):
@@ -338,14 +355,14 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
     return files
 
 
-def _cells(column: str, values: np.ndarray, file: Path) -> list[str]:
+def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[str]:
     """Return the text of a column; repr of a float is the shortest that reads back as itself."""
     if column == "landmark":
         ids = [str(value) for value in values]
         if bad := [i for i in ids if not is_identifier(i)]:
             raise InputError(f"landmark {quoted(bad[0])} cannot be an id in a file", file)
         return ids
-    missing = np.isnan(values) if column == "sigma" else np.zeros(values.shape, bool)
+    missing = np.isnan(values) if may_lack else np.zeros(values.shape, bool)
     if not (missing | np.isfinite(values)).all():
         raise InputError(f"{column} holds a number that is not finite", file)
     pairs = zip(values.tolist(), missing.tolist(), strict=True)

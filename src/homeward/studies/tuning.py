@@ -199,7 +199,7 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
             f"{drive.name}: its first half has {track.innovations.t.size} sightings of mapped "
             f"landmarks; {ENOUGH} are needed to learn from"
         )
-    chart, odometry = localizer.chart, drive.odometry
+    chart, odometry = localizer.chart, drive.odometry.bridged
     moves = max(np.count_nonzero((odometry.v != 0) | (odometry.omega != 0)), 1)
     speed, turning = np.abs(odometry.v).sum() / moves, np.abs(odometry.omega).sum() / moves
     along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]

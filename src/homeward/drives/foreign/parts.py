@@ -15,12 +15,11 @@ from homeward.drives.foreign.cells import names, number_parser, time_parser
 from homeward.drives.foreign.columns import UNITS, Column, assigned, times_in
 from homeward.drives.foreign.sheet import Sheet
 from homeward.drives.foreign.wide import landmark_columns, landmark_in, long, unit_of
+from homeward.drives.plausibility import MAX_SPEED
 from homeward.drives.text.table import Parser, Table, read_csv
 from homeward.errors import InputError
 from homeward.estimator import HOLD_S
 
-FASTEST = 10.0
-"""No robot of ours drives so fast [m/s]; a number above it is of another unit."""
 UNIX_S = (1e9, 4.1e9)
 """Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
 RECOGNISED = {
@@ -230,7 +229,7 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
         return angle, "as bearings"
-    if column.quantity == "speed" and most > FASTEST:
+    if column.quantity == "speed" and most > MAX_SPEED:
         raise InputError(
             f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "
             f"--columns '{column.role}={column.name}[mm/s]'",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import twists_from_poses
+from homeward.drives.dead_reckoning import odometry_from_poses
 from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Odometry
 from homeward.drives.folder import (
     BY_SPIN,
@@ -25,7 +25,7 @@ from homeward.drives.foreign.columns import KINDS, told_columns
 from homeward.drives.foreign.parts import UNIX_S, Understood, parts_of
 from homeward.drives.foreign.sheet import sheet
 from homeward.drives.home.choosing import with_home
-from homeward.drives.one_clock import on_one_clock
+from homeward.drives.one_clock import on_one_clock, remark_other_units
 from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Table, quoted
@@ -154,8 +154,6 @@ def _odometry(table: Table, remarks: dict[str, int]) -> Odometry:
         return odometry_of(table, remarks)
     kept = without_repeats(table, remarks, REPEATED_ODOMETRY)
     poses = np.stack([kept["x"], kept["y"], kept["heading"]], axis=1)
-    v, omega = twists_from_poses(kept["t"], poses)
     remarks[BY_POSES] = len(kept)
-    return odometry_of(
-        Table(kept.file, kept.row, {"t": kept["t"], "v": v, "omega": omega}), remarks
-    )
+    remark_other_units(kept["t"], remarks)
+    return odometry_from_poses(kept["t"], poses, remarks)

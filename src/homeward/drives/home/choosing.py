@@ -61,6 +61,7 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
     """Refuse an interval [s] in which the odometry moves."""
     ends = np.minimum(np.append(odometry.t[1:], np.inf), odometry.t + HOLD_S)
     within = np.clip(np.minimum(ends, last) - np.maximum(odometry.t, first), 0.0, None)
+    odometry = odometry.bridged
     way, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
     if way > STILL_M or turn > STILL_RAD:
         raise InputError(

@@ -17,7 +17,7 @@ class OdometryTopic(Strict):
     topic: str
     use: Literal["twist", "pose"] | None = None
     """What of a nav_msgs/Odometry: its twist, or its poses, differentiated; None: the twist, unless
-    it is always zero."""
+    the poses contradict it and are usable."""
     left: tuple[str, ...] = ()
     """Joints of the left wheels in a sensor_msgs/JointState; none: every name with left in it."""
     right: tuple[str, ...] = ()

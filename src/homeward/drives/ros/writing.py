@@ -53,7 +53,9 @@ def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
 
 
 def _require_writable(drive: Drive, path: Path) -> None:
-    arrays = [drive.odometry.t, drive.odometry.v, drive.odometry.omega]
+    odometry = drive.odometry
+    unknown = np.isnan(odometry.v) & np.isnan(odometry.omega)
+    arrays = [odometry.t, odometry.v[~unknown], odometry.omega[~unknown]]
     arrays += [drive.sightings.t, drive.sightings.bearing]
     arrays.append(np.array([seen.bearing for seen in drive.home.values()], float))
     if drive.truth is not None:

@@ -97,15 +97,16 @@ class OnlineFilter:
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]."""
-        if not all(map(math.isfinite, (t, v, omega))):
+        """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]; NaN: unknown."""
+        unknown = math.isnan(v) and math.isnan(omega)
+        if not (math.isfinite(t) and (unknown or (math.isfinite(v) and math.isfinite(omega)))):
             self.counts.reject(Rejection.BAD_ODOMETRY)
             return
         if t < self._t:
             self.counts.reject(Rejection.LATE_ODOMETRY)
             return
         self._advance(t)
-        self._twist, self._twist_t = (v, omega), t
+        self._twist, self._twist_t = (v, omega), -math.inf if unknown else t
 
     @guarded
     def bearings(

@@ -67,7 +67,8 @@ class Timetable:
             if kind == ODOMETRY:
                 t, v, omega = next(twists)
                 self._go(t)
-                self._twist, self._twist_t = (v, omega), t
+                known = math.isfinite(v) and math.isfinite(omega)
+                self._twist, self._twist_t = (v, omega), t if known else -math.inf
             elif kind == BEARINGS:
                 t, seen, sigmas = next(sightings)
                 self._go(t)

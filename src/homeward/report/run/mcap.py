@@ -95,7 +95,7 @@ class _Messages:
             yield stamp, "/tf", self._log.make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _poses(self) -> Iterator[tuple[int, str, Any]]:
-        track, odometry = self._track, self._drive.odometry
+        track, odometry = self._track, self._drive.odometry.bridged
         last = np.searchsorted(odometry.t, track.t, side="right") - 1
         for row in np.flatnonzero(track.has_pose).tolist():
             covariance = np.zeros((6, 6))

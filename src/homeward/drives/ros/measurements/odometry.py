@@ -7,10 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import twists_from_poses
+from homeward.drives.dead_reckoning import odometry_from_poses
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
+from homeward.drives.plausibility import without_implausible
+from homeward.drives.ros.measurements.contradiction import (
+    MIN_MOTION,
+    MIN_WINDOWS,
+    WINDOWS_S,
+    contradiction,
+)
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
+from homeward.drives.ros.measurements.wheels import Wheels
 from homeward.drives.ros.messages.names import ODOMETRY, POSE
 from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.text.table import quoted
@@ -36,6 +44,9 @@ POSES = (
 SIDEWAYS = "odometry messages with a sideways speed, which is left out"
 SIDEWAYS_SHARE = 0.1
 """Of the forward speed; less is noise."""
+CONTRADICTION = (
+    "odometry messages in which twist and pose contradict each other: {}; the {} are used ({})"
+)
 
 Row = tuple[float, float, float]
 
@@ -68,58 +79,15 @@ def yaw(q: Any) -> float:
     return math.atan2(2 * (q.w * q.z + q.x * q.y), norm - 2 * (q.y * q.y + q.z * q.z))
 
 
-class Wheels:
-    """Which joints of a JointState are the wheels, and what they say of the robot's way."""
-
-    def __init__(self, told: OdometryTopic) -> None:
-        if told.wheel_radius is None or told.track_width is None:
-            raise InputError(
-                f"{told.topic}: wheels need wheel_radius and track_width in the topics file"
-            )
-        self._told = told
-        self._radius, self._track = told.wheel_radius, told.track_width
-        self._by_position: bool | None = None
-
-    def row(self, message: Any) -> Row | None:
-        """Return way (or speed) of the left and right wheels [m or m/s]; None without them."""
-        names = list(message.name)
-        left = self._joints(names, self._told.left, "left")
-        right = self._joints(names, self._told.right, "right")
-        if not left or not right:
-            return None
-        if self._by_position is None:
-            self._by_position = len(message.position) == len(names)
-        values = message.position if self._by_position else message.velocity
-        if len(values) != len(names):
-            return None
-        return (
-            self._radius * float(np.mean([values[i] for i in left])),
-            self._radius * float(np.mean([values[i] for i in right])),
-            0.0,
-        )
-
-    def _joints(self, names: list[str], wanted: tuple[str, ...], side: str) -> list[int]:
-        if wanted:
-            return [names.index(name) for name in wanted] if set(wanted) <= set(names) else []
-        return [i for i, name in enumerate(names) if side in name.lower()]
-
-    def twists(self, t: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return v [m/s] and omega [rad/s], shape (n,), of rows of shape (n, 3) at `t` [s]."""
-        left, right = rows[:, 0], rows[:, 1]
-        if self._by_position:
-            left, right = _rate(t, left), _rate(t, right)
-        return (left + right) / 2, (right - left) / self._track
-
-
 class OdometryRows:
     """The odometry of a topic, as it comes in."""
 
-    def __init__(self, told: OdometryTopic, kind: str) -> None:
-        self._told, self._kind = told, kind
-        self._wheels = Wheels(told) if kind == JOINT_STATE else None
+    def __init__(self, given: OdometryTopic, kind: str) -> None:
+        self._given, self._kind = given, kind
+        self._wheels = Wheels(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
-        if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[told.use]:
-            raise InputError(f"{told.topic}: a {quoted(kind)} tells no {told.use}")
+        if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
+            raise InputError(f"{given.topic}: a {quoted(kind)} contains no {given.use}")
 
     def add(self, t: float, message: Any) -> None:
         """Take the message of time `t` [s]."""
@@ -134,37 +102,84 @@ class OdometryRows:
         self._rows.append((t, *map(float, (*twist, *pose))))
 
     def odometry(self, remarks: Remarks) -> Odometry:
-        """Return what all messages together tell; counts in `remarks` what was left out.
+        """Return the odometry of all messages; count in `remarks` what was left out or found.
 
         Raises
         ------
         InputError
-            When there is none with finite numbers.
+            When no message has finite numbers, or the orientations of needed poses are zero.
         """
         if not self._rows:
-            raise InputError(f"{self._told.topic}: no message tells odometry")
+            raise InputError(f"{self._given.topic}: no message tells odometry")
         rows = np.array(self._rows, float)
         if self._wheels is not None:
             rows = self._clean(rows, remarks)
-            return Odometry(rows[:, 0], *self._wheels.twists(rows[:, 0], rows[:, 1:]))
-        if self._by_twist(rows[:, 1:]):
+            return self._wheels.odometry(rows[:, 0], rows[:, 1:], remarks)
+        if self._by_twist(rows, remarks):
             with np.errstate(invalid="ignore"):
                 sideways = np.abs(rows[:, 3]) > SIDEWAYS_SHARE * np.abs(rows[:, 1]) + 1e-3
             remarks.count(SIDEWAYS, int(sideways.sum()))
-            return Odometry(*self._clean(rows[:, :3], remarks).T.copy())
+            return without_implausible(Odometry(*self._cleaned_twists(rows, remarks)), remarks)
+        self._require_orientations(rows)
         rows = self._clean(rows[:, [0, 4, 5, 6]], remarks)
-        return Odometry(rows[:, 0], *twists_from_poses(rows[:, 0], rows[:, 1:]))
+        return odometry_from_poses(rows[:, 0], rows[:, 1:], remarks)
+
+    def _cleaned_twists(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
+        """Return t, v and omega, shape (3, n); homeward's own rows may be of unknown motion."""
+        unknown = np.isnan(rows[:, 1:3]).all(axis=1) & (self._kind == ODOMETRY)
+        if not unknown.any():
+            return self._clean(rows[:, :3], remarks).T.copy()
+        # A number in place of the unknown twist lets the row pass.
+        marked = np.column_stack([rows[:, 0], np.where(unknown, 0.0, rows[:, 1:3].T).T, unknown])
+        t, v, omega, lost = self._clean(marked, remarks).T
+        return np.stack([t, *np.where(lost > 0, np.nan, [v, omega])])
 
     def _clean(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
-        return clean_rows(rows, self._told.topic, "odometry", REPEATED_ODOMETRY, remarks)
+        return clean_rows(rows, self._given.topic, "odometry", REPEATED_ODOMETRY, remarks)
 
-    def _by_twist(self, rows: np.ndarray) -> bool:
-        """Say whether twists are used rather than poses; both stand in rows of shape (n, 6)."""
-        if self._told.use is not None or self._kind != NAV_ODOMETRY:
-            return self._told.use == "twist" or self._kind in TWISTS
-        moves = bool(np.ptp(rows[:, 3:], axis=0).any())
-        return bool(rows[:, :2].any()) or not moves
+    def _require_orientations(self, rows: np.ndarray) -> None:
+        """Refuse poses most of which have no orientation; the others are left out by `_clean`."""
+        lacking = np.isnan(rows[:, 6]) & np.isfinite(rows[:, 4:6]).all(axis=1)
+        if 2 * lacking.sum() <= len(rows):
+            return
+        first = int(np.argmax(lacking))
+        way = "use: twist" if self._kind in TWISTS else "another topic"
+        raise InputError(
+            f"{self._given.topic}: the orientation (quaternion) is zero in {int(lacking.sum()):,} "
+            f"of {len(rows):,} messages, first in message {first + 1} at {rows[first, 0]:.3f} s; "
+            f"poses without a heading give no motion: name {way} under odometry in a topics file"
+        )
+
+    def _by_twist(self, rows: np.ndarray, remarks: Remarks) -> bool:
+        """Return whether twists are used rather than poses; rows have shape (n, 7).
+
+        Where messages hold both, a contradiction is counted in `remarks` with the consequence.
+        """
+        use = self._given.use
+        if self._kind != NAV_ODOMETRY:
+            return self._kind in TWISTS
+        ordered = rows[np.isfinite(rows).all(axis=1)]
+        ordered = ordered[np.unique(ordered[:, 0], return_index=True)[1]]
+        found = contradiction(ordered)
+        briefly = len(ordered) > 0 and np.ptp(ordered[:, 0]) < MIN_WINDOWS * max(WINDOWS_S)
+        if use is None and found is None and briefly and not ordered[:, 1:4].any():
+            return _extent(ordered[:, 4:]) <= MIN_MOTION  # a driver without twists
+        if found is None:
+            return use != "pose"
+        poses = found.poses if use is None else use == "pose"
+        used, other = ("poses", "twist") if poses else ("twists", "pose")
+        choice = f"use: {other} in the topics file chooses the other"
+        if use is not None:
+            choice = "as the topics file requires"
+            if poses != found.poses:
+                choice += f", though the {'poses' if found.poses else 'twists'} look right"
+        words = CONTRADICTION.format(found.words, used, choice)
+        remarks.count(words, len(ordered))
+        return not poses
 
 
-def _rate(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.append(np.diff(values) / np.diff(t), 0.0)
+def _extent(poses: np.ndarray) -> float:
+    """Return the largest extent of x, y [m] and heading [rad] of poses, shape (n, 3)."""
+    if not len(poses):
+        return 0.0
+    return float(np.ptp(np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]), axis=0).max())

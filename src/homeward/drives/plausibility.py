@@ -1,0 +1,105 @@
+"""Plausibility of odometry: motion that no ground robot makes counts as unknown.
+
+An encoder that restarts at 0, a pose that is reset, or a spike of a driver looks like a motion of
+metres within one sample. Bearings cannot correct such a motion within seconds.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from homeward.drives.drive import Odometry
+from homeward.estimator import HOLD_S
+
+MAX_SPEED, MAX_TURN_RATE = 10.0, 20.0
+"""Maximum speed [m/s] and yaw rate [rad/s] of the robots that homeward is made for."""
+MAX_ACCELERATION, MAX_TURN_ACCELERATION = 3.0, 10.0
+"""Maximum acceleration [m/s^2, rad/s^2]: tyres slip at 5 m/s^2 or more, and robots stay below."""
+MIN_JUMP, MIN_TURN_JUMP = 0.05, 0.1
+"""Minimum jump [m, rad]; filters and their noise model absorb smaller ones."""
+FASTER = 3.0
+"""A vehicle is quicker than `MAX_SPEED` where 95 % of its motion, times this, is quicker."""
+NOISE_FACTOR = 12.0
+"""Jump over the median deviation of the samples from their neighbours; with Gaussian noise fewer
+than 1 sample in a million deviates by more."""
+WINDOW_S, MAX_NEIGHBOURS = 0.5, 9
+"""Neighbours of a sample on either side: those within this time [s], at most this number."""
+UNKNOWN = (
+    "odometry intervals with an implausible motion (an encoder reset, a pose jump or a spike; the "
+    "first at {:.2f} s, at {:.3g} m/s and {:.3g} rad/s); their motion counts as unknown"
+)
+
+
+def without_implausible(
+    odometry: Odometry, remarks: dict[str, int], sideways: np.ndarray | None = None
+) -> Odometry:
+    """Return odometry in which implausible motion is unknown, and count it in `remarks`.
+
+    Parameters
+    ----------
+    odometry : Odometry
+        Twists, measured or from poses or wheels; NaN where the motion is unknown already.
+    remarks : dict
+        Counts by reason in words.
+    sideways : ndarray, shape (n,), optional
+        Sideways speed of differentiated poses [m/s], tested as the forward speed is.
+    """
+    t, v, omega = odometry.t, odometry.v, odometry.omega
+    bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
+    bad |= _jumps(t, omega, MAX_TURN_RATE, MAX_TURN_ACCELERATION, MIN_TURN_JUMP)
+    if sideways is not None:
+        bad |= _jumps(t, sideways, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
+    if not bad.any():
+        return odometry
+    i = int(np.argmax(bad))
+    speed = v[i] if sideways is None else np.hypot(v[i], sideways[i])
+    remarks[UNKNOWN.format(t[i], speed, omega[i])] = int(bad.sum())
+    return Odometry(t, np.where(bad, np.nan, v), np.where(bad, np.nan, omega))
+
+
+def _jumps(
+    t: np.ndarray, rate: np.ndarray, max_rate: float, max_acceleration: float, min_jump: float
+) -> np.ndarray:
+    """Return which samples of a rate are implausible, shape (n,), bool.
+
+    A sample is, where it is too fast, or where its displacement deviates from the median rate of
+    its neighbours both before and after by more than acceleration and noise allow.
+    """
+    if t.size < 2:
+        return np.asarray(np.abs(rate) > max_rate)
+    steps = np.diff(t)
+    moves = np.abs(rate) > 0
+    # Positions may be published more often than they change; then a change covers several steps.
+    changes = np.diff(t[moves]) if moves.sum() > 1 else steps
+    typical = float(np.median(changes))
+    # In bursts the median is too short; the mean is right, without the time that the robot stands.
+    period = max(typical, float(np.minimum(changes, max(HOLD_S, typical)).mean()))
+    dt = np.append(steps, period)
+    lasts = np.maximum(dt, period)
+    moved = rate * dt
+    # Messages that arrive in a burst carry stamps too close for their displacement.
+    rate = moved / lasts
+    usual = float(np.quantile(np.abs(rate[moves]), 0.95)) if moves.any() else 0.0
+    fast = np.abs(rate) > max(max_rate, FASTER * usual)
+    count = int(np.clip(round(WINDOW_S / period), 1, MAX_NEIGHBOURS))
+    before, after = _neighbours(rate, count)
+    expected = np.stack([before * lasts, after * lasts])
+    deviation = np.fmin(*np.abs(moved - expected))
+    noise = float(np.nanmedian(deviation[moves])) if np.isfinite(deviation[moves]).any() else 0.0
+    # A motion that is slower than expected is no jump: before a burst of messages comes a gap.
+    usable = np.clip(moved, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
+    jump = np.fmin(*np.abs(moved - usable))
+    allowed = max_acceleration * lasts * np.maximum(lasts, count * period) / 2
+    return np.asarray(fast | (jump > np.maximum(allowed, max(min_jump, NOISE_FACTOR * noise))))
+
+
+def _neighbours(rate: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the median of the `count` samples before and after each; NaN where there are none."""
+    blank = np.full(count, np.nan)
+    views = np.lib.stride_tricks.sliding_window_view(np.concatenate([blank, rate, blank]), count)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # windows without any number
+        middle = np.nanmedian(views, axis=1)
+    return middle[: rate.size], middle[count + 1 :]

@@ -1,0 +1,160 @@
+"""Contradiction between the poses and the twists of one nav_msgs/Odometry topic."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.dead_reckoning import steps_between
+from homeward.drives.drive import Odometry
+from homeward.drives.plausibility import MAX_SPEED, without_implausible
+from homeward.estimator import HOLD_S
+
+WINDOWS_S = 1.0, 5.0
+"""Intervals over which motions are compared [s]; the second for robots that are slow."""
+MIN_MOTION = 0.05
+"""Minimum motion of an interval [m, rad]; less may be noise of the poses."""
+MIN_WINDOWS = 5
+"""Minimum number of intervals with motion."""
+MAX_GAIN_ERROR = 1 / 3
+"""Maximum error of the gain between the two motions: the geometric middle between 0.1, the
+calibration error of a poor robot, and 1, the error of a wrong frame, unit or sign."""
+MAX_STILL = 1 / 3
+"""Maximum share of the moving intervals in which one of the two stands still."""
+STILL = 1e-4
+"""A motion that is smaller than this share of the other one is none."""
+MIN_PERSISTENCE = 1.5
+"""Mean square of the motion over two intervals, as a multiple of that over one: 4 in steady motion,
+2 in a random walk, 1 where white noise moves poses of a robot that stands."""
+DEVIATIONS = 3.0
+"""The gain differs from 1 by this number of standard errors more than `MAX_GAIN_ERROR`."""
+MIN_RESIDUAL = 0.05
+"""Residuals below this share of the motion do not matter."""
+BETTER = 4.0
+"""Poses and twists agree better in another frame if that divides the squared residuals by this."""
+
+
+class Contradiction(NamedTuple):
+    """What contradicts, and which of the two is usable."""
+
+    words: str
+    """What is wrong."""
+    poses: bool
+    """Whether the poses are right; else the twists."""
+
+
+def contradiction(rows: np.ndarray) -> Contradiction | None:
+    """Compare the twists of messages with the motion of their poses; None where they agree.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, 7)
+        t [s], forward speed [m/s], yaw rate [rad/s], sideways speed [m/s], x [m], y [m] and heading
+        [rad]; t increases.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if len(rows) < 3:
+        return None
+    short, long = (_motions(rows, window) for window in WINDOWS_S)
+    way, turn = (a if _enough(*a[:2]) else b for a, b in zip(short, long, strict=True))
+    return _compare(rows, *way, *turn)
+
+
+def _enough(twist: np.ndarray, pose: np.ndarray) -> bool:
+    """Return whether enough intervals have a motion."""
+    return bool((np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION).sum() >= MIN_WINDOWS)
+
+
+def _motions(
+    rows: np.ndarray, window: float
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return way (twist, poses in the robot's frame and in the odom frame) and turn (both).
+
+    Ways are complex, forward + i left [m]; each array has an entry for each interval.
+    """
+    t, dt = rows[:, 0], np.diff(rows[:, 0])
+    twist = (rows[1:, 1:4] + rows[:-1, 1:4]) / 2 * dt[:, None]
+    forward, sideways, turned = steps_between(rows[:, 4:])
+    odom = np.diff(rows[:, 4]) + 1j * np.diff(rows[:, 5])
+    # A jump of the poses is no motion: neither of the two counts there.
+    known = without_implausible(
+        Odometry(t, np.append(forward / dt, 0.0), np.append(turned / dt, 0.0)),
+        {},
+        np.append(sideways / dt, 0.0),
+    ).v[:-1]
+    use = np.isfinite(known) & (dt <= 2 * HOLD_S)
+    number = ((t[:-1] - t[0]) / max(window, float(np.median(dt)))).astype(int)
+
+    def summed(steps: np.ndarray) -> np.ndarray:
+        steps = np.where(use, steps, 0)
+        sums = np.bincount(number, steps.real)
+        return sums + 1j * np.bincount(number, steps.imag) if np.iscomplexobj(steps) else sums
+
+    way = twist[:, 0] + 1j * twist[:, 2], forward + 1j * sideways, odom
+    return (
+        (summed(way[0]), summed(way[1]), summed(way[2])),
+        (summed(twist[:, 1]), summed(turned)),
+    )
+
+
+def _compare(
+    rows: np.ndarray,
+    twist: np.ndarray,
+    pose: np.ndarray,
+    odom: np.ndarray,
+    twist_turn: np.ndarray,
+    pose_turn: np.ndarray,
+) -> Contradiction | None:
+    """Compare ways and turns of intervals."""
+    way, turn = _relation(twist, pose), _relation(twist_turn, pose_turn)
+    if "pose" in (way, turn):
+        return Contradiction("the poses stand still while the twists move", False)
+    moves = np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION
+    residual, residual_odom = (
+        float(np.square(np.abs(p - twist)[moves]).sum()) for p in (pose, odom)
+    )
+    matters = np.square(MIN_RESIDUAL * np.abs(twist[moves])).sum()
+    in_odom = _enough(twist, pose) and residual > max(matters, BETTER * residual_odom)
+    if way is None and turn is None and not in_odom:
+        return None
+    coherent = np.square(pose.imag).sum() <= np.square(pose.real).sum()
+    speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
+    usable = bool(coherent and speed <= MAX_SPEED)
+    if in_odom:
+        return Contradiction("the twists are in the odom frame, not in the robot's", usable)
+    if "twist" in (way, turn):
+        still = " and ".join(n for n, r in (("speed", way), ("yaw rate", turn)) if r == "twist")
+        return Contradiction(f"the {still} of the twists stays zero while the poses move", usable)
+    gains = [f"{what} {gain}" for what, gain in (("way", way), ("turn", turn)) if gain is not None]
+    return Contradiction(f"the poses' motion is {' and '.join(gains)} of the twists'", usable)
+
+
+def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
+    """Return None where both agree, "twist" or "pose" where that one stands still, or the gain."""
+    size = np.abs(twist), np.abs(pose)
+    moves = np.maximum(*size) > MIN_MOTION
+    if not _enough(twist, pose):
+        return None
+    twist_still, pose_still = (moves & (a <= STILL * b) for a, b in (size, size[::-1]))
+    for name, still in (("pose", pose_still), ("twist", twist_still)):
+        if still.sum() > MAX_STILL * moves.sum():
+            return None if name == "twist" and not _persists(pose) else name
+    both = ~(twist_still | pose_still)  # standing intervals too: their noise has no weight
+    power = float(np.square(size[0][both]).sum())
+    if not power > 0:
+        return None
+    gain = (np.conj(twist[both]) * pose[both]).sum() / power
+    rest = np.square(np.abs(pose[both] - gain * twist[both])).sum()
+    error = float(np.sqrt(rest / max(moves.sum() - 1, 1) / power))
+    if abs(gain - 1) <= MAX_GAIN_ERROR + DEVIATIONS * error:
+        return None
+    if abs(gain.imag) > 0.1 * abs(gain):
+        return f"{abs(gain):.3g} times, turned by {np.degrees(np.angle(gain)):.0f} degrees,"
+    return f"{gain.real:.3g} times that"
+
+
+def _persists(pose: np.ndarray) -> bool:
+    """Return whether the poses move, rather than that noise moves them."""
+    double = np.square(np.abs(pose[1:] + pose[:-1])).mean()
+    return bool(double > MIN_PERSISTENCE * np.square(np.abs(pose)).mean())

@@ -1,0 +1,130 @@
+"""Odometry whose motion is unknown for an interval: found, written, read and used."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.drives.dead_reckoning import dead_reckoning, odometry_from_poses
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Start
+from homeward.drives.folder import read_folder
+from homeward.drives.foreign.reading import drive_of, understand
+from homeward.drives.opening import open_drive
+from homeward.drives.plausibility import without_implausible
+from homeward.drives.saving import save_drive
+from homeward.errors import InputError
+from homeward.registry import make_estimator
+from homeward.track import run
+
+T = np.arange(100) / 10
+
+
+def jumping(at=50):
+    """Poses of a robot at 0.3 m/s that jump by 2 m; shape (n, 3)."""
+    x = 0.3 * T + 2.0 * (at < np.arange(T.size))
+    return np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
+
+
+def drive_of_odometry(odometry):
+    seen = Sightings.of_rows([(t, i, 0.1, math.nan) for t in T.tolist() for i in "abcd"])
+    home = {i: HomeBearing(0.3 * k) for k, i in enumerate("abcd")}
+    return Drive("x", odometry, seen, home)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, 1.0)])
+def test_a_pose_that_jumps_is_unknown_motion_ahead_and_sideways(direction):
+    rows, remarks = jumping(), {}
+    rows[:, :2] = np.outer(0.3 * T, (1, 0)) + np.outer(rows[:, 0] - 0.3 * T, direction)
+    odometry = odometry_from_poses(T, rows, remarks)
+    assert np.flatnonzero(np.isnan(odometry.v)).tolist() == [50]
+    ((reason, number),) = remarks.items()
+    assert number == 1
+    assert "the first at 5.00 s" in reason
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0, 100.0])
+def test_noise_brisk_driving_bursts_and_slow_updates_are_plausible(rate):
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 100.0, 1 / rate)
+    v = np.where(t % 7 < 3, 0.0, 1.5) + 0.1 * rng.standard_normal(t.size)
+    omega = np.where(t % 5 < 2, 0.0, 1.5) + 0.1 * rng.standard_normal(t.size)
+    remarks = {}
+    without_implausible(Odometry(t, v, omega), remarks)
+    x = np.concatenate([[0.0], np.cumsum(v[:-1] / rate)])
+    poses = np.column_stack([x, 0 * x, 0 * x])
+    odometry_from_poses(t, poses, remarks)
+    hold = np.arange(t.size) // 10 * 10
+    odometry_from_poses(t, poses[hold], remarks)
+    if rate > 1.0:
+        burst = t[hold] + 1e-3 / rate * (np.arange(t.size) - hold)
+        odometry_from_poses(burst, poses, remarks)
+    assert remarks == {}
+
+
+def test_a_fast_vehicle_is_no_fault():
+    remarks = {}
+    without_implausible(Odometry(T, np.full(T.size, 25.0), np.zeros(T.size)), remarks)
+    assert remarks == {}
+
+
+@pytest.mark.parametrize("name", ["folder", "log.mcap", "log.bag", "log.db3"])
+def test_unknown_motion_comes_back_from_files(tmp_path, name):
+    odometry = odometry_from_poses(T, jumping(), {})
+    save_drive(drive_of_odometry(odometry), tmp_path / name)
+    back = open_drive(tmp_path / name)
+    for column in ("t", "v", "omega"):
+        ours, theirs = getattr(odometry, column), getattr(back.odometry, column)
+        assert np.array_equal(ours, theirs, equal_nan=True)
+    if name == "folder":
+        assert ",,\n" in (tmp_path / name / "odometry.csv").read_text()
+
+
+def test_half_a_twist_is_refused_and_a_spike_in_a_folder_is_unknown(tmp_path):
+    v = np.full(T.size, 0.3)
+    v[30] = 300.0
+    save_drive(drive_of_odometry(Odometry(T, v, np.zeros(T.size))), tmp_path / "d")
+    drive = read_folder(tmp_path / "d")
+    assert np.flatnonzero(np.isnan(drive.odometry.v)).tolist() == [30]
+    assert any("implausible" in reason for reason in drive.remarks)
+    table = tmp_path / "d" / "odometry.csv"
+    table.write_text("t,v,omega\n0,1,0\n1,1,\n2,1,0\n")
+    with pytest.raises(InputError, match=r"row 3: omega is empty; .* leave both"):
+        read_folder(tmp_path / "d")
+
+
+def test_import_of_poses_that_jump(tmp_path):
+    poses = np.column_stack([T, jumping()])
+    odom, seen, home = (tmp_path / f"{name}.csv" for name in ("odom", "bearings", "home"))
+    np.savetxt(odom, poses, delimiter=",", header="t,x,y,heading", comments="")
+    seen.write_text("t,landmark,bearing\n" + "".join(f"{t},a,0.1\n" for t in T.tolist()))
+    home.write_text("landmark,bearing\na,0.1\n")
+    drive = drive_of(understand([odom, seen, home]), "x")
+    assert np.flatnonzero(np.isnan(drive.odometry.v)).tolist() == [50]
+    assert any("implausible" in reason for reason in drive.remarks)
+
+
+def test_dead_reckoning_goes_on_with_the_last_known_twist():
+    odometry = odometry_from_poses(T, jumping(), {})
+    end = dead_reckoning(odometry, T)
+    assert end.x == pytest.approx(0.3 * T)
+    lost = Odometry(T, np.full(T.size, np.nan), np.full(T.size, np.nan))
+    assert dead_reckoning(lost, T).x == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("name", ["ekf", "schmidt"])
+def test_filters_widen_over_unknown_motion(name):
+    odometry = Odometry(T, np.full(T.size, 0.3), np.zeros(T.size))
+    v = odometry.v.copy()
+    v[50:55] = np.nan
+    unknown = Odometry(T, v, np.where(np.isnan(v), np.nan, 0.0))
+    growth = []
+    for known in (odometry, unknown):
+        drive = drive_of_odometry(known)
+        start = Start(R=1.0, theta=0.5, alpha=0.5)
+        settings = drive.settings.model_copy(update={"start": start})
+        none = Sightings.of_rows(())
+        drive = Drive("x", known, none, drive.home, settings)
+        track = run(drive, make_estimator(name, drive))
+        assert np.isfinite(track.x).all()
+        growth.append(float(track.sigmas[-1, 0]))
+    assert growth[1] > growth[0]
