@@ -30,7 +30,7 @@ class Reason(_Words):
 class Rejection(_Words):
     """Why a sample, or a sighting, was not used."""
 
-    BAD_ODOMETRY = "odometry is not finite, or no robot's"
+    BAD_ODOMETRY = "odometry is not finite, or faster than a robot can move or speed up"
     LATE_ODOMETRY = "odometry came late"
     BAD_BEARING = "bearing, or its time, is not finite"
     LATE_BEARINGS = "bearings came late"

@@ -10,7 +10,7 @@ from homeward.angles import wrap
 from homeward.control import Twist, advance
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import without_implausible
-from homeward.estimator import HOLD_S
+from homeward.estimator import hold_time
 from homeward.frames import Pose
 
 
@@ -20,7 +20,7 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     Parameters
     ----------
     odometry : Odometry
-        At least one twist; each holds until the next, at most `HOLD_S`. Where the motion is
+        At least one twist; each holds until the next, at most for `hold_time`. Where the motion is
         unknown, the last known twist is used.
     t : ndarray, shape (n,)
         Times asked for [s].
@@ -37,12 +37,14 @@ def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
 def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
     """Return what `dead_reckoning` does, headings counted beyond a turn."""
     odometry = odometry.bridged
-    twists, held = Twist(odometry.v, odometry.omega), np.minimum(np.diff(odometry.t), HOLD_S)
+    intervals = np.diff(odometry.t)
+    hold = hold_time(intervals.tolist())
+    twists, held = Twist(odometry.v, odometry.omega), np.minimum(intervals, hold)
     heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
     steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
     x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
     last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
-    since = np.clip(t - odometry.t[last], 0.0, HOLD_S)
+    since = np.clip(t - odometry.t[last], 0.0, hold)
     begun = Pose(x[last], y[last], heading[last])
     return advance(begun, Twist(*(a[last] for a in twists)), since)
 

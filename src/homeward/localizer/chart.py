@@ -98,7 +98,7 @@ class Chart:
         now : float
             The newest stamp of all [s].
         """
-        if not self._twists:
+        if not self._twists and not self._known.landmarks:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution

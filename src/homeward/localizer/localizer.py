@@ -19,7 +19,6 @@ from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.estimator import (
-    FASTEST,
     Counts,
     Estimate,
     Innovation,
@@ -30,6 +29,8 @@ from homeward.estimator import (
 from homeward.frames import Pose
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.bearing_noise import valid_sigma
+from homeward.localizer.inputs.dead_odometry import DeadOdometry
+from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.map.smoother import Smoother
@@ -99,6 +100,7 @@ class Localizer:
         self._keeps = False
         self._clock, self._reorder = Clock(), ReorderBuffer()
         self._sign_check = SignCheck(self._robot.sensor.yaw)
+        self._plausibility, self._dead = Plausibility(), DeadOdometry()
         self._t = -math.inf
 
     @property
@@ -114,13 +116,18 @@ class Localizer:
         survey = self.chart.map.registration.survey
         scale = survey.notes(self.chart.map.state) if survey.known.tells else self._notes
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
-        return (*scale, *noisy, *robot, *self.chart.home.notes)
+        wheels = *self._plausibility.notes, *self._dead.notes
+        return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Add a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        """Add a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s].
+
+        NaN for both: the motion is unknown until the next twist. A twist that is implausible, or
+        that repeats zero while the bearings change, counts as one of unknown motion.
+        """
         t = self._clock.read(t)
-        if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
+        if not math.isfinite(t):
             self._reject(Rejection.BAD_ODOMETRY)
             return
         late = self._is_too_late(t)
@@ -128,8 +135,17 @@ class Localizer:
         if late:
             self._reject(Rejection.LATE_ODOMETRY)
             return
+        if not self._plausibility.accepts(t, v, omega):
+            if not (math.isnan(v) and math.isnan(omega)):
+                self._reject(Rejection.BAD_ODOMETRY)
+            if not self._twists:
+                return
+            v = omega = math.nan
+        self._dead.odometry(t, v, omega)
+        if self._dead.is_dead:
+            v = omega = math.nan
         self._advance(t)
-        if not self._twists and self._robot.start is None:
+        if not self._twists and self._robot.start is None and not self._chart.map.landmarks.mapped:
             self._chart.begin(t)  # earlier motion is of no interest
         self._twists.add(t, v, omega)
         for chart in self.charts:
@@ -162,6 +178,7 @@ class Localizer:
         self._reorder.bearings(BearingFrame(t, usable, valid))
         if (twist := self._twists.before(t)) is not None:
             self._sign_check.bearings(t, usable, self._twists.heading(t), twist.v)
+        self._dead.bearings(t, usable, valid, self.chart.noise.sigma)
         innovations = self._process_due()
         return self._estimate(t, innovations, said)
 
@@ -342,5 +359,6 @@ class Localizer:
         if self.signs_reversed:
             why = Reason.SIGNS_REVERSED.words
             return Estimate(said, Status.MAPPING, why, None, None, innovations)
-        found = self.chart.estimate(t, innovations, self._reorder.complaint())
+        complaint = self._reorder.complaint() or self._dead.reason
+        found = self.chart.estimate(t, innovations, complaint)
         return found if t == said else dataclasses.replace(found, t=said)

@@ -19,7 +19,7 @@ from homeward.drives.drive import DriveSettings, Odometry, Sightings
 from homeward.drives.home.least_squares import LeastSquares
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
-from homeward.estimator import HOLD_S
+from homeward.estimator import hold_time
 from homeward.frames import Pose
 
 UNTOLD_SIGMA = 0.02
@@ -296,5 +296,5 @@ def _require_odometry(begin: float, end: float, odometry: Odometry) -> None:
     before = odometry.t[odometry.t <= begin][-1:]
     ends = np.concatenate([before if before.size else [begin], inside, [end]])
     gap = float(np.diff(ends).max())
-    if gap > HOLD_S:
+    if gap > hold_time(np.diff(odometry.t).tolist()):
         raise InputError(f"odometry has a gap of {gap:.1f} s during home's spin")

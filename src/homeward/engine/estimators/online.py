@@ -14,13 +14,13 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.estimator import (
     CHECKED,
-    HOLD_S,
     NO_BEARINGS_S,
     Counts,
     Estimate,
     Innovation,
     LandmarkEstimate,
     Status,
+    TwistHold,
     guarded,
 )
 from homeward.filters.carrier import Carrier
@@ -67,7 +67,7 @@ class OnlineFilter:
         self._sightings = np.zeros(len(self._ids), dtype=int)
         self._t = math.nan
         self._twist: tuple[float, float] | None = None
-        self._twist_t = -math.inf
+        self._twist_t, self._hold = -math.inf, TwistHold()
         self._last_seen = -math.inf
         self._agrees = np.zeros(len(self._ids), dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT)
@@ -101,12 +101,17 @@ class OnlineFilter:
         unknown = math.isnan(v) and math.isnan(omega)
         if not (math.isfinite(t) and (unknown or (math.isfinite(v) and math.isfinite(omega)))):
             self.counts.reject(Rejection.BAD_ODOMETRY)
+            if math.isfinite(t) and t >= self._t:  # unknown motion from here on
+                self._advance(t)
+                self._twist_t = -math.inf
             return
         if t < self._t:
             self.counts.reject(Rejection.LATE_ODOMETRY)
             return
         self._advance(t)
         self._twist, self._twist_t = (v, omega), -math.inf if unknown else t
+        if not unknown:
+            self._hold.add(t)
 
     @guarded
     def bearings(
@@ -181,7 +186,7 @@ class OnlineFilter:
 
     def _predicted(self, t: float) -> Any:
         """Carry the belief to `t`: by the twist while it holds, then by its absence."""
-        held = min(max(self._twist_t + HOLD_S, self._t), t)
+        held = min(max(self._twist_t + self._hold.seconds, self._t), t)
         belief = self._carrier.predict(self._belief, held - self._t, self._twist)
         return self._carrier.predict(belief, t - held, None)
 
@@ -226,7 +231,7 @@ class OnlineFilter:
         age, silent = t - self._last_seen, t - self._twist_t
         if math.isinf(age):
             return Status.UNVERIFIED, "start prior and odometry alone: no landmark of home seen yet"
-        if silent > HOLD_S:
+        if silent > self._hold.seconds:
             return Status.UNVERIFIED, "no odometry: only its uncertainty grows"
         if 2 * sum(self._recent) < len(self._recent):
             return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"

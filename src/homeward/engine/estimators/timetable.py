@@ -10,7 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.engine.estimators.runner import in_steps
-from homeward.estimator import HOLD_S
+from homeward.estimator import TwistHold
 from homeward.track import BEARINGS, ODOMETRY, grid_times, in_order
 
 SAME_S = 1e-9
@@ -38,6 +38,7 @@ class Timetable:
         """The number of the sample before each row, and the steps from there to it."""
         self._stamps: list[tuple[float, int, dict[int, float], dict[int, float]]] = []
         self._now, self._twist, self._twist_t = math.nan, (math.nan, math.nan), -math.inf
+        self._hold = TwistHold()
         self._index = {landmark: i for i, landmark in enumerate(ids)}
         self._yaw = drive.settings.sensor.yaw
         self._read(drive)
@@ -67,8 +68,11 @@ class Timetable:
             if kind == ODOMETRY:
                 t, v, omega = next(twists)
                 self._go(t)
-                known = math.isfinite(v) and math.isfinite(omega)
-                self._twist, self._twist_t = (v, omega), t if known else -math.inf
+                if math.isfinite(v) and math.isfinite(omega):
+                    self._twist, self._twist_t = (v, omega), t
+                    self._hold.add(t)
+                else:
+                    self._twist_t = -math.inf
             elif kind == BEARINGS:
                 t, seen, sigmas = next(sightings)
                 self._go(t)
@@ -91,7 +95,7 @@ class Timetable:
         """Return the steps from now to `t` [s], as `OnlineFilter` takes them."""
         if math.isnan(self._now):
             return []
-        held = min(max(self._twist_t + HOLD_S, self._now), t)
+        held = min(max(self._twist_t + self._hold.seconds, self._now), t)
         driven = [(dt, *self._twist, False) for dt in in_steps(held - self._now)]
         return driven + [(dt, 0.0, 0.0, True) for dt in in_steps(t - held)]
 

@@ -8,7 +8,7 @@ from collections import deque
 
 from homeward.angles import wrap
 from homeward.control import Twist, advance
-from homeward.estimator import HOLD_S
+from homeward.estimator import TwistHold
 from homeward.frames import Pose
 from homeward.live.messages import OdometryIn
 
@@ -22,6 +22,7 @@ class Way:
     def __init__(self) -> None:
         self._t: deque[float] = deque()
         self._samples: deque[tuple[Pose, float, float]] = deque()
+        self._hold = TwistHold()
 
     @property
     def newest(self) -> float:
@@ -39,6 +40,7 @@ class Way:
         there = self.at(sample.t) if self._t else before
         there = there if sample.pose is None else Pose(*sample.pose)
         self._t.append(sample.t)
+        self._hold.add(sample.t)
         self._samples.append((there, sample.v, sample.omega))
         while len(self._t) > 2 and self._t[1] < sample.t - PATH_S:
             self._t.popleft()
@@ -50,6 +52,6 @@ class Way:
             return Pose(0.0, 0.0, 0.0)
         row = max(bisect_right(self._t, t) - 1, 0)
         pose, v, omega = self._samples[row]
-        dt = min(max(t - self._t[row], 0.0), HOLD_S)
+        dt = min(max(t - self._t[row], 0.0), self._hold.seconds)
         there = advance(pose, Twist(v, omega), dt)
         return there._replace(heading=wrap(there.heading))

@@ -111,7 +111,7 @@ class Map:
     def scale_variance(self) -> float:
         """Variance of the map's scale by slips that leave no residuals [1]."""
         common_slip = self._process_noise.common_slip_variance
-        return common_slip / max(self._scale_information, common_slip)
+        return common_slip / max(self._scale_information, common_slip) if common_slip else 0.0
 
     def camera(self, motion: Motion) -> Motion:
         """Return the motion from the newest keyframe to the camera after the robot's motion."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
-from homeward.estimator import HOLD_S
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
@@ -214,7 +213,7 @@ class Odometry:
         until = [twist.t for twist in held[1:]] + [end]
         steady = [twist.steady for twist in held[1:]] + [self._twists.steady_speed(end)]
         for twist, then, speed in zip(held, until, steady, strict=True):
-            start, silent = max(twist.t, begin), twist.t + HOLD_S
+            start, silent = max(twist.t, begin), twist.until
             known = min(max(silent - start, 0.0), then - start)
             unknown = self._dropout_growth(silent, start + known, then)
             pieces.append(Piece(*unknown, known, twist.v, twist.omega, speed))

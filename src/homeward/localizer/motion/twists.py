@@ -8,7 +8,7 @@ from collections import deque
 from operator import attrgetter
 from typing import NamedTuple
 
-from homeward.estimator import HOLD_S
+from homeward.estimator import TwistHold
 
 STEADY_S = 0.5
 """Averaging time of the speed: longer than the noise of samples, shorter than changes of speed [s].
@@ -16,7 +16,10 @@ STEADY_S = 0.5
 
 
 class Twist(NamedTuple):
-    """A twist, valid from its stamp to the next, and the dead reckoning there."""
+    """A twist, valid from its stamp to the next, and the dead reckoning there.
+
+    A twist of unknown motion has the speeds zero, and `until` not after `t`.
+    """
 
     t: float
     """[s]"""
@@ -24,6 +27,9 @@ class Twist(NamedTuple):
     """[m/s]"""
     omega: float
     """[rad/s]"""
+    until: float
+    """Time up to which the motion is known: by this twist, or, where that is before `t`, by an
+    earlier one [s]."""
     heading: float
     """Heading by odometry alone [rad]."""
     path: float
@@ -40,6 +46,7 @@ class Twists:
 
     def __init__(self) -> None:
         self._twists: deque[Twist] = deque()
+        self._hold = TwistHold()
 
     def __bool__(self) -> bool:
         """Whether there was a twist at all."""
@@ -51,14 +58,27 @@ class Twists:
         return self._twists[-1].t if self._twists else -math.inf
 
     def add(self, t: float, v: float, omega: float) -> None:
-        """Insert a twist, which may be late; one with the stamp of another replaces it."""
+        """Insert a twist, which may be late; one with the stamp of another replaces it.
+
+        NaN for `v` or `omega`: the motion is unknown until the next twist.
+        """
+        hold = self._hold.add(t)
+        if math.isnan(v) or math.isnan(omega):
+            v = omega = hold = 0.0
         later = []
         while self._twists and self._twists[-1].t > t:
             later.append(self._twists.pop())
         if self._twists and t == self._twists[-1].t:
             self._twists.pop()
-        for now in ((t, v, omega), *(twist[:3] for twist in reversed(later))):
-            self._twists.append(Twist(*now, *self._reckoned(now[0]), self.steady_speed(now[0])))
+        self._append(t, v, omega, hold)
+        for twist in reversed(later):
+            self._append(*twist[:3], twist.until - twist.t)
+
+    def _append(self, t: float, v: float, omega: float, hold: float) -> None:
+        """Append a twist that holds for a time [s]; none: the motion is unknown."""
+        known = self._twists[-1].until if self._twists else -math.inf
+        until = t + hold if hold > 0.0 else min(known, t)
+        self._twists.append(Twist(t, v, omega, until, *self._reckoned(t), self.steady_speed(t)))
 
     def before(self, t: float) -> Twist | None:
         """Return the twist that holds at `t` [s], or did last; None before the first."""
@@ -79,7 +99,7 @@ class Twists:
         if twist is None:
             twist = self._twists[0] if self._twists else None
             return (twist.heading, twist.path) if twist else (0.0, 0.0)
-        dt = min(t - twist.t, HOLD_S)
+        dt = max(min(t, twist.until) - twist.t, 0.0)
         return twist.heading + twist.omega * dt, twist.path + twist.v * dt
 
     def between(self, begin: float, end: float) -> list[Twist]:

@@ -13,7 +13,7 @@ from homeward.localizer.geometry import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import FALSE_ALARM, INLIER, MINIMAL, VERIFIED
+from homeward.localizer.tunables import CLOSE, FALSE_ALARM, INLIER, MINIMAL, VERIFIED
 
 VIEW_ANGLE = math.pi
 """Width of the sector in which landmarks are seen [rad]."""
@@ -60,6 +60,12 @@ class FirstFix:
             if name in self._survey.places:
                 kept = self._seen.setdefault(name, deque(maxlen=KEPT_PER_LANDMARK))
                 kept.append((eye, float(bearing), float(sigma), variances))
+        for kept in self._seen.values():
+            while (variances - kept[0][3])[2] > CLOSE**2:  # never the newest frame's
+                kept.popleft()
+                if not kept:
+                    break
+        self._seen = {name: kept for name, kept in self._seen.items() if kept}
         self._wait -= 1
         if len(self._seen) < VERIFIED or self._wait > 0:
             return None

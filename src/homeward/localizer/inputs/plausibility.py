@@ -1,0 +1,61 @@
+"""Plausibility check of odometry: speeds and accelerations that no wheeled robot has.
+
+Encoders are reset, counters wrap round and messages are damaged. Then one twist is far too large,
+and the pose would move by metres at a small covariance. Such a twist means unknown motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+from homeward.estimator import FASTEST
+
+MAX_ACCELERATION = 10.0
+"""Largest acceleration of a wheeled robot: tyres on a dry floor grip with a friction coefficient of
+about 1, which gives 1 g [m/s^2]."""
+MAX_TURN_ACCELERATION = 50.0
+"""The same of the turn rate, for wheels 0.2 m from the centre [rad/s^2]."""
+MIN_INTERVAL_S = 0.1
+"""Shorter intervals count as this long: the noise of a speed grows as its interval shrinks [s]."""
+START_S = 1.0
+"""The robot is assumed to have been at rest this long before the first twist [s]."""
+IMPLAUSIBLE = (
+    "Odometry reported impossible motion {} times, first at {:.2f} s (speed or acceleration no "
+    "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "
+    "so the pose is less certain there. Look for encoder resets, counter overflow or damaged "
+    "messages."
+)
+
+
+class Plausibility:
+    """Plausibility check: whether a robot can have reached a twist since the last plausible one."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float, float] | None = None
+        """Last plausible twist: time [s], speed [m/s] and turn rate [rad/s]."""
+        self._number, self._first = 0, math.nan
+
+    def accepts(self, t: float, v: float, omega: float) -> bool:
+        """Return whether a twist of stamp `t` [s] is plausible; count it if not.
+
+        The speeds that a robot may have reached grow with the time since the last plausible twist.
+        So a single wrong sample is refused, and a real change of speed is accepted soon.
+        """
+        if self._last is None and math.isfinite(t):
+            self._last = (t - START_S, 0.0, 0.0)
+        if self._last is not None and abs(v) < FASTEST and abs(omega) < FASTEST:
+            before, speed, turn_rate = self._last
+            time = max(abs(t - before), MIN_INTERVAL_S)
+            slow = abs(v - speed) <= MAX_ACCELERATION * time
+            if slow and abs(omega - turn_rate) <= MAX_TURN_ACCELERATION * time:
+                self._last = (t, v, omega)
+                return True
+        if not (math.isnan(v) and math.isnan(omega)):
+            self._number += 1
+            self._first = t if math.isnan(self._first) else self._first
+        return False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        return (IMPLAUSIBLE.format(self._number, self._first),) if self._number else ()
