@@ -281,8 +281,7 @@ holds, since within more than 5 s a robot in a room starts, turns and stops [s].
 HOLD_SHARE = 1.5
 """A twist of slow odometry holds for this many typical intervals: a longer gap is a dropout [1]."""
 NUM_INTERVALS = 5
-"""Latest intervals from which the typical one is computed: a median that two dropouts do not change.
-"""
+"""Latest intervals for the typical one: a median that two dropouts do not change."""
 
 
 def hold_time(intervals: Collection[float]) -> float:

@@ -32,7 +32,12 @@ from homeward.localizer.recovery.first_fix import FirstFix
 from homeward.localizer.recovery.monitor import Health, Monitor
 from homeward.localizer.recovery.search import pose_reset
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import SPEED_TIME_S
 from homeward.reasons import Rejection
+
+RESECTION_S = 2.0 * SPEED_TIME_S
+"""Without odometry for this long, nothing is known of the velocity, and each pose is a resection
+from the survey, where the frame allows one [s]."""
 
 
 class Chart:
@@ -106,7 +111,7 @@ class Chart:
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
-        reset = health is Health.NO_MAP
+        reset = health is Health.NO_MAP or self._resects(seen)
         if reset:
             motion = self._reset_map(seen.t)
         if reset or health is Health.OK:
@@ -204,6 +209,18 @@ class Chart:
         if found is not None:
             known.expect(*found)
             self._last_accepted = seen.t
+
+    def _resects(self, seen: WeighedFrame) -> bool:
+        """Return whether a frame alone gives the pose in a survey, without odometry to rely on.
+
+        After a long time without odometry, motions from frame to frame are guesses, and errors of
+        a map built on them add up. A map that begins at this frame has none of them.
+        """
+        known = self.map.registration
+        if not self._known.surveyed_from_home or self._twists.unknown_time(seen.t) < RESECTION_S:
+            return False
+        eye, _ = self.map.state.pose_after(self.map.camera(Motion.identity()))
+        return FirstFix(known.survey).add_frame(seen, eye, np.zeros(3)) is not None
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.

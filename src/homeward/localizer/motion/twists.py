@@ -85,6 +85,11 @@ class Twists:
         after = bisect_right(self._twists, t, key=_stamp)
         return self._twists[after - 1] if after else None
 
+    def unknown_time(self, t: float) -> float:
+        """Return for how long the motion has been unknown at `t` [s]; infinite without twists."""
+        twist = self.before(t)
+        return math.inf if twist is None else max(t - twist.until, 0.0)
+
     def heading(self, t: float) -> float:
         """Return the heading at `t` [s], by odometry alone [rad]."""
         return self._reckoned(t)[0]
