@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.drive import Truth
+from homeward.drives.drive import TRUTH_GAP_S, Truth, is_slow
 from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.reasons import Rejection
 from homeward.track import Track
 
-TRUTH_GAP_S = 0.5
-"""Truth is not interpolated across a longer gap [s]."""
+NEAR_S = 0.05
+"""Where ground truth is slow, the row nearest to each stamp is scored, if this near: half the
+interval of the rows [s]."""
 CHI_SQUARE_3_95 = 7.814727903251179
 """95 % quantile of chi-square with three degrees of freedom (Abramowitz and Stegun, table 26.8)."""
 CHI_SQUARE_1_95 = 3.841458820694124
@@ -144,7 +145,7 @@ def score(track: Track, truth: Truth | None) -> Metrics:
         What to measure.
     truth : Truth or None
         True poses in the home frame; rows outside its span, or inside one of its gaps longer than
-        `TRUTH_GAP_S`, are not judged.
+        `TRUTH_GAP_S`, are not judged. If most gaps are longer, rows at its own stamps are.
     """
     seconds = np.diff(track.t, append=track.t[-1:])
     duration = float(seconds.sum())
@@ -271,12 +272,27 @@ def _coverage(t: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Return which rows truth can judge, and for how long each stands and truth lasts [s]."""
     if truth.size < 2:
         return np.zeros(t.shape, bool), np.zeros(t.shape)
+    if is_slow(truth):
+        return _coverage_at_stamps(t, truth)
     gaps = np.diff(truth) > TRUTH_GAP_S
     ends = np.append(truth[:-1][gaps], truth[-1])
     end = ends[np.minimum(np.searchsorted(ends, t), ends.size - 1)]
     weight = np.maximum(np.minimum(np.append(t[1:], t[-1:]), end) - t, 0.0)
     before = np.clip(np.searchsorted(truth, t, side="right") - 1, 0, gaps.size - 1)
     return (t >= truth[0]) & (t <= truth[-1]) & ~gaps[before], weight
+
+
+def _coverage_at_stamps(t: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return `_coverage` by slow truth: the row nearest to each stamp, for the median interval."""
+    covered, weight = np.zeros(t.shape, bool), np.zeros(t.shape)
+    if t.size:
+        after = np.clip(np.searchsorted(t, truth), 1, max(t.size - 1, 1))
+        nearest = after - (truth - t[after - 1] < t[np.minimum(after, t.size - 1)] - truth)
+        nearest = np.minimum(nearest, t.size - 1)
+        covered[nearest[np.abs(t[nearest] - truth) <= NEAR_S]] = True
+        covered &= (t >= truth[0]) & (t <= truth[-1])
+        weight[covered] = np.median(np.diff(truth))
+    return covered, weight
 
 
 def _status_shares(status: list[Status], seconds: np.ndarray) -> dict[Status, float]:

@@ -334,6 +334,15 @@ class HomeBearing(ByValue):
     """[rad]; NaN where not given."""
 
 
+TRUTH_GAP_S = 0.5
+"""Ground truth is not interpolated across a longer gap [s]."""
+
+
+def is_slow(t: np.ndarray) -> bool:
+    """Return whether most intervals between the stamps of ground truth [s] are such gaps."""
+    return t.size > 1 and float(np.median(np.diff(t))) > TRUTH_GAP_S
+
+
 @dataclass(frozen=True)
 class Truth(Columns):
     """True poses in the home frame, for scoring alone. All arrays have shape (n,)."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, is_slow
 from homeward.errors import InputError
-from homeward.estimator import HOLD_S
+from homeward.estimator import HOLD_S, hold_time
 
 APART_S = 5.0
 """What begins up to so long after another thing ended may be of the same drive [s]."""
@@ -24,6 +24,16 @@ UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 TOO_RARE = (
     "odometry rows, {:,.1f} s apart in the median, where each holds {:g} s at most "
     "(are their stamps in {}?)"
+)
+
+ODOMETRY_ROWS = "odometry rows"
+SLOW_ODOMETRY = (
+    ODOMETRY_ROWS + ", {:.1f} s apart in the median: each twist is assumed to hold until the next, "
+    "at most {:g} s, and poses are less certain; record odometry at 2 Hz or more"
+)
+SLOW_TRUTH = (
+    "rows of ground truth, {:.1f} s apart in the median, too far to interpolate: errors are "
+    "computed at their own times only"
 )
 
 ON_TIME = "sightings were stamped {:g} s late, as bearings_late says: taken back by that"
@@ -62,7 +72,7 @@ def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
     if t.size < FEWEST_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
-    remarks[TOO_RARE.format(step, HOLD_S, unit)] = t.size
+    remarks[TOO_RARE.format(step, hold_time(np.diff(t).tolist()), unit)] = t.size
 
 
 def on_time(drive: Drive) -> Drive:
@@ -73,6 +83,18 @@ def on_time(drive: Drive) -> Drive:
     settings = drive.settings.model_copy(update={"bearings_late": None})
     remarks = {**drive.remarks, ON_TIME.format(late): drive.sightings.t.size}
     return dataclasses.replace(drive.seen_earlier(late), settings=settings, remarks=remarks)
+
+
+def _remark_slow(drive: Drive) -> dict[str, int]:
+    """Return remarks on odometry and ground truth that come slowly."""
+    remarks, t = {}, drive.odometry.t
+    step = float(np.median(np.diff(t))) if t.size >= FEWEST_TWISTS else 0.0
+    if step > HOLD_S and not any(words.startswith(ODOMETRY_ROWS) for words in drive.remarks):
+        remarks[SLOW_ODOMETRY.format(step, hold_time(np.diff(t).tolist()))] = t.size
+    if drive.truth is not None and is_slow(drive.truth.t):
+        step = float(np.median(np.diff(drive.truth.t)))
+        remarks[SLOW_TRUTH.format(step)] = drive.truth.t.size
+    return remarks
 
 
 def on_one_clock(drive: Drive, path: Path) -> Drive:
@@ -92,6 +114,7 @@ def on_one_clock(drive: Drive, path: Path) -> Drive:
         OTHER_CLOCK,
         path,
     )
+    drive = dataclasses.replace(drive, remarks={**drive.remarks, **_remark_slow(drive)})
     outside = int(((seen < first - APART_S) | (seen > last + APART_S)).sum())
     if 2 * outside <= seen.size:
         return drive

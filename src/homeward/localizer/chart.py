@@ -111,7 +111,12 @@ class Chart:
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         gated = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
-        reset = health is Health.NO_MAP or self._resects(seen)
+        reset = health is Health.NO_MAP
+        if self._known.surveyed_from_home and self._twists.unknown_time(seen.t) >= RESECTION_S:
+            if not self._resects(seen):
+                self.counts.reject(Rejection.VAGUE_ODOMETRY, len(seen.names))
+                return []
+            reset = True
         if reset:
             motion = self._reset_map(seen.t)
         if reset or health is Health.OK:
@@ -211,14 +216,12 @@ class Chart:
             self._last_accepted = seen.t
 
     def _resects(self, seen: WeighedFrame) -> bool:
-        """Return whether a frame alone gives the pose in a survey, without odometry to rely on.
+        """Return whether a frame alone gives the pose in the survey.
 
         After a long time without odometry, motions from frame to frame are guesses, and errors of
         a map built on them add up. A map that begins at this frame has none of them.
         """
         known = self.map.registration
-        if not self._known.surveyed_from_home or self._twists.unknown_time(seen.t) < RESECTION_S:
-            return False
         eye, _ = self.map.state.pose_after(self.map.camera(Motion.identity()))
         return FirstFix(known.survey).add_frame(seen, eye, np.zeros(3)) is not None
 

@@ -13,11 +13,13 @@ import numpy as np
 
 from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
+from homeward.estimator import HOLD_S
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import STEADY_S, Twists
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    INFLATION,
     MEMORY_S,
     MIN_SPEED,
     MIN_TURN_RATE,
@@ -33,6 +35,9 @@ INITIAL_STRAIGHT_M = 1.0
 """Length of straight path assumed before the start [m]."""
 NOTABLE_LAG_S = 0.25
 """Lag that the user is told of [s]."""
+BRIDGED = 12.0**-0.5
+"""Standard deviation of the motion beyond `HOLD_S` of a slow twist, over that motion: the
+robot may have stopped, or changed its speed, at any time in it (uniform distribution) [1]."""
 MAX_LAG_S = 0.8
 """Largest plausible lag [s]."""
 
@@ -95,8 +100,9 @@ class MotionPrior:
             How long odometry was silent before, and for how much longer [s].
         """
         moving = max(self._moving, 1e-9)
-        speed = max(MIN_SPEED, self._path / moving)
-        turn_rate = max(MIN_TURN_RATE, self._turned / moving)
+        wide = 1.0 if self._moving else INFLATION  # where odometry never moved, nothing is usual
+        speed = wide * max(MIN_SPEED, self._path / moving)
+        turn_rate = wide * max(MIN_TURN_RATE, self._turned / moving)
         shift, turn = (_variance(silent, time, lasts) for lasts in (SPEED_TIME_S, TURN_TIME_S))
         return speed**2 * shift, turn_rate**2 * turn
 
@@ -215,8 +221,11 @@ class Odometry:
         for twist, then, speed in zip(held, until, steady, strict=True):
             start, silent = max(twist.t, begin), twist.until
             known = min(max(silent - start, 0.0), then - start)
-            unknown = self._dropout_growth(silent, start + known, then)
-            pieces.append(Piece(*unknown, known, twist.v, twist.omega, speed))
+            shift, swing = self._dropout_growth(silent, start + known, then)
+            if (bridged := start + known - max(start, twist.t + HOLD_S)) > 0.0:
+                shift += (BRIDGED * twist.v * bridged) ** 2
+                swing += (BRIDGED * twist.omega * bridged) ** 2
+            pieces.append(Piece(shift, swing, known, twist.v, twist.omega, speed))
         if held[0].t > begin:
             shift, swing = self._dropout_growth(-math.inf, begin, held[0].t)
             begun = pieces[0]

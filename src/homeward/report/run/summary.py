@@ -13,6 +13,8 @@ from homeward.track import Track
 OUTSIDE_3_SIGMA = 0.05
 """Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
 
+NOT_SCORED = "No position error: no pose has ground truth at its time."
+
 
 def sentence(track: Track, metrics: Metrics) -> str:
     """Say in one sentence what happened on a run."""
@@ -89,7 +91,7 @@ def _localised_share(metrics: Metrics) -> float:
 def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
     """Say how far off the poses were."""
     if accuracy is None:
-        return "" if has_truth else "There is no truth to measure the error against."
+        return NOT_SCORED if has_truth else "There is no truth to measure the error against."
     p = accuracy.position
     text = (
         f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "
