@@ -7,14 +7,19 @@ and the pose would move by metres at a small covariance. Such a twist means unkn
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from homeward.estimator import FASTEST
+from homeward.localizer.inputs.bearing_noise import MAD_TO_SIGMA
+from homeward.localizer.tunables import GATE
 
 MAX_ACCELERATION = 10.0
 """Largest acceleration of a wheeled robot: tyres on a dry floor grip with a friction coefficient of
 about 1, which gives 1 g [m/s^2]."""
 MAX_TURN_ACCELERATION = 50.0
 """The same of the turn rate, for wheels 0.2 m from the centre [rad/s^2]."""
+NUM_CHANGES = 9
+"""Latest changes between twists: their median is by noise, even if four are wrong."""
 MIN_INTERVAL_S = 0.1
 """Shorter intervals count as this long: the noise of a speed grows as its interval shrinks [s]."""
 START_S = 1.0
@@ -33,12 +38,20 @@ class Plausibility:
     def __init__(self) -> None:
         self._last: tuple[float, float, float] | None = None
         """Last plausible twist: time [s], speed [m/s] and turn rate [rad/s]."""
+        self._received = 0.0, 0.0
+        """Last twist of all [m/s, rad/s] ..."""
+        self._changes: tuple[deque[float], deque[float]] = (
+            deque(maxlen=NUM_CHANGES),
+            deque(maxlen=NUM_CHANGES),
+        )
+        """... and the sizes of the latest changes."""
         self._number, self._first = 0, math.nan
 
     def accepts(self, t: float, v: float, omega: float) -> bool:
         """Return whether a twist of stamp `t` [s] is plausible; count it if not.
 
-        The speeds that a robot may have reached grow with the time since the last plausible twist.
+        The speeds that a robot may have reached grow with the time since the last plausible twist,
+        and differ from it by the usual noise of the odometry at most `GATE` standard deviations.
         So a single wrong sample is refused, and a real change of speed is accepted soon.
         """
         if self._last is None and math.isfinite(t):
@@ -46,8 +59,12 @@ class Plausibility:
         if self._last is not None and abs(v) < FASTEST and abs(omega) < FASTEST:
             before, speed, turn_rate = self._last
             time = max(abs(t - before), MIN_INTERVAL_S)
-            slow = abs(v - speed) <= MAX_ACCELERATION * time
-            if slow and abs(omega - turn_rate) <= MAX_TURN_ACCELERATION * time:
+            noise = [GATE * MAD_TO_SIGMA * _median(changes) for changes in self._changes]
+            for changes, now, then in zip(self._changes, (v, omega), self._received, strict=True):
+                changes.append(abs(now - then))
+            self._received = v, omega
+            slow = abs(v - speed) <= MAX_ACCELERATION * time + noise[0]
+            if slow and abs(omega - turn_rate) <= MAX_TURN_ACCELERATION * time + noise[1]:
                 self._last = (t, v, omega)
                 return True
         if not (math.isnan(v) and math.isnan(omega)):
@@ -59,3 +76,8 @@ class Plausibility:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
         return (IMPLAUSIBLE.format(self._number, self._first),) if self._number else ()
+
+
+def _median(changes: deque[float]) -> float:
+    """Return the median of changes, 0 while there are few of them."""
+    return sorted(changes)[len(changes) // 2] if len(changes) == NUM_CHANGES else 0.0

@@ -1,0 +1,165 @@
+"""Odometry that is wrong, dead, absent or slow: unknown motion, and what the notes report."""
+
+import math
+
+import numpy as np
+import pytest
+
+from homeward.drives.dead_reckoning import dead_reckoning
+from homeward.drives.drive import KnownLandmarks, Odometry, SurveyedLandmark
+from homeward.estimator import HOLD_S, MAX_HOLD_S, Status, hold_time
+from homeward.localizer.inputs.dead_odometry import DeadOdometry
+from homeward.localizer.inputs.plausibility import Plausibility
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.twists import Twists
+from homeward.reasons import Rejection
+
+from .rig import DT, Rig, eight, ring, still
+
+
+def off(rig):
+    """Error of the last position [m], and in standard deviations."""
+    answer, truth = rig.answers[-1]
+    error = np.array([answer.pose.x - truth.x, answer.pose.y - truth.y])
+    return np.hypot(*error), math.sqrt(error @ np.linalg.solve(answer.covariance[:2, :2], error))
+
+
+@pytest.mark.parametrize("wrong", [(190.0, 0.0), (3.0, 0.0), (-90.0, 900.0), (math.inf, 0.0)])
+def test_one_impossible_twist_does_not_move_the_pose(wrong):
+    rig = Rig(ring(8))
+    rig.drive(40)
+    rig.localizer.odometry(rig.t - 0.01, *wrong)
+    after = rig.localizer.estimate(rig.t + 0.08)
+    assert math.hypot(after.pose.x - rig.pose.x, after.pose.y - rig.pose.y) < 0.15
+    rig.drive(5)
+    assert off(rig)[0] < 0.1
+    assert rig.localizer.counts.rejected == {Rejection.BAD_ODOMETRY: 1}
+    assert any("impossible motion 1 times" in note for note in rig.localizer.notes)
+
+
+def test_nan_means_unknown_motion_until_the_next_twist():
+    twists = Twists()
+    for k in range(10):
+        twists.add(0.1 * k, 1.0, 0.5)
+    twists.add(1.0, math.nan, math.nan)
+    assert twists.heading(1.5) == pytest.approx(0.5)
+    assert twists.unknown_time(1.5) == pytest.approx(0.5)
+    twists.add(2.0, 1.0, 0.5)
+    assert twists.unknown_time(2.5) == 0.0
+    assert twists.heading(2.5) == pytest.approx(0.75)
+    rig = Rig(ring(8))
+    rig.drive(40)
+    before = rig.localizer.estimate(rig.t).sigmas
+    rig.localizer.odometry(rig.t, math.nan, math.nan)
+    assert (rig.localizer.estimate(rig.t + 0.5).sigmas > 3.0 * before).all()
+    assert not rig.localizer.counts.rejected
+
+
+def test_a_real_change_of_speed_is_accepted_soon_and_noise_at_once():
+    check = Plausibility()
+    assert [check.accepts(0.1 * k, 3.0 * (k > 4), 0.0) for k in range(9)].count(False) <= 2
+    noisy, rng = Plausibility(), np.random.default_rng(0)
+    assert (
+        np.mean([noisy.accepts(0.02 * k, v, 0.0) for k, v in enumerate(rng.normal(size=500))])
+        > 0.95
+    )
+
+
+def surveyed(rig):
+    """Give a rig's localiser a survey of its landmarks in the home frame."""
+    known = {n: SurveyedLandmark(x=x, y=y) for n, (x, y) in rig.landmarks.items()}
+    known = KnownLandmarks(frame="home", landmarks=known)
+    rig.localizer = Localizer(rig.home, known=known, **rig.settings.robot)
+
+
+def drive_dead(rig, seconds, twist=(0.0, 0.0), law=eight):
+    """Drive on while odometry repeats one twist."""
+    first = len(rig.answers)
+    for _ in range(round(seconds / DT)):
+        rig.localizer.odometry(rig.t, *twist)
+        rig.drive(DT, law, feel=False)
+    return rig.answers[first:]
+
+
+def test_zeros_with_a_survey_give_poses_from_bearings_and_a_note():
+    rig = Rig(ring(8), promise=None)
+    surveyed(rig)
+    late = drive_dead(rig, 60)[200:]
+    assert np.mean([a.status is Status.LOCALISED for a, _ in late]) > 0.9
+    assert off(rig)[0] < 0.15
+    assert rig.wrong_share(len(rig.answers) - len(late)) < 0.02
+    assert any("stood still all the time, but bearings changed" in n for n in rig.localizer.notes)
+
+
+def test_zeros_from_some_time_on_are_reported():
+    rig = Rig(ring(8), promise=None)
+    rig.drive(40)
+    drive_dead(rig, 15)
+    assert any("stood still from" in note for note in rig.localizer.notes)
+
+
+def test_zeros_without_a_survey_are_the_reason():
+    rig = Rig(ring(8), promise=None)
+    answer, _ = drive_dead(rig, 30)[-1]
+    assert "odometry reports that the robot stands still, but bearings changed" in answer.reason
+
+
+def test_no_odometry_at_all_with_a_survey_gives_poses():
+    rig = Rig(ring(8), promise=None)
+    surveyed(rig)
+    rig.drive(20, feel=False)
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert off(rig)[0] < 0.15
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.3])
+def test_a_robot_that_stands_among_walkers_has_no_dead_odometry(outliers):
+    rig = Rig(ring(10), promise=None)
+
+    def walking(seen):
+        for i, name in enumerate(list(seen)[:4]):
+            seen[name] += 0.3 * math.sin(0.3 * rig.t + i)
+        random = rig.rng.uniform(-math.pi, math.pi, len(seen))
+        return {
+            n: r if rig.rng.random() < outliers else b
+            for (n, b), r in zip(seen.items(), random, strict=True)
+        }
+
+    for _ in range(600):
+        rig.localizer.odometry(rig.t, 0.0, 0.0)
+        rig.drive(DT, still, walking, feel=False)
+    assert not any("stood still" in note for note in rig.localizer.notes)
+
+
+def test_odometry_that_lags_is_not_dead():
+    dead = DeadOdometry()
+    for k in range(200):
+        t = 0.1 * k
+        dead.odometry(t, 0.5 if t > 10.0 else 0.0, 0.0)
+        dead.bearings(t, {f"L{i}": i + 0.3 * max(t - 9.4, 0.0) for i in range(6)}, {}, 0.01)
+        assert not dead.is_dead
+
+
+def test_slow_twists_hold_until_the_next_and_dropouts_do_not():
+    assert hold_time([0.1] * 20) == HOLD_S
+    assert hold_time([2.0] * 20) == 3.0
+    assert hold_time([60.0] * 20) == MAX_HOLD_S
+    t = np.arange(0.0, 40.0, 2.0)
+    slow = Odometry(t, np.full(t.size, 0.5), np.zeros(t.size))
+    assert dead_reckoning(slow, np.array([38.0])).x[0] == pytest.approx(19.0)
+    gone = Odometry(np.array([0, 0.1, 0.2, 0.3, 0.4, 0.5, 9.5]), np.full(7, 0.5), np.zeros(7))
+    assert dead_reckoning(gone, np.array([9.5])).x[0] == pytest.approx(0.75)
+
+
+def test_unknown_motion_is_none_for_dead_reckoning():
+    odometry = Odometry(np.arange(5) / 2, np.array([1.0, math.nan, 1.0, 1.0, 1.0]), np.zeros(5))
+    assert dead_reckoning(odometry, np.array([2.0])).x[0] == pytest.approx(1.5)
+
+
+def test_slow_odometry_localises():
+    rig = Rig(ring(8), promise=None, told=False)
+    for k in range(600):
+        if k % 20 == 0:
+            rig.localizer.odometry(rig.t, *eight(rig.t))
+        rig.drive(DT, lambda t: eight(2.0 * (t // 2.0)), feel=False)
+    assert rig.answers[-1][0].status is Status.LOCALISED
