@@ -95,6 +95,14 @@ def test_gaps_and_ends_of_truth_are_not_scored():
     assert a.position.rmse == pytest.approx(expected)
 
 
+def test_slow_truth_is_scored_at_its_own_stamps():
+    t = np.arange(0.0, 10.05, 0.1)
+    x = np.where(np.abs(t - np.round(t)) < 0.01, 0.2, 9.0)
+    a = score(track(t, x=x), still(np.arange(11.0))).accuracy
+    assert a.position.rmse == pytest.approx(0.2)
+    assert a.scored_s == pytest.approx(11.0)
+
+
 def test_half_a_second_is_no_gap():
     a = score(track(steps(4), x=1.0), still(steps(4, 0.5))).accuracy
     assert a.scored_s == pytest.approx(4.0)

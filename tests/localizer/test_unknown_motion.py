@@ -1,20 +1,28 @@
 """Odometry that is wrong, dead, absent or slow: unknown motion, and what the notes report."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from rig import DT, Rig, eight, ring, still
 
 from homeward.drives.dead_reckoning import dead_reckoning
-from homeward.drives.drive import KnownLandmarks, Odometry, SurveyedLandmark
+from homeward.drives.drive import (
+    Drive,
+    KnownLandmarks,
+    Odometry,
+    Sightings,
+    SurveyedLandmark,
+    Truth,
+)
+from homeward.drives.one_clock import on_one_clock
 from homeward.estimator import HOLD_S, MAX_HOLD_S, Status, hold_time
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Rejection
-
-from .rig import DT, Rig, eight, ring, still
 
 
 def off(rig):
@@ -156,10 +164,20 @@ def test_unknown_motion_is_none_for_dead_reckoning():
     assert dead_reckoning(odometry, np.array([2.0])).x[0] == pytest.approx(1.5)
 
 
-def test_slow_odometry_localises():
-    rig = Rig(ring(8), promise=None, told=False)
-    for k in range(600):
-        if k % 20 == 0:
-            rig.localizer.odometry(rig.t, *eight(rig.t))
-        rig.drive(DT, lambda t: eight(2.0 * (t // 2.0)), feel=False)
-    assert rig.answers[-1][0].status is Status.LOCALISED
+def test_slow_twists_leave_no_unknown_motion():
+    twists = Twists()
+    for k in range(10):
+        twists.add(2.0 * k, 0.5, 0.1)
+    assert twists.unknown_time(19.9) == 0.0
+    assert twists.unknown_time(30.0) == pytest.approx(9.0)
+
+
+def test_slow_odometry_is_remarked():
+    t, seen = np.arange(0.0, 40.0, 2.0), Sightings.of_rows([(1.0, "a", 0.1, math.nan)])
+    odometry = Odometry(t, np.ones(t.size), np.zeros(t.size))
+    truth = Truth(t, t, 0.0 * t, 0.0 * t)
+    drive = on_one_clock(Drive("slow", odometry, seen, {}, truth=truth), Path())
+    assert [words.split(" in the median")[0] for words in drive.remarks] == [
+        "odometry rows, 2.0 s apart",
+        "rows of ground truth, 2.0 s apart",
+    ]

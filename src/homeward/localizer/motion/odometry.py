@@ -35,9 +35,9 @@ INITIAL_STRAIGHT_M = 1.0
 """Length of straight path assumed before the start [m]."""
 NOTABLE_LAG_S = 0.25
 """Lag that the user is told of [s]."""
-BRIDGED = 12.0**-0.5
-"""Standard deviation of the motion beyond `HOLD_S` of a slow twist, over that motion: the
-robot may have stopped, or changed its speed, at any time in it (uniform distribution) [1]."""
+BRIDGED = 0.1
+"""Standard deviation of the motion beyond `HOLD_S` of a slow twist, over that motion: robots mostly
+keep their speed; where this one does not, the residuals of the map raise its noise further [1]."""
 MAX_LAG_S = 0.8
 """Largest plausible lag [s]."""
 
