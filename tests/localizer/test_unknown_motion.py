@@ -159,11 +159,6 @@ def test_slow_twists_hold_until_the_next_and_dropouts_do_not():
     assert dead_reckoning(gone, np.array([9.5])).x[0] == pytest.approx(0.75)
 
 
-def test_unknown_motion_is_none_for_dead_reckoning():
-    odometry = Odometry(np.arange(5) / 2, np.array([1.0, math.nan, 1.0, 1.0, 1.0]), np.zeros(5))
-    assert dead_reckoning(odometry, np.array([2.0])).x[0] == pytest.approx(1.5)
-
-
 def test_slow_twists_leave_no_unknown_motion():
     twists = Twists()
     for k in range(10):
