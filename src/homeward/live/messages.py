@@ -10,17 +10,26 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from homeward.drives.drive import Finite, Mount, NonNegative, Positive, Strict
+from homeward.drives.drive import Mount, Strict, Surveyed
 from homeward.drives.text.complaints import message
 from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
-from homeward.estimator import NO_TIME_S, Status
+from homeward.estimator import Status
 
 VERSION = 1
 LONGEST_LINE = 2**16
 """Of a message [byte]."""
 MOST_LANDMARKS = 500
 """In a message."""
+MAX_LENGTH = 1e4
+"""Of a distance or a coordinate [m], and of an angle [rad]; the squares of the squares of larger
+numbers lose the last digits of a double."""
+MAX_SPEED = 100.0
+"""Of a robot [m/s], [rad/s]; a larger number has another unit."""
+MIN_SIGMA, MAX_SIGMA = 1e-6, 1e4
+"""Of a standard deviation [m], [rad]: no sensor is better, and a worse one measures nothing."""
+MAX_TIME = 1e11
+"""A double resolves larger stamps to more than 15 us [s]; a larger number has another unit."""
 
 
 def _identifier(text: str) -> str:
@@ -29,12 +38,18 @@ def _identifier(text: str) -> str:
     return text
 
 
-Time = Annotated[float, Field(gt=-NO_TIME_S, lt=NO_TIME_S, allow_inf_nan=False)]
+Time = Annotated[float, Field(gt=-MAX_TIME, lt=MAX_TIME, allow_inf_nan=False)]
+Bounded = Annotated[float, Field(ge=-MAX_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
+"""[m] or [rad]"""
+Speed = Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED, allow_inf_nan=False)]
+"""[m/s] or [rad/s]"""
+Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=MAX_SIGMA, allow_inf_nan=False)]
+"""[m] or [rad]"""
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 """Of a home, or a route."""
-Bearings = Annotated[dict[Id, Finite], Field(max_length=MOST_LANDMARKS)]
-Sigmas = Annotated[dict[Id, Positive], Field(max_length=MOST_LANDMARKS)]
+Bearings = Annotated[dict[Id, Bounded], Field(max_length=MOST_LANDMARKS)]
+Sigmas = Annotated[dict[Id, Sigma], Field(max_length=MOST_LANDMARKS)]
 
 
 class Hello(Strict):
@@ -51,11 +66,11 @@ class OdometryIn(Strict):
 
     type: Literal["odometry"] = "odometry"
     t: Time
-    v: Finite
+    v: Speed
     """Forward [m/s]."""
-    omega: Finite
+    omega: Speed
     """Anti-clockwise [rad/s]."""
-    pose: tuple[Finite, Finite, Finite] | None = None
+    pose: tuple[Surveyed, Surveyed, Bounded] | None = None
     """In the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
 
 
@@ -115,9 +130,9 @@ class GoTo(Strict):
     """Drive to a point of the home frame."""
 
     type: Literal["go_to"] = "go_to"
-    x: Finite
+    x: Bounded
     """[m]"""
-    y: Finite
+    y: Bounded
     """[m]"""
 
 
@@ -126,7 +141,7 @@ class GoToLandmark(Strict):
 
     type: Literal["go_to_landmark"] = "go_to_landmark"
     name: Id
-    standoff: NonNegative = 0.5
+    standoff: Annotated[float, Field(ge=0, le=MAX_LENGTH, allow_inf_nan=False)] = 0.5
     """[m]"""
 
 
@@ -181,19 +196,22 @@ class Start(Strict):
     """About where the robot is in the home frame; the map begins anew."""
 
     type: Literal["start"] = "start"
-    x: Finite
-    y: Finite
-    heading: Finite
-    sigma: Positive = 0.1
+    x: Bounded
+    y: Bounded
+    heading: Bounded
+    sigma: Sigma = 0.1
     """Of x and y [m]."""
-    sigma_heading: Positive = 0.1
+    sigma_heading: Sigma = 0.1
     """[rad]"""
 
 
 class MountIs(Mount):
-    """Where the camera sits on the robot; the map begins anew."""
+    """Camera extrinsics on the robot; the map begins again."""
 
     type: Literal["mount"] = "mount"
+    x: Bounded = 0.0
+    y: Bounded = 0.0
+    yaw: Bounded = 0.0
 
 
 class Reset(Strict):

@@ -112,9 +112,11 @@ def _key(error: ErrorDetails, values: Any) -> str:
     parts: list[str] = []
     location: Iterable[int | str] = error["loc"]
     *_, last = error["loc"] or [None]
+    tagged: Any = None
     for part in location:
         if isinstance(values, dict):
-            if part == values.get("type") and part != last:
+            if part == values.get("type") and part != last and tagged is not values:
+                tagged = values
                 continue  # a tag, which may be called as a key is
             absent = part not in values
             if absent and not (part == last and error["type"] == "missing"):
