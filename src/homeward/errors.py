@@ -23,6 +23,21 @@ class HomewardError(Exception):
         super().__init__(printable(message))
 
 
+class InternalError(HomewardError):
+    """An error that homeward does not expect, in one line; it is a fault of homeward.
+
+    Parameters
+    ----------
+    error : Exception
+        The error.
+    consequence : str
+        What was done because of it.
+    """
+
+    def __init__(self, error: Exception, consequence: str) -> None:
+        super().__init__(f"internal error, {consequence}: {type(error).__name__}: {error}")
+
+
 class InputError(HomewardError):
     """A file or an option that cannot be used.
 

@@ -20,7 +20,7 @@ from homeward.drives.drive import (
 )
 from homeward.drives.drive import Start as StartPrior
 from homeward.drives.text.table import quoted
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse, to_polar
 from homeward.live.driving.goals import Along, Goal
@@ -64,6 +64,8 @@ FIRST = "home"
 """The name of a home that nobody named."""
 NO_HOME = "no home yet: store_home or turn_home while the robot is there, or send one"
 ANEW = "the map was begun anew"
+MAX_HOMES = 100
+"""Homes, and routes, that a session keeps; one of long ids takes 0.2 MB."""
 AIM_S = 1.0
 """It is found so often where a landmark is that the robot is sent to [s]."""
 
@@ -140,7 +142,18 @@ class Localisation:
         ------
         InputError
             When it cannot be done; nothing is changed then.
+        InternalError
+            At any other error; the map is begun again then.
         """
+        try:
+            return self._do(message, odom)
+        except HomewardError:
+            raise
+        except Exception as error:  # a fault of homeward must not end a robot's session
+            self._restart()
+            raise InternalError(error, "the map was begun again") from error
+
+    def _do(self, message: Input, odom: Pose | None) -> Output | None:
         if isinstance(message, Cancel | EStop | Departure):
             self._looking.end()
         match message:
@@ -153,6 +166,10 @@ class Localisation:
             case SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {quoted(name)} is not looked at: the place knows its homes"
                 return Event(type="event", text=text)
+            case SetHome(name=name) | StoreHome(name=name) if self._is_one_too_many(name):
+                raise InputError(
+                    f"{MAX_HOMES} homes are kept already; store home under one of their names"
+                )
             case SetHome(name=name, bearings=seen, sigmas=known):
                 home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
                 return self._new(name, home)
@@ -179,6 +196,8 @@ class Localisation:
                 text = self._required_place().begin_route(self.fix.estimate)
                 return Event(type="event", text=text)
             case StoreRoute(name=name):
+                if len(self._required_place().routes) >= MAX_HOMES:
+                    raise InputError(f"{MAX_HOMES} routes are kept already; no more can be stored")
                 text = self._required_place().store_route(name, self._known())
                 return Event(type="event", text=text)
             case Start(sigma=sigma):
@@ -316,6 +335,20 @@ class Localisation:
             self.estimator = make_estimator(self._name, drive)
         self._find_goal()
         self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
+
+    def _restart(self) -> None:
+        """Begin the map again after an error; without a home and a map where that fails, too."""
+        self._sent = self.goal = None
+        try:
+            self._begin(None)
+        except Exception:
+            self.drive = self.estimator = None
+            self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, NO_HOME), None)
+
+    def _is_one_too_many(self, name: str) -> bool:
+        """Return whether a home of that name is one more than are kept."""
+        homes = self.homes if self.place is None else {*self.homes, *self.place.homes}
+        return len(homes) >= MAX_HOMES and name not in homes
 
     def _find_goal(self) -> None:
         """Find where the robot was sent, in a map that is begun anew or that knows more."""

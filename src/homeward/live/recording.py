@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from collections.abc import Iterator
@@ -106,29 +107,45 @@ class Recorder:
             self._file.flush()
         if known is not None:
             save_place(known, folder / PLACE)
-        self._folder, self._lines = folder, 0
+        self._folder, self._lines, self._failure = folder, 0, ""
 
     def keep(self, message: Input | Output) -> None:
-        """Write a message."""
-        with naming(self._folder / SESSION, "cannot be written"):
-            self._file.write(line_of(message))
-            self._lines += 1
-            if self._lines % FLUSH_EVERY == 0:
-                self._file.flush()
+        """Write a message.
 
-    def close(self) -> None:
+        Raises
+        ------
+        InputError
+            When it cannot be written; the recording ends there.
+        """
+        try:
+            with naming(self._folder / SESSION, "cannot be written"):
+                self._file.write(line_of(message))
+                self._lines += 1
+                if self._lines % FLUSH_EVERY == 0:
+                    self._file.flush()
+        except HomewardError as error:
+            self._failure = str(error)
+            with contextlib.suppress(OSError):  # of what is still in the buffer
+                self._file.close()
+            raise
+
+    def close(self) -> str | None:
         """Finish, and make the folder a drive folder where the session holds a drive.
 
-        Of a session in which nothing was said nothing is left behind.
+        Of a session in which nothing was said nothing is left behind. Return in words why the
+        recording is not whole; None where it is.
         """
+        if self._failure:
+            return f"the recording is not whole: {self._failure}"
         with naming(self._folder / SESSION, "cannot be written"):
             self._file.close()
             if not self._lines:
                 shutil.rmtree(self._folder)
-                return
+                return None
         drive = read_drive(self._folder / SESSION)
         if drive is not None:
             write_folder(drive, self._folder)
+        return None
 
 
 def replay(file: Path) -> tuple[int, str | None]:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from homeward.control import Twist
 from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings
-from homeward.errors import HomewardError
+from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
 from homeward.frames import Pose, compose
 from homeward.live.driving.goals import Belief, State
@@ -43,6 +43,7 @@ from homeward.live.messages import (
     Obstacle,
     OdometryIn,
     Output,
+    Reset,
     StoreHome,
     TurnHome,
 )
@@ -89,7 +90,7 @@ class Session:
         self._heard = -math.inf
         self._obstacle: tuple[float, float] | None = None
         self._stopped = False
-        self._queue: deque[tuple[Input, Pose | None, float]] = deque()
+        self._queue: deque[tuple[Input, Pose | None, float, object]] = deque()
         self._lock = threading.Lock()
         self._answered = -math.inf
         self._work_s = 0.0
@@ -109,8 +110,22 @@ class Session:
         """Tell `keep` each message in the order in which it is processed, and each answer."""
         self._keepers.append(keep)
 
-    def receive(self, message: Input, now: float) -> None:
-        """Take a message: watch it, and queue it for `process`. Quick."""
+    def receive(self, message: Input, now: float, sender: object = None) -> None:
+        """Take a message: watch it, and queue it for `process`. Quick.
+
+        Where too many wait, messages of the sender of most of them are thrown away.
+
+        Raises
+        ------
+        InternalError
+            At any error; a drive has failed then, and the message is left out.
+        """
+        try:
+            self._receive(message, now, sender)
+        except Exception as error:
+            raise self._failure(error, f"a message {message.type} is left out", now) from error
+
+    def _receive(self, message: Input, now: float, sender: object) -> None:
         odom, t = None, math.nan
         match message:
             case OdometryIn() | BearingsIn():
@@ -137,7 +152,7 @@ class Session:
             case TurnHome(name=name):
                 self._turned_for = StoreHome(name=name)
                 self._hand_to(self._turning, now)
-        self._put(message, odom, t)
+        self._put(message, odom, t, sender)
 
     def ask_landmarks(self) -> None:
         """Let `process` yield what is known of landmarks, too. Quick: an estimator may be busy."""
@@ -148,17 +163,21 @@ class Session:
         while self._queue or self._asked:
             if self._asked:
                 self._asked = False
-                yield self.localisation.landmarks()
+                try:
+                    yield self.localisation.landmarks()
+                except Exception as error:
+                    yield Event(type="error", text=str(InternalError(error, "no landmarks")))
                 continue
             with self._lock:
-                message, odom, t = self._queue.popleft()
-            self._tell(message)
+                message, odom, t, _ = self._queue.popleft()
+            yield from self._keep(message)
             began = time.perf_counter()
             try:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
                 out = Event(type="error", text=str(error))
-                self._refuse(message, str(error) if isinstance(message, Departure) else "")
+                fails = isinstance(message, Departure) or isinstance(error, InternalError)
+                self._refuse(message, str(error) if fails else "")
             lost, self.localisation.goal_lost = self.localisation.goal_lost, ""
             self._refuse(message, lost)
             self._work_s = max(self._work_s, time.perf_counter() - began)
@@ -167,7 +186,7 @@ class Session:
                     self._sent = None
             if isinstance(out, Answer):
                 self._answered = t
-                self._tell(out)
+                yield from self._keep(out)
             if out is not None:
                 yield out
 
@@ -177,12 +196,38 @@ class Session:
             if why and (self._sent is None or self._sent is message):
                 self._refused = why
 
-    def _tell(self, message: Input | Output) -> None:
-        for keep in self._keepers:
-            keep(message)
+    def _keep(self, message: Input | Output) -> Iterator[Event]:
+        """Give a message to all that keep them; one that cannot keep it gets no more."""
+        for keep in list(self._keepers):
+            try:
+                keep(message)
+            except Exception as error:  # a full disk must not end a robot's session
+                self._keepers.remove(keep)
+                text = str(error) if isinstance(error, HomewardError) else repr(error)
+                yield Event(type="error", text=f"recording or view stopped: {text}")
 
     def tick(self, now: float) -> Command | None:
-        """Return the command at `now` [s]; None where the robot is left to others. Quick."""
+        """Return the command at `now` [s]; None where the robot is left to others. Quick.
+
+        Raises
+        ------
+        InternalError
+            At any error; a drive has failed then.
+        """
+        try:
+            return self._command(now)
+        except Exception as error:
+            raise self._failure(error, "the robot is not driven on", now) from error
+
+    def _failure(self, error: Exception, consequence: str, now: float) -> InternalError:
+        """Let the drive fail, and the map begin again, after an error that nobody expects."""
+        failure = InternalError(error, consequence)
+        self._driver.fail(str(failure), now)
+        self._way = Way()
+        self._put(Reset(), None, math.nan)
+        return failure
+
+    def _command(self, now: float) -> Command | None:
         if self._refused:
             self.homing.fail(self._refused, now)
             self._refused = ""
@@ -272,10 +317,10 @@ class Session:
             self._put(self._turned_for if whole else Cancel(), None, math.nan)
         return twist
 
-    def _put(self, message: Input, odom: Pose | None, t: float) -> None:
+    def _put(self, message: Input, odom: Pose | None, t: float, sender: object = None) -> None:
         """Queue a message for `process`."""
         with self._lock:
-            self._queue.append((message, odom, t))
+            self._queue.append((message, odom, t, sender))
             if len(self._queue) > self.settings.queue:
                 self._shed()
 
@@ -288,11 +333,11 @@ class Session:
         return self._odometry.hear(sample.t, now)
 
     def _shed(self) -> None:
-        """Throw away the oldest bearings that wait, or else the oldest odometry."""
-        for kind in (BearingsIn, OdometryIn):
-            for place, (message, _, _) in enumerate(self._queue):
-                if isinstance(message, kind):
+        """Throw away the oldest bearings, odometry or message of the sender of most that wait."""
+        most = Counter(id(sender) for *_, sender in self._queue).most_common(1)[0][0]
+        for kind in (BearingsIn, OdometryIn, object):
+            for place, (message, *_, sender) in enumerate(self._queue):
+                if id(sender) == most and isinstance(message, kind):
                     del self._queue[place]
-                    self.counts["samples thrown away, as too many waited"] += 1
+                    self.counts["samples thrown away, as too many waited"] += kind is not object
                     return
-        self._queue.popleft()

@@ -29,10 +29,12 @@ from homeward.live.messages import (
     BeginRoute,
     Cancel,
     EStop,
+    Event,
     FollowRoute,
     GoHome,
     Input,
     LookRound,
+    Output,
     Reset,
     SavePlace,
     StoreHome,
@@ -303,16 +305,30 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                     self._work.wait(0.1)
                     self._work.clear()
                     for said in self._session.process():
-                        self._say.output(said, (self._stamps.epoch or 0) * NANO)
+                        self._output(said)
         except Exception as error:
             if self.context.ok():  # else it was shut down, and nobody hears
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
                 raise
 
+    def _output(self, said: Output) -> None:
+        """Publish what the session says; what cannot be published is named in the log."""
+        try:
+            self._say.output(said, (self._stamps.epoch or 0) * NANO)
+        except Exception as error:
+            if not self.context.ok():
+                raise
+            self.get_logger().error(f"{said.type} cannot be published: {error}")
+
     def _tick(self) -> None:
         """Say the command, and where the odometry frame lies."""
         assert self._session is not None
-        command = self._session.tick(time.monotonic())
+        try:
+            command = self._session.tick(time.monotonic())
+        except HomewardError as error:
+            command = None
+            self.get_logger().error(str(error))
+            self._output(Event(type="error", text=str(error)))
         if command is not None:
             self._say.command(command)
         # Where there is no pose any more, the last transform is the best there is.

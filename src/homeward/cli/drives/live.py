@@ -112,8 +112,8 @@ def live(
         if view is not None:
             stream.disconnect()
         try:
-            if recorder is not None:
-                recorder.close()
+            if recorder is not None and (words := recorder.close()) is not None:
+                typer.echo(words, err=True)
         finally:  # a recording that cannot be ended must not cost the visit
             if (words := session.localisation.conclude()) is not None:
                 typer.echo(words, err=True)
