@@ -298,3 +298,148 @@ def test_stdin_may_end_after_the_session(monkeypatch):
         (waiting,) = set(threading.enumerate()) - before
         writer.close()
         waiting.join()  # an error in it would be a warning of pytest's
+
+
+async def hears(reader, wanted, within=10.0):
+    """The first message that is wanted."""
+    async with asyncio.timeout(within):
+        while True:
+            said = json.loads(await reader.readline())
+            if wanted(said):
+                return said
+
+
+def types_taken(session):
+    """The types of messages in the order in which they are taken."""
+    taken, receive = [], session.receive
+
+    def taking(message, *others):
+        taken.append(message.type)
+        receive(message, *others)
+
+    session.receive = taking
+    return taken
+
+
+ODOMETRY = b'{"type":"odometry","t":%d,"v":0.1,"omega":0.0}\n'
+STOP = b'{"type":"estop","engaged":true}\n'
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_stop_is_taken_before_what_a_client_sent_without_a_pause(same):
+    async def whole():
+        session = Session()
+        taken = types_taken(session)
+        async with serving(session, tcp=ANY) as (ports, _):
+            _, _, fast = await answers(ports[0], HELLO)
+            _, _, other = await answers(ports[0], HELLO)
+            fast.write(b"".join(ODOMETRY % k for k in range(10_000)))
+            (fast if same else other).write(STOP)
+            async with asyncio.timeout(60):
+                while taken.count("odometry") < 10_000 or "estop" not in taken:
+                    await asyncio.sleep(0.01)
+            for writer in (fast, other):
+                writer.close()
+        return taken
+
+    taken = asyncio.run(whole())
+    assert taken.count("odometry") == 10_000  # and nothing is lost
+    assert taken.count("estop") == 1
+    assert taken.index("estop") < 9_000
+
+
+@pytest.mark.parametrize("line", [b"nonsense\n", b"\n", ODOMETRY % 1])
+def test_commands_go_on_while_a_client_sends_without_a_pause(line):
+    async def whole():
+        async with serving(tcp=ANY) as (ports, _):
+            _, fast_reader, fast = await answers(ports[0], HELLO)
+            _, reader, writer = await answers(ports[0], HELLO, line_of(GoHome()).encode())
+
+            async def flood():
+                with contextlib.suppress(ConnectionError):
+                    while True:
+                        fast.write(line * 1000)
+                        await fast.drain()
+                        await asyncio.sleep(0)
+
+            async def ignore():
+                with contextlib.suppress(ConnectionError):
+                    while await fast_reader.read(2**16):
+                        pass
+
+            tasks = [asyncio.create_task(flood()), asyncio.create_task(ignore())]
+            for _ in range(25):
+                await hears(reader, lambda said: said["type"] == "command")
+            for task in tasks:
+                task.cancel()
+            fast.close()
+            writer.close()
+
+    asyncio.run(whole())
+
+
+def test_who_sends_refused_lines_without_end_is_let_go_without_a_word_on_stderr(caplog):
+    async def whole():
+        async with serving(tcp=ANY) as (ports, _):
+            _, reader, writer = await answers(ports[0], HELLO)
+            writer.write(b"nonsense\n" * 20_000)
+            said = await hears(reader, lambda said: "disconnected" in said.get("text", ""))
+            assert said["text"] == "disconnected: 100 lines in a row were refused"
+            with contextlib.suppress(ConnectionError):
+                async with asyncio.timeout(5):
+                    await reader.read()
+            writer.close()
+            # One that hangs up at once is no reason for complaints either.
+            _, _, writer = await answers(ports[0], HELLO)
+            writer.write(b"nonsense\n" * 20_000)
+            await writer.drain()
+            writer.transport.abort()
+            out, _, writer = await answers(ports[0], HELLO)
+            assert out[0]["type"] == "hello"
+            await asyncio.sleep(0.2)
+            writer.close()
+
+    asyncio.run(whole())
+    assert caplog.text == ""
+
+
+def test_too_many_messages_of_one_client_cost_another_nothing():
+    session = Session(LiveSettings(queue=20))
+    for k in range(5):
+        session.receive(BearingsIn(t=0.1 * k, bearings={}), 0.0, "robot")
+    for k in range(200):
+        session.receive(OdometryIn(t=0.002 * k, v=0.0, omega=0.0), 0.0, "fast")
+    kept = [message.type for message, *_ in session._queue]
+    assert kept.count("bearings") == 5
+    assert len(kept) == 20
+
+
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [(b"x" * 200_000, "a line of more than 65,536 bytes came"), (b"", "no hello within")],
+)
+def test_a_simulated_robot_is_refused_by_what_is_no_session(sent, words, monkeypatch):
+    monkeypatch.setattr("homeward.live.player.HELLO_S", 0.5)
+
+    async def whole():
+        async def serve(reader, writer):
+            writer.write(sent)
+            try:
+                with contextlib.suppress(ConnectionError):
+                    while await reader.read(2**16):
+                        pass
+            finally:
+                writer.close()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        player = Player(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+        try:
+            async with asyncio.timeout(10):
+                await play(player, Address("127.0.0.1", port), 1.0, None, lambda text: None)
+        finally:
+            server.close()
+            await asyncio.sleep(0.1)  # both sides are closed
+
+    with pytest.raises(HomewardError, match=words):
+        asyncio.run(whole())

@@ -151,3 +151,45 @@ def test_what_cannot_be_opened_is_one_line(words, said, monkeypatch):
     assert done.exit_code == 2
     assert said in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def raw(address, request):
+    """The answer to a request of bytes."""
+    import socket
+    from urllib.parse import urlsplit
+
+    place = urlsplit(address)
+    with socket.create_connection((place.hostname, place.port), timeout=10) as link:
+        link.sendall(request)
+        return link.recv(4096)
+
+
+def test_two_upgrade_headers_are_refused_without_a_traceback(caplog):
+    async def whole():
+        async with hosted() as address:
+            twice = b"Connection: Upgrade\r\nUpgrade: websocket\r\nUpgrade: websocket\r\n"
+            request = b"GET / HTTP/1.1\r\nHost: x\r\n" + twice + b"\r\n"
+            return await asyncio.to_thread(raw, address, request)
+
+    assert asyncio.run(whole()).startswith(b"HTTP/1.1 400 ")
+    assert "Traceback" not in caplog.text
+
+
+def test_pages_that_do_not_answer_do_not_hold_up_the_end(monkeypatch):
+    """The close timeout, not the 10 s of the library, bounds how long it takes."""
+    import websockets.asyncio.server
+
+    told, serve = {}, websockets.asyncio.server.serve
+
+    def spying(*values, **named):
+        told.update(named)
+        return serve(*values, **named)
+
+    monkeypatch.setattr("websockets.asyncio.server.serve", spying)
+
+    async def whole():
+        async with hosted():
+            pass
+
+    asyncio.run(whole())
+    assert told["close_timeout"] <= 1.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable, Iterator
 
@@ -23,13 +22,14 @@ from homeward.live.messages import (
     Hello,
     Input,
     OdometryIn,
+    Output,
     SetHome,
     StoreRoute,
     TurnHome,
     line_of,
     parse_output,
 )
-from homeward.live.server import Address
+from homeward.live.server import HELLO_S, Address
 from homeward.simulation.live_robot import STAND, LiveRobot
 from homeward.simulation.trajectories import Control, Search
 
@@ -165,29 +165,46 @@ async def play(
     Raises
     ------
     InputError
-        When nobody listens there.
+        When nobody listens there, or what listens is no session.
     HomewardError
         When the session ends the talk.
     """
     try:
-        reader, writer = await asyncio.open_connection(place.host, place.port, limit=LONGEST_LINE)
-    except OSError as error:
-        reason = error.strerror or error
+        reader, writer = await asyncio.wait_for(
+            asyncio.open_connection(place.host, place.port, limit=LONGEST_LINE), HELLO_S
+        )
+    except (OSError, TimeoutError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or f"no answer in {HELLO_S:g} s"
         raise InputError(f"nobody listens at {place.host}:{place.port}: {reason}") from error
 
     def say(message: Input) -> None:
         writer.write(line_of(message).encode())
 
+    async def hear() -> Output | None:
+        try:
+            line = await reader.readline()
+        except ValueError as error:
+            raise HomewardError(f"a line of more than {LONGEST_LINE:,} bytes came") from error
+        return parse_output(line) if line else None
+
     async def listen() -> None:
-        while line := await reader.readline():
-            said = parse_output(line)
+        while (said := await hear()) is not None:
             player.hear(said)
             if isinstance(said, Event):
                 tell(said.text)
 
-    listening = asyncio.create_task(listen())
+    listening: asyncio.Task[None] | None = None
     try:
         say(Hello(token=token))
+        try:
+            welcome = await asyncio.wait_for(hear(), HELLO_S)
+        except TimeoutError as error:
+            raise HomewardError(f"no hello within {HELLO_S:g} s") from error
+        if isinstance(welcome, Event):
+            raise HomewardError(welcome.text)
+        if welcome is None:
+            raise HomewardError("the session ended the talk")
+        listening = asyncio.create_task(listen())
         say(player.home())
         began = time.monotonic()
         while not player.done:
@@ -196,11 +213,16 @@ async def play(
             await writer.drain()
             await asyncio.sleep(began + player.robot.t / pace - time.monotonic())
             if listening.done():
+                listening.result()
                 raise HomewardError("the session ended the talk")
+    except HomewardError as error:
+        raise HomewardError(f"{place.host}:{place.port}: {error}") from error
     except ConnectionError as error:
         raise HomewardError("the session ended the talk") from error
     finally:
-        listening.cancel()
-        with contextlib.suppress(asyncio.CancelledError, OSError):
-            await listening
+        if listening is not None:
+            listening.cancel()
+            await asyncio.wait([listening])
+            if not listening.cancelled():
+                listening.exception()  # what it raised was raised above, or does not matter now
         writer.close()

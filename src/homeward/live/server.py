@@ -1,7 +1,8 @@
 """The host of a session: JSON lines on stdin and stdout, on TCP, and as WebSocket messages.
 
 One robot, any number of listeners: whatever anyone sends is for the session, and all hear what it
-says. Messages are taken in on the loop's thread; the estimator works in a thread of its own.
+says. Messages are taken in on the loop's thread, in turns of a millisecond, so that no client
+delays commands or others; the estimator works in a thread of its own.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
+from homeward.live.inbox import Inbox, Line, Turn, stop_in
 from homeward.live.messages import (
     LONGEST_LINE,
     Event,
@@ -40,6 +42,16 @@ MOST_UNREAD = 2**20
 """Who leaves so much unread is disconnected [byte]."""
 SAID_S = 1.0
 """Diagnostics and landmarks are told so often [s]."""
+MAX_REFUSED = 100
+"""A client of which this number of lines in a row were refused is disconnected."""
+CHUNK = 2**12
+"""Read at once from a client [byte]; it is split into lines within 1 ms."""
+WEBSOCKET_CHUNK = 2**10
+"""Read at once from a WebSocket [byte]; 170 frames, the most that it holds, are parsed in 2 ms."""
+LINES_AHEAD = 100
+"""Read from stdin before they are looked at."""
+CLOSE_S = 1.0
+"""A WebSocket that does not answer when it is closed is dropped after this [s]."""
 WRONG_TOKEN = "wrong token"
 
 
@@ -142,10 +154,12 @@ class Server:
             if stdio:
                 me = _Listener(self._print, lambda: 0, lambda: None)
                 self._listeners.add(me)
-                threading.Thread(target=self._read_stdin, args=(loop, me), daemon=True).start()
+                reading = asyncio.create_task(self._take_stdin(me))
             try:
                 await ended.wait()
             finally:
+                if stdio:
+                    reading.cancel()
                 self._done = True
                 self._work.set()
                 await asyncio.to_thread(worker.join)
@@ -178,8 +192,12 @@ class Server:
             due = max(due + period, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
             now = time.monotonic()
-            if (command := self.session.tick(now)) is not None:
-                self._tell(command)
+            try:
+                if (command := self.session.tick(now)) is not None:
+                    self._tell(command)
+            except HomewardError as error:
+                self._tell(Event(type="error", text=str(error)))
+                self._work.set()
             if now - said >= SAID_S:
                 said = now
                 self._tell(self.session.diagnostics(now))
@@ -198,17 +216,59 @@ class Server:
             else:
                 listener.tell(line)
 
-    def _take(self, message: Input) -> None:
-        self.session.receive(message, time.monotonic())
-        self._work.set()
-
-    def _take_line(self, line: bytes | str, listener: _Listener) -> None:
+    def _take(self, message: Input, listener: _Listener) -> None:
         try:
-            self._take(parse(line))
-        except InputError as error:
-            listener.tell(line_of(Event(type="error", text=str(error))))
+            self.session.receive(message, time.monotonic(), listener)
+        finally:
+            self._work.set()
 
-    def _welcome(self, line: bytes | str, listener: _Listener) -> bool:
+    def _take_line(self, line: Line, listener: _Listener) -> bool:
+        """Take a line; return whether it is a message."""
+        try:
+            self._take(parse(line), listener)
+        except HomewardError as error:
+            self._refuse(str(error), listener)
+            return not isinstance(error, InputError)
+        return True
+
+    async def _converse(
+        self, lines: AsyncIterator[Line], listener: _Listener, is_file: bool = False
+    ) -> None:
+        """Take a client's lines in turn with those of others, and a stop as soon as it is read.
+
+        What may be a file is read no faster than the estimator works, to its end.
+        """
+        inbox, turn = Inbox(), Turn()
+        taking = asyncio.create_task(self._take_all(inbox, listener, is_file))
+        try:
+            async for line in lines:
+                if (stop := stop_in(line)) is not None:
+                    self._take(stop, listener)
+                elif line.strip():
+                    await inbox.put(line)
+                if inbox.ended:
+                    break
+                await turn.end()
+            inbox.end()
+            await taking
+        finally:
+            taking.cancel()
+
+    async def _take_all(self, inbox: Inbox, listener: _Listener, is_file: bool) -> None:
+        refused, turn = 0, Turn()
+        while (line := await inbox.take()) is not None:
+            while is_file and self.session.waiting > self.session.settings.queue // 2:
+                await asyncio.sleep(0.001)
+            refused = 0 if self._take_line(line, listener) else refused + 1
+            if refused >= MAX_REFUSED and not is_file:
+                self._refuse(f"disconnected: {refused} lines in a row were refused", listener)
+                inbox.end()
+                await asyncio.sleep(0.01)  # the reason is sent
+                listener.close()
+                return
+            await turn.end()
+
+    def _welcome(self, line: Line, listener: _Listener) -> bool:
         """Return whether a first line says hello as it must; answer it."""
         try:
             hello = parse(line)
@@ -239,47 +299,37 @@ class Server:
                 os.dup2(nowhere.fileno(), sys.stdout.fileno())
             self._end()
 
-    def _read_stdin(self, loop: asyncio.AbstractEventLoop, me: _Listener) -> None:
-        """Take lines from stdin, no faster than the estimator does."""
-        taken = threading.Semaphore(0)
-
-        def take(line: bytes) -> None:
-            self._take_line(line, me)
-            taken.release()
-
-        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
-        # this thread holds the lock, as it does while it waits for a line.
-        with (
-            contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
-            open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
-        ):
-            while line := stdin.readline(LONGEST_LINE + 1):
-                while self.session.waiting > self.session.settings.queue // 2:
-                    time.sleep(0.001)
-                if line.strip():
-                    loop.call_soon_threadsafe(take, line)
-                    taken.acquire()
-            while self.session.waiting:
-                time.sleep(0.001)
-            self._end()
+    async def _take_stdin(self, me: _Listener) -> None:
+        """Take all lines of stdin, and end with it."""
+        await self._converse(_stdin_lines(), me, is_file=True)
+        while self.session.waiting:
+            await asyncio.sleep(0.001)
+        self._end()
 
     @contextlib.asynccontextmanager
     async def _tcp(self, place: Address) -> AsyncIterator[int]:
         """Listen for JSON lines."""
 
         async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            def tell(line: str) -> None:
+                if not writer.transport.is_closing():  # else asyncio complains on stderr
+                    writer.write(line.encode())
+
+            lines = _tcp_lines(reader)
             listener = _Listener(
-                lambda line: writer.write(line.encode()),
+                tell,
                 writer.transport.get_write_buffer_size,
                 writer.close,
             )
             try:
-                first = await asyncio.wait_for(reader.readline(), HELLO_S)
+                first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
                 if self._welcome(first, listener):
-                    while line := await reader.readline():
-                        self._take_line(line, listener)
-            except (OSError, ValueError, TimeoutError):  # gone, silent, or a line without an end
+                    await self._converse(lines, listener)
+            except (OSError, TimeoutError):  # gone, or silent
                 pass
+            except asyncio.CancelledError:  # the server ends; Python 3.11 would print a traceback
+                if not self._done:
+                    raise
             finally:
                 self._listeners.discard(listener)
                 writer.close()
@@ -308,6 +358,7 @@ class Server:
         origins = None if self.token is not None else [None, own]
 
         async def talk(socket: Any) -> None:
+            socket.transport.max_size = WEBSOCKET_CHUNK  # of asyncio, which reads 256 kB otherwise
             queue: asyncio.Queue[str] = asyncio.Queue()
             unread = [0]
 
@@ -327,8 +378,7 @@ class Server:
                 if not self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), listener):
                     await asyncio.sleep(0.01)  # the reason is sent
                     return
-                async for line in socket:
-                    self._take_line(line, listener)
+                await self._converse(aiter(socket), listener)
             except (ConnectionClosed, TimeoutError):
                 pass
             finally:
@@ -339,11 +389,56 @@ class Server:
 
         try:
             async with serve(
-                talk, place.host, place.port, origins=origins, max_size=LONGEST_LINE
+                talk,
+                place.host,
+                place.port,
+                origins=origins,
+                max_size=LONGEST_LINE,
+                close_timeout=CLOSE_S,
             ) as server:
                 yield server.sockets[0].getsockname()[1]
         except OSError as error:
             raise _cannot(place, error) from error
+
+
+async def _tcp_lines(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
+    """Yield lines until the client is gone, or sends one without an end."""
+    rest = b""
+    with contextlib.suppress(OSError):
+        while chunk := await reader.read(CHUNK):
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in lines:
+                if line:
+                    yield line
+            if len(rest) > LONGEST_LINE:
+                return
+            await asyncio.sleep(0)  # reading what has arrived lets nobody else work
+    if rest:
+        yield rest
+
+
+async def _stdin_lines() -> AsyncIterator[bytes]:
+    """Yield lines until stdin ends; a thread waits for them."""
+    loop, read = asyncio.get_running_loop(), asyncio.Queue[bytes]()
+    room = threading.Semaphore(LINES_AHEAD)
+
+    def wait() -> None:
+        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
+        # this thread holds the lock, as it does while it waits for a line.
+        with (
+            contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
+            open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
+        ):
+            line = b"\n"
+            while line:
+                room.acquire()
+                line = stdin.readline(LONGEST_LINE + 1)
+                loop.call_soon_threadsafe(read.put_nowait, line)
+
+    threading.Thread(target=wait, daemon=True).start()
+    while line := await read.get():
+        yield line
+        room.release()
 
 
 def _cannot(place: Address, error: OSError) -> InputError:

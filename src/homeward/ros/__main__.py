@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
-import rclpy
-from rclpy.executors import ExternalShutdownException
-
-from homeward.ros.node import DONE, HomewardNode
-
 BAD_INPUT = 2
+HELP = """usage: python -m homeward.ros [--ros-args -p NAME:=VALUE ... --params-file FILE]
+
+The lifecycle node of homeward, configured and active at once. docs/do/live.md describes its
+topics, docs/do/ros/homeward.yaml every parameter."""
 STOPPED_WITHIN_S = 0.5
 """... and that it was stopped rclpy's own thread says a moment later [s]."""
 
 
 def main() -> None:
     """Run the node until it is stopped; one that starts by itself and cannot ends at once."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        sys.stdout.write(HELP + "\n")
+        return
+    try:
+        import rclpy
+        from rclpy.executors import ExternalShutdownException
+
+        from homeward.ros.node import DONE, HomewardNode
+    except ImportError as error:
+        way = "source /opt/ros/DISTRO/setup.bash first, in a Python that the distribution supports"
+        sys.stderr.write(f"homeward.ros: {error}: {way}\n")
+        raise SystemExit(BAD_INPUT) from None
     rclpy.init()
     node = HomewardNode()
     try:

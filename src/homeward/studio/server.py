@@ -30,6 +30,8 @@ TICK_S = 1 / 40
 BUSY_S = 0.1
 """The session works for so long at most before it is asked and shown again [s]."""
 HELLO_S = 5.0
+CLOSE_S = 1.0
+"""A page that does not answer when the studio ends is dropped after this [s]."""
 MOST_WAITING = 1000
 OWN = re.compile(r"http://(localhost|127\.0\.0\.1)(:\d+)?")
 KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
@@ -131,6 +133,7 @@ class Studio:
                 port,
                 origins=[OWN],
                 max_size=LONGEST,
+                close_timeout=CLOSE_S,
                 process_request=_page,
             )
         except OSError as error:
@@ -242,7 +245,10 @@ def _finite(value: Any) -> Any:
 
 def _page(connection: Any, request: Any) -> Any:
     """Answer a request for one of the page's files; None lets a WebSocket pass."""
-    if request.headers.get("Upgrade", "").lower() == "websocket":
+    upgrades = request.headers.get_all("Upgrade")
+    if len(upgrades) > 1:
+        return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Upgrade header\n")
+    if upgrades and upgrades[0].lower() == "websocket":
         return None
     from websockets.datastructures import Headers
     from websockets.http11 import Response
