@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import sys
+import threading
 import time
 from collections import deque
+from collections.abc import AsyncIterator
 
 from homeward.errors import InputError
-from homeward.live.messages import EStop, parse
+from homeward.live.messages import LONGEST_LINE, EStop, parse
 
 Line = bytes | str
 TURN_S = 0.001
@@ -15,6 +19,10 @@ TURN_S = 0.001
 command, or a stop, by no more than a command's period of 20 ms."""
 MAX_UNTAKEN = 2**20
 """A client that sent more than this and has not had its turn is not read on [byte]."""
+CHUNK = 2**14
+"""Read at once from a client [byte]; it is split into lines within 1 ms."""
+LINES_AHEAD = 100
+"""Read from stdin before they are looked at."""
 
 
 class Turn:
@@ -78,3 +86,42 @@ def stop_in(line: Line) -> EStop | None:
     except InputError:
         return None
     return message if isinstance(message, EStop) and message.engaged else None
+
+
+async def tcp_lines(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
+    """Yield lines until the client is gone, or sends one without an end."""
+    rest = b""
+    with contextlib.suppress(OSError):
+        while chunk := await reader.read(CHUNK):
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in filter(None, lines):
+                yield line
+            if len(rest) > LONGEST_LINE:
+                return
+            await asyncio.sleep(0)  # reading what has arrived lets nobody else work
+    if rest:
+        yield rest
+
+
+async def stdin_lines() -> AsyncIterator[bytes]:
+    """Yield lines until stdin ends; a thread waits for them."""
+    loop, read = asyncio.get_running_loop(), asyncio.Queue[bytes]()
+    room = threading.Semaphore(LINES_AHEAD)
+
+    def wait() -> None:
+        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
+        # this thread holds the lock, as it does while it waits for a line.
+        with (
+            contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
+            open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
+        ):
+            line = b"\n"
+            while line:
+                room.acquire()
+                line = stdin.readline(LONGEST_LINE + 1)
+                loop.call_soon_threadsafe(read.put_nowait, line)
+
+    threading.Thread(target=wait, daemon=True).start()
+    while line := await read.get():
+        yield line
+        room.release()

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
-from homeward.live.inbox import Inbox, Line, Turn, stop_in
+from homeward.live.inbox import Inbox, Line, Turn, stdin_lines, stop_in, tcp_lines
 from homeward.live.messages import (
     LONGEST_LINE,
     Event,
@@ -44,12 +44,8 @@ SAID_S = 1.0
 """Diagnostics and landmarks are told so often [s]."""
 MAX_REFUSED = 100
 """A client of which this number of lines in a row were refused is disconnected."""
-CHUNK = 2**12
-"""Read at once from a client [byte]; it is split into lines within 1 ms."""
 WEBSOCKET_CHUNK = 2**10
 """Read at once from a WebSocket [byte]; 170 frames, the most that it holds, are parsed in 2 ms."""
-LINES_AHEAD = 100
-"""Read from stdin before they are looked at."""
 CLOSE_S = 1.0
 """A WebSocket that does not answer when it is closed is dropped after this [s]."""
 WRONG_TOKEN = "wrong token"
@@ -301,7 +297,7 @@ class Server:
 
     async def _take_stdin(self, me: _Listener) -> None:
         """Take all lines of stdin, and end with it."""
-        await self._converse(_stdin_lines(), me, is_file=True)
+        await self._converse(stdin_lines(), me, is_file=True)
         while self.session.waiting:
             await asyncio.sleep(0.001)
         self._end()
@@ -315,7 +311,7 @@ class Server:
                 if not writer.transport.is_closing():  # else asyncio complains on stderr
                     writer.write(line.encode())
 
-            lines = _tcp_lines(reader)
+            lines = tcp_lines(reader)
             listener = _Listener(
                 tell,
                 writer.transport.get_write_buffer_size,
@@ -399,46 +395,6 @@ class Server:
                 yield server.sockets[0].getsockname()[1]
         except OSError as error:
             raise _cannot(place, error) from error
-
-
-async def _tcp_lines(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """Yield lines until the client is gone, or sends one without an end."""
-    rest = b""
-    with contextlib.suppress(OSError):
-        while chunk := await reader.read(CHUNK):
-            *lines, rest = (rest + chunk).split(b"\n")
-            for line in lines:
-                if line:
-                    yield line
-            if len(rest) > LONGEST_LINE:
-                return
-            await asyncio.sleep(0)  # reading what has arrived lets nobody else work
-    if rest:
-        yield rest
-
-
-async def _stdin_lines() -> AsyncIterator[bytes]:
-    """Yield lines until stdin ends; a thread waits for them."""
-    loop, read = asyncio.get_running_loop(), asyncio.Queue[bytes]()
-    room = threading.Semaphore(LINES_AHEAD)
-
-    def wait() -> None:
-        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
-        # this thread holds the lock, as it does while it waits for a line.
-        with (
-            contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
-            open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
-        ):
-            line = b"\n"
-            while line:
-                room.acquire()
-                line = stdin.readline(LONGEST_LINE + 1)
-                loop.call_soon_threadsafe(read.put_nowait, line)
-
-    threading.Thread(target=wait, daemon=True).start()
-    while line := await read.get():
-        yield line
-        room.release()
 
 
 def _cannot(place: Address, error: OSError) -> InputError:
