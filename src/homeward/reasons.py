@@ -34,6 +34,7 @@ class Rejection(_Words):
     LATE_ODOMETRY = "odometry came late"
     BAD_BEARING = "bearing, or its time, is not finite"
     LATE_BEARINGS = "bearings came late"
+    BEYOND_MAX = "more landmarks in view than are used"
     LATE_PICTURE = "home's picture came late"
     NO_ODOMETRY = "no odometry yet"
     VAGUE_ODOMETRY = "seen between keyframes, where the way is too uncertain to learn from it"

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import GATE, MAX_NOISE_RATIO
@@ -81,7 +82,7 @@ class BearingNoise:
         self.correlated = CorrelatedErrors()
         """Their time-correlated part."""
         self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
-        self._last: dict[str, deque[tuple[float, float]]] = {}
+        self._last = ById[deque[tuple[float, float]]]()
 
     @property
     def sigma(self) -> float:
@@ -125,6 +126,7 @@ class BearingNoise:
                 first, middle = last
                 self._differences.append(_second_difference(first, middle, (t, heading + bearing)))
             last.append((t, heading + bearing))
+        self._last.prune(lambda last: last[-1][0] < t - MAX_SPAN_S)  # in no second difference
         if len(self._differences) >= DIFFERENCES[0]:
             self._from_differences = _robust_sigma(np.array(self._differences))
 

@@ -11,6 +11,8 @@ import math
 from collections import deque
 from collections.abc import Mapping
 
+from homeward.localizer.inputs.by_id import ById
+
 MIN_TURN, MAX_INTERVAL_S = 0.1, 5.0
 """Two sightings of a landmark are compared once the robot has turned this far [rad] within this
 time [s]."""
@@ -33,7 +35,7 @@ class SignCheck:
 
     def __init__(self, yaw: float) -> None:
         self._yaw = yaw
-        self._reference: dict[str, tuple[float, float, float]] = {}
+        self._reference = ById[tuple[float, float, float]]()
         """Reference sighting of each landmark: time [s], heading and bearing [rad]."""
         self._agrees: deque[bool] = deque(maxlen=CERTAIN)
         self._known = False
@@ -58,6 +60,7 @@ class SignCheck:
                 self._reference[name] = now
                 if t - before[0] <= MAX_INTERVAL_S and _is_informative(turn, v, before[2], now[2]):
                     self._agrees.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
+        self._reference.prune(lambda before: before[0] < t - MAX_INTERVAL_S)  # compared no more
         if len(self._agrees) == CERTAIN and sum(self._agrees) > (1.0 - MINORITY) * CERTAIN:
             self._known = True
             self._reference.clear()

@@ -12,6 +12,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
+from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
 from homeward.localizer.map.smoother import Smoother
@@ -77,6 +78,11 @@ class Landmark:
         self.sightings += 1
 
 
+FORGET_S = 120.0
+"""A candidate older than this is dropped where ids come without end [s]; the window of keyframes
+is no longer."""
+
+
 @dataclass
 class Candidate:
     """Candidate: sightings of a landmark that is not mapped, or that do not fit its position."""
@@ -110,7 +116,7 @@ class Landmarks:
         """Range mixtures of landmarks that could not be triangulated yet."""
         self.expected: dict[str, np.ndarray] = {}
         """Expected positions of surveyed landmarks that are not mapped yet, (2,) [m]."""
-        self._candidates: dict[str, Candidate] = {}
+        self._candidates = ById[Candidate]()
 
     def shared_with_home(self, home: Collection[str]) -> list[str]:
         """Return landmarks that home saw and that are or were mapped, oldest first."""
@@ -154,6 +160,9 @@ class Landmarks:
                 if not landmark.rejections:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
+        if self._candidates.prune(lambda waiting: waiting.since < t - FORGET_S):
+            for name in self.range_mixtures.keys() - self._candidates.keys():
+                del self.range_mixtures[name]
 
     def add_rejected(self, t: float, name: str, row: np.ndarray) -> None:
         """Add a rejected sighting of `t` [s] to the candidate of its landmark."""

@@ -10,13 +10,14 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
+from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.gating import (
     Gated,
     contradicts_motion,
     gate_bearings,
     inflate_by_odometry,
 )
-from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.landmarks import FORGET_S, Landmarks
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA, sighting_rows
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
@@ -95,7 +96,7 @@ class Map:
         """Path from the newest keyframe to the last frame [m]."""
         self._counts_here: dict[str, int] = {}
         """Sightings of each landmark from the newest keyframe."""
-        self._last_seen: dict[str, float] = {}
+        self._last_seen = ById[float]()
         """When each landmark was last seen [s]."""
         self._pending_rows: list[np.ndarray] = []
         """Sightings that have not been applied to the state yet."""
@@ -316,6 +317,7 @@ class Map:
                 self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
+        self._last_seen.prune(lambda last: last < t - FORGET_S)  # no error lasts so long
         self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))
         if skipped == len(names):
