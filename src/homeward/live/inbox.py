@@ -14,9 +14,9 @@ from homeward.errors import InputError
 from homeward.live.messages import LONGEST_LINE, EStop, parse
 
 Line = bytes | str
-TURN_S = 0.001
-"""A client works for at most this time before others have their turn [s]; 20 clients then delay a
-command, or a stop, by no more than a command's period of 20 ms."""
+TURN_S = 0.0002
+"""A client reads, or is worked for, for at most this time before others have their turn [s]; 20
+clients then delay a command, or a stop, by 8 ms, less than a command's period of 20 ms."""
 MAX_UNTAKEN = 2**20
 """A client that sent more than this and has not had its turn is not read on [byte]."""
 CHUNK = 2**14

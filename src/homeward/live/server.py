@@ -1,7 +1,7 @@
 """The host of a session: JSON lines on stdin and stdout, on TCP, and as WebSocket messages.
 
 One robot, any number of listeners: whatever anyone sends is for the session, and all hear what it
-says. Messages are taken in on the loop's thread, in turns of a millisecond, so that no client
+says. Messages are taken in on the loop's thread, in turns of 0.2 ms, so that no client
 delays commands or others; the estimator works in a thread of its own.
 """
 
