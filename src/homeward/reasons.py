@@ -25,6 +25,8 @@ class Reason(_Words):
     NOT_FIXED = "home is not fixed well enough; drive on, best in an arc"
     SIGNS_REVERSED = "bearings and turn rates go opposite ways; both must be anti-clockwise"
     NO_BEARINGS = "no bearings now"
+    FROZEN = "the camera is frozen: bearings repeat to the last bit while odometry moves"
+    CONTRADICTED = "odometry moves, but the bearings stay: the camera is frozen, or the wheels spin"
 
 
 class Rejection(_Words):
@@ -35,6 +37,8 @@ class Rejection(_Words):
     BAD_BEARING = "bearing, or its time, is not finite"
     LATE_BEARINGS = "bearings came late"
     BEYOND_MAX = "more landmarks in view than are used"
+    REPEATED_BEARINGS = "the same bearing came twice with the same stamp"
+    FROZEN = "the camera is frozen: the bearing repeats to the last bit while odometry moves"
     LATE_PICTURE = "home's picture came late"
     NO_ODOMETRY = "no odometry yet"
     VAGUE_ODOMETRY = "seen between keyframes, where the way is too uncertain to learn from it"

@@ -25,6 +25,7 @@ from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
+from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
@@ -109,6 +110,8 @@ class Chart:
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
+        rates = self.process_noise.rates
+        self._contradiction.add_bearings(seen, self.map, motion, rates, self._twists)
         gated = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
         reset = health is Health.NO_MAP
@@ -184,7 +187,7 @@ class Chart:
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
-        return found
+        return self._contradiction.applied(found, state.pose_after(motion)[0])
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, by name; of home only if `judge`."""
@@ -324,6 +327,7 @@ class Chart:
         """Begin a map whose origin is the robot's pose at `t` [s]."""
         learnt = self.noise, self.process_noise, self.extrinsics
         self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
+        self._contradiction = Contradiction()
         self.monitor = Monitor(self._drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)

@@ -30,6 +30,7 @@ from homeward.frames import Pose
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
+from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
@@ -104,6 +105,9 @@ class Localizer:
         self._clock, self._reorder = Clock(), ReorderBuffer()
         self._sign_check = SignCheck(self._robot.sensor.yaw)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
+        self._frozen = FrozenCamera(self._robot.sensor.yaw)
+        self._at_newest: set[tuple[str, float]] = set()
+        """Sightings of the newest stamp of bearings."""
         self._t = -math.inf
 
     @property
@@ -173,6 +177,7 @@ class Localizer:
             return self.estimate(said)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
+        usable = self._without_repeats(t, usable)
         if not usable:
             return self.estimate(said)
         if len(usable) > MAX_IN_VIEW:
@@ -182,8 +187,6 @@ class Localizer:
         given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, valid))
-        if (twist := self._twists.before(t)) is not None:
-            self._sign_check.bearings(t, usable, self._twists.heading(t), twist.v)
         self._dead.bearings(t, usable, valid, self.chart.noise.sigma)
         innovations = self._process_due()
         return self._estimate(t, innovations, said)
@@ -287,6 +290,15 @@ class Localizer:
         order = sorted(sightings, key=lambda name: (name not in mapped, name not in self._home))
         return {name: sightings[name] for name in order[:MAX_IN_VIEW]}
 
+    def _without_repeats(self, t: float, seen: dict[str, float]) -> dict[str, float]:
+        """Return the sightings of stamp `t` [s] that did not come before: a bridge may repeat."""
+        if t > self._reorder.newest:
+            self._at_newest = set()
+        new = {n: b for n, b in seen.items() if (n, b) not in self._at_newest}
+        self._at_newest.update(new.items())
+        self._reject(Rejection.REPEATED_BEARINGS, len(seen) - len(new))
+        return new
+
     def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
         for chart in self.charts:
@@ -306,6 +318,16 @@ class Localizer:
 
     def _process(self, frame: BearingFrame) -> list[Innovation]:
         """Process a frame in each chart; return its innovations in the one that answers."""
+        frozen = self._frozen.add_bearings(frame.t, frame.sightings, self._twists)
+        if frozen:
+            self._reject(Rejection.FROZEN, len(frozen))
+            seen = {n: b for n, b in frame.sightings.items() if n not in frozen}
+            frame = frame._replace(sightings=seen)
+        if not frame.sightings:
+            return []
+        if (twist := self._twists.before(frame.t)) is not None:
+            heading = self._twists.heading(frame.t)
+            self._sign_check.bearings(frame.t, frame.sightings, heading, twist.v)
         innovations = self._chart.add_bearings(frame, self._t)
         if self._beside is not None:
             return self._update_beside(self._beside, frame, innovations)
@@ -373,4 +395,8 @@ class Localizer:
             return Estimate(said, Status.MAPPING, why, None, None, innovations)
         complaint = self._reorder.complaint() or self._dead.reason
         found = self.chart.estimate(t, innovations, complaint)
+        if self._frozen.is_frozen:
+            coasts = found.status is Status.LOCALISED
+            status = Status.COASTING if coasts else found.status
+            found = dataclasses.replace(found, status=status, reason=Reason.FROZEN.words)
         return found if t == said else dataclasses.replace(found, t=said)

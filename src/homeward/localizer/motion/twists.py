@@ -14,6 +14,11 @@ STEADY_S = 0.5
 """Averaging time of the speed: longer than the noise of samples, shorter than changes of speed [s].
 """
 
+MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
+"""Mean speed [m/s] and turn rate [rad/s] over `STEADY_S` from which odometry indicates a motion:
+several standard deviations of jitter and bias at standstill, and a slower robot moves less in a
+second than a pose is uncertain."""
+
 
 class Twist(NamedTuple):
     """A twist, valid from its stamp to the next, and the dead reckoning there.
@@ -94,6 +99,21 @@ class Twists:
         """Return the heading at `t` [s], by odometry alone [rad]."""
         return self._reckoned(t)[0]
 
+    def path(self, t: float) -> float:
+        """Return the signed path up to `t` [s], by odometry alone [m]."""
+        return self._reckoned(t)[1]
+
+    def moves(self, t: float) -> bool:
+        """Return whether odometry indicates a motion at `t` [s], beyond jitter at standstill.
+
+        A twist that has held for long without a successor is no evidence.
+        """
+        if t - self.newest > 0.5 * STEADY_S:
+            return False
+        turned = self.heading(t) - self.heading(t - STEADY_S)
+        fast = abs(self.steady_speed(t)) > MOVING_SPEED
+        return fast or abs(turned) > MOVING_TURN_RATE * STEADY_S
+
     def steady_speed(self, t: float) -> float:
         """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
         return (self._reckoned(t)[1] - self._reckoned(t - STEADY_S)[1]) / STEADY_S
@@ -119,3 +139,21 @@ class Twists:
         """Drop the twists that ended before `t` [s]."""
         while len(self._twists) > 1 and self._twists[1].t < t:
             self._twists.popleft()
+
+
+class DeadReckoning:
+    """Pose by odometry alone, advanced from frame to frame."""
+
+    def __init__(self) -> None:
+        self.x = self.y = 0.0
+        self.heading = self._path = math.nan
+
+    def advance(self, t: float, twists: Twists) -> tuple[float, float, float]:
+        """Advance to `t` [s]; return x, y [m] and heading [rad], which is not wrapped."""
+        heading, path = twists.heading(t), twists.path(t)
+        if not math.isnan(self._path):
+            step, middle = path - self._path, 0.5 * (heading + self.heading)
+            self.x += step * math.cos(middle)
+            self.y += step * math.sin(middle)
+        self.heading, self._path = heading, path
+        return self.x, self.y, heading

@@ -1,0 +1,118 @@
+"""Frozen-camera detector: bearings that repeat to the last bit while odometry moves.
+
+A camera driver may go on sending its last frame with new stamps. A camera that works may repeat a
+bearing, too: where the robot stands, where bearings are rounded (to whole degrees), straight ahead,
+and at the centre of a circle. So a repeated bearing is rejected only where the motion since its
+first occurrence would have changed it, wherever the landmark is: no rotation within the error of
+odometry, common to all repeated bearings, agrees with any distance of each landmark.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from homeward.localizer.motion.twists import STEADY_S, DeadReckoning, Twists
+
+NEAREST_M, FARTHEST_M = 0.1, 100.0
+"""Distances between which landmarks may be [m]: from a farther one a robot has no parallax."""
+COARSEST = 0.1
+"""Resolution of bearings until a smaller step was seen [rad]."""
+ROUNDING = 1e-9
+"""Smaller steps are rounding errors, not the resolution [rad]."""
+TURN_ERROR, HEADING_RATE = 0.1, 0.02
+"""Error of odometry that is not a motion: share of the rotation [1], and a heading error that grows
+with the square root of time [rad/sqrt(s)]; twice what uncalibrated wheels have."""
+FORGET_S = 5.0
+"""A landmark not seen for this long is forgotten [s]."""
+FROZEN_S = 0.5
+"""A camera is frozen once its bearings have repeated for this long [s]: odometry may lag that much
+behind a camera when the robot stops."""
+
+
+class _First(NamedTuple):
+    """First occurrence of a bearing, or the last while the robot stood."""
+
+    bearing: float
+    t: float
+    x: float
+    y: float
+    heading: float
+    seen: float
+    """Newest stamp with this bearing [s]."""
+    is_frozen: bool = False
+    """Whether it has been frozen for `FROZEN_S`: then it stays so, also if the robot stops."""
+
+
+class FrozenCamera:
+    """Frozen-camera detector, by landmark.
+
+    Parameters
+    ----------
+    yaw : float
+        Of the camera's axis on the robot [rad].
+    """
+
+    def __init__(self, yaw: float = 0.0) -> None:
+        self._yaw = yaw
+        self._first: dict[str, _First] = {}
+        self._reckoning = DeadReckoning()
+        self._resolution = COARSEST
+        """Smallest step between two bearings of a landmark [rad]."""
+        self.is_frozen = False
+        """Whether all bearings of the newest frame have repeated for `FROZEN_S`."""
+
+    def add_bearings(self, t: float, sightings: Mapping[str, float], twists: Twists) -> set[str]:
+        """Add a frame of stamp `t` [s]; return the landmarks whose bearings are frozen."""
+        here, moves = (t, *self._reckoning.advance(t, twists)), twists.moves(t)
+        repeated = []
+        for name, bearing in sightings.items():
+            first = self._first.get(name)
+            if (
+                first is not None
+                and first.bearing == bearing
+                and (moves or (first.is_frozen and t - twists.newest <= STEADY_S))
+            ):
+                self._first[name] = first._replace(seen=t)
+                repeated.append(name)
+                continue
+            if first is not None and (step := abs(first.bearing - bearing)) > ROUNDING:
+                self._resolution = min(self._resolution, step)
+            self._first[name] = _First(bearing, *here, t)
+        firsts = [self._first[n] for n in repeated]
+        if any(f.is_frozen for f in firsts) or not self._is_possible(firsts, here):
+            lasts = t - min(f.t for f in firsts) >= FROZEN_S
+            self.is_frozen = lasts and len(repeated) == len(sightings)
+            for name, first in zip(repeated, firsts, strict=True):
+                self._first[name] = first._replace(is_frozen=lasts)
+            return set(repeated)
+        self.is_frozen = False
+        if len(self._first) > len(sightings):
+            self._first = {n: f for n, f in self._first.items() if t - f.seen < FORGET_S}
+        return set()
+
+    def _is_possible(self, repeated: list[_First], here: tuple[float, float, float, float]) -> bool:
+        """Return whether a working camera may see all these bearings again from here."""
+        # Errors of odometry's rotation that agree with all bearings; pixels are wider in angle at
+        # the centre of an image than at its edge.
+        low, high, tolerance = -math.inf, math.inf, 2.0 * self._resolution
+        t, x, y, heading = here
+        for first in repeated:
+            turned = heading - first.heading
+            error = TURN_ERROR * abs(turned) + HEADING_RATE * math.sqrt(t - first.t)
+            sight = first.heading + self._yaw + first.bearing
+            ends = [
+                math.remainder(
+                    math.atan2(
+                        distance * math.sin(sight) - (y - first.y),
+                        distance * math.cos(sight) - (x - first.x),
+                    )
+                    - sight,
+                    math.tau,
+                )
+                for distance in (NEAREST_M, FARTHEST_M)
+            ]
+            low = max(low, min(ends) - tolerance - turned, -error)
+            high = min(high, max(ends) + tolerance - turned, error)
+        return low <= high
