@@ -126,7 +126,8 @@ def test_on_the_way_it_is_blocked_lost_and_stopped_and_says_which(school):
     for _ in range(5):  # somebody stands in its way
         asked(rig, Obstacle(distance=0.1))
     assert rig.standing()
-    assert "blocked: an obstacle 0.10 m ahead" in rig.commands[-1][1].reason
+    assert "blocked: an obstacle nearer than 0.3 m" in rig.commands[-1][1].reason
+    assert rig.commands[-1][1].value == 0.1
     clear = [Obstacle(distance=5.0)]
     rig.spoil = lambda message: [message, *clear]
     rig.until(now_says("following round"))
@@ -154,7 +155,7 @@ def test_who_gets_nowhere_gives_up_and_says_why(school):
     rig.until(lambda r: r.player.ending)
     assert rig.player.ending.state == "failed"
     assert rig.player.ending.reason == (
-        "given up: blocked: an obstacle 0.10 m ahead; got nowhere for 30 s"
+        "given up: blocked: an obstacle nearer than 0.3 m; got nowhere for 30 s"
     )
 
 

@@ -1,5 +1,6 @@
 """The engine of a live session, on a clock that is told to it."""
 
+import itertools
 import math
 import threading
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from live_rig import Rig, driving
 
-from homeward.drives.drive import DriveSettings
+from homeward.drives.drive import DriveSettings, OdometryNoise
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.live.driving.way import Way
@@ -131,6 +132,83 @@ def test_the_robot_stands_at_once_when_it_sees_nothing_for_longer_than_it_may_co
     rig.until(Rig.standing)
     assert rig.robot.t - began <= 2.0 + Limits().coast + 0.1  # localised for 2 s without bearings
     assert "not localised" in rig.commands[-1][1].reason
+
+
+def uncalibrated(rig):
+    """A session for the robot of a rig of whose odometry no noise is given."""
+    robot = rig.robot.drive.settings.model_copy(update={"odometry": OdometryNoise()})
+    rig.session = Session(LiveSettings(), robot)
+    rig.session.receive(rig.player.home(), 0.0)
+    return rig
+
+
+def test_without_calibrated_odometry_a_blind_robot_stands_within_a_second():
+    rig = uncalibrated(Rig(3)).until(driving)
+    began, before = rig.robot.t, rig.robot.pose
+    rig.spoil = lambda m: [m.model_copy(update={"bearings": {}})] if hasattr(m, "bearings") else [m]
+    rig.until(Rig.standing)
+    assert rig.robot.t - began <= Limits().coast + 0.1
+    assert math.dist(before[:2], rig.robot.pose[:2]) <= 0.25 * 1.1
+    assert rig.commands[-1][1].reason == "no landmark in view for more than 1 s"
+
+
+def frozen(jitter=0.0):
+    """Repeat the bearings of the first frame with new stamps."""
+    first, rng = [], np.random.default_rng(0)
+
+    def spoil(message):
+        if not isinstance(message, BearingsIn):
+            return [message]
+        first.append(message.bearings)
+        seen = {n: b + jitter * rng.normal() for n, b in first[0].items()}
+        return [message.model_copy(update={"bearings": seen})]
+
+    return spoil
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize(
+    ("jitter", "words"), [(0.0, "the camera is frozen"), (0.002, "unverified")]
+)
+def test_a_frozen_camera_stops_the_robot(calibrated, jitter, words):
+    rig = Rig(2) if calibrated else uncalibrated(Rig(2))
+    rig.until(driving)
+    sound, rig.spoil, died = rig.spoil, frozen(jitter), rig.robot.t
+    rig.until(Rig.standing)
+    assert rig.robot.t - died <= (0.75 if jitter == 0.0 else 2.5)
+    assert words in rig.commands[-1][1].reason
+    if jitter == 0.0:
+        rig.spoil = sound
+        rig.until(lambda r: r.player.ending)
+        assert rig.player.ending.state == "arrived"
+
+
+def test_a_reason_stays_the_same_while_it_lasts_and_numbers_stand_apart():
+    rig = Rig(2).until(driving)
+    rig.spoil = without(BearingsIn)
+    rig.until(lambda r: r.state == "failed")
+    held = [c for _, c in rig.commands if c.state == "held"]
+    assert len({c.reason for c in held}) == 1
+    values = [c.value for c in held if c.reason == "no bearings for more than 0.15 s"]
+    assert len(values) > 100
+    assert values == sorted(values)
+
+
+def test_a_camera_at_the_limit_does_not_make_the_robot_start_and_stop():
+    rig = Rig(2, settings=LiveSettings(bearings_timeout=0.1)).until(driving)
+    looks = []
+
+    def sometimes(message):  # alternately 0.08 s and 0.16 s apart
+        if not isinstance(message, BearingsIn):
+            return [message]
+        looks.append(message)
+        return [message] if len(looks) % 6 in (0, 2) else []
+
+    rig.spoil, since = sometimes, len(rig.commands)
+    until = rig.robot.t + 5.0
+    rig.until(lambda r: r.robot.t > until)
+    states = [c.state for _, c in rig.commands[since:]]
+    assert sum(a != b for a, b in itertools.pairwise(states)) <= 2
 
 
 def test_the_robot_stands_where_it_is_too_uncertain():
@@ -333,7 +411,8 @@ def test_an_estimator_that_there_is_not_is_refused_at_once():
 def test_what_was_never_heard_is_said_so():
     session = Session()
     session.receive(OdometryIn(t=5.0, v=0.0, omega=0.0), 0.0)
-    assert session.faults(0.01) == ("no bearings yet", "no answers yet")
+    found = tuple(fault.reason for fault in session.faults(0.01))
+    assert found == ("no bearings yet", "no answers yet")
 
 
 def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():

@@ -161,7 +161,7 @@ def test_a_start_is_taken_and_an_obstacle_stops_the_robot(stage):
     stage.go()
     stage.tell(scan=0.2)
     assert stage.stands() <= 0.5  # a scan every 0.05 s
-    stage.hear("/homeward/said", lambda s: "an obstacle 0.20 m ahead" in s.get("reason", ""))
+    stage.hear("/homeward/said", lambda s: "an obstacle nearer than" in s.get("reason", ""))
     stage.tell(scan=None)
     stage.hear("/homeward/said", lambda s: "nothing said of obstacles" in s.get("reason", ""))
 

@@ -243,6 +243,9 @@ class Command(Strict):
     """[rad/s]"""
     state: Literal["driving", "held", "arrived", "turned", "failed"]
     reason: str
+    """In words that stay the same while the reason lasts."""
+    value: float | None = None
+    """The number that goes with the reason: a time [s], or a distance or standard deviation [m]."""
     hold: float
     """[s]"""
 
@@ -273,6 +276,8 @@ class Diagnostics(Strict):
     """State and reason."""
     faults: tuple[str, ...]
     """What keeps the robot from driving by itself."""
+    values: dict[str, float] = {}
+    """The number that goes with a fault, in the unit of its limit."""
     counts: dict[str, int]
     """Samples not used, by reason."""
     waiting: int

@@ -23,8 +23,8 @@ from homeward.estimator import Status
 from homeward.frames import Pose, compose
 from homeward.live.driving.goals import Belief, State
 from homeward.live.driving.homing import Homing, Turning
-from homeward.live.driving.watchdog import StampGate, Watchdog
-from homeward.live.driving.way import Way
+from homeward.live.driving.watchdog import Fault, Lasting, StampGate, Watchdog
+from homeward.live.driving.way import PATH_S, Way
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,
@@ -49,6 +49,9 @@ from homeward.live.messages import (
 )
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
 from homeward.live.visiting import Visiting
+from homeward.localizer.inputs.frozen_camera import FrozenCamera
+from homeward.localizer.motion.twists import Twists
+from homeward.reasons import Reason
 
 
 class Session:
@@ -77,6 +80,9 @@ class Session:
         known = robot or DriveSettings(), homes or {}, place
         self.localisation = Localisation(told.estimator, *known)
         self._late = (robot and robot.bearings_late) or 0.0
+        noise = (robot or DriveSettings()).odometry
+        self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
+        """Whether the noise of odometry is given, so that the robot may drive on by it alone."""
         self.homing, self._turning = Homing(told.limits), Turning(told.limits)
         self._driver = self.homing
         self._turned_for = StoreHome()
@@ -87,6 +93,11 @@ class Session:
         self._gate, self._way = StampGate(), Way()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", told.bearings_timeout, clock)
+        self._lags = {"bearings": Lasting(), "answers": Lasting()}
+        self._twists, self._frozen = Twists(), FrozenCamera((robot or DriveSettings()).sensor.yaw)
+        self._is_frozen, self._is_blind = Lasting(), Lasting()
+        self._sighted = math.inf
+        """When landmarks were last in view, by a camera that is not frozen [s]."""
         self._heard = -math.inf
         self._obstacle: tuple[float, float] | None = None
         self._stopped = False
@@ -238,7 +249,7 @@ class Session:
             if self._sent is None:
                 self.homing.aim(self.localisation.goal)
                 belief = self.belief(now)
-            twist = self.homing.command(now, belief, self.faults(now))
+            twist = self.homing.command(now, belief, self.faults(now) + self._blind(now))
         if twist is None:
             return None
         return Command(
@@ -246,6 +257,7 @@ class Session:
             omega=twist.omega,
             state=self._driver.state.value,
             reason=self._driver.reason,
+            value=self._driver.value,
             hold=STOPS_WITHIN_S,
         )
 
@@ -258,24 +270,36 @@ class Session:
         here = self._way.at(self._way.newest + since)
         return Belief(estimate.status, compose(odom, here), estimate.covariance)
 
-    def faults(self, now: float) -> tuple[str, ...]:
-        """Return what keeps the robot from driving, in words."""
-        told, found = self.settings, []
+    def faults(self, now: float) -> tuple[Fault, ...]:
+        """Return what keeps the robot from driving."""
+        told, found = self.settings, list[Fault]()
         if self._stopped:
-            found.append("emergency stop")
+            found.append(Fault("emergency stop"))
         if self._obstacle is not None:
-            distance, heard = self._obstacle
+            (distance, heard), nearest = self._obstacle, told.limits.obstacle_distance
             if now - heard > told.odometry_timeout:
-                found.append(f"nothing said of obstacles for {now - heard:.2f} s")
-            elif distance < told.limits.obstacle_distance:
-                found.append(f"blocked: an obstacle {distance:.2f} m ahead")
+                words = f"nothing said of obstacles for more than {told.odometry_timeout:g} s"
+                found.append(Fault(words, now - heard))
+            elif distance < nearest:
+                found.append(Fault(f"blocked: an obstacle nearer than {nearest:g} m", distance))
         found += [f for w in (self._odometry, self._bearings) if (f := w.fault(now))]
         newest = self._odometry.newest
         for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):
-            if newest - t > told.largest_lag and math.isfinite(newest):
-                lag = f"{what} are {newest - t:.2f} s behind odometry"
-                found.append(lag if math.isfinite(t) else f"no {what} yet")
+            lag = newest - t if math.isfinite(newest) else 0.0
+            if self._lags[what].holds(lag > told.largest_lag, now):
+                words = f"{what} are more than {told.largest_lag:g} s behind odometry"
+                seen = math.isfinite(t)
+                found.append(Fault(words, lag) if seen else Fault(f"no {what} yet"))
+        if self._is_frozen.holds(self._frozen.is_frozen, now):
+            found.append(Fault(Reason.FROZEN.words))
         return tuple(dict.fromkeys(found))
+
+    def _blind(self, now: float) -> tuple[Fault, ...]:
+        """Return whether no landmark was in view for too long to drive on by odometry alone."""
+        longest, unseen = self.settings.limits.coast, now - self._sighted
+        if self._is_calibrated or not self._is_blind.holds(unseen > longest, now):
+            return ()
+        return (Fault(f"no landmark in view for more than {longest:g} s", unseen),)
 
     def diagnostics(self, now: float) -> Diagnostics:
         """Return how the session is, at `now` [s]."""
@@ -283,12 +307,14 @@ class Session:
         counts = dict(self.counts)
         if estimator is not None:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
+        faults = self.faults(now)
         work, self._work_s = self._work_s, 0.0
         return Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
             homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
-            faults=self.faults(now),
+            faults=tuple(fault.reason for fault in faults),
+            values={f.reason: f.value for f in faults if f.value is not None},
             counts=counts,
             waiting=self.waiting,
             work_ms=1e3 * work,
@@ -327,10 +353,18 @@ class Session:
     def _watch(self, sample: OdometryIn | BearingsIn, now: float) -> float:
         """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""
         if isinstance(sample, BearingsIn):
-            return self._bearings.hear(sample.t, now)
+            t = self._bearings.hear(sample.t, now)
+            frozen = self._frozen.add_bearings(t, sample.bearings, self._twists)
+            if len(frozen) < len(sample.bearings):
+                self._sighted = now
+            return t
         self._way.add(sample)
         self._heard = now
-        return self._odometry.hear(sample.t, now)
+        t = self._odometry.hear(sample.t, now)
+        if t == self._odometry.newest:
+            self._twists.add(t, sample.v, sample.omega)
+            self._twists.forget(t - PATH_S)
+        return t
 
     def _shed(self) -> None:
         """Throw away the oldest bearings, odometry or message of the sender of most that wait."""

@@ -29,7 +29,8 @@ class Limits(Strict):
     largest_sigma: Positive = 0.25
     """With a less certain position it stands [m]; the larger axis of the 1-sigma ellipse."""
     coast: NonNegative = 1.0
-    """It drives on so long while not localised, as long as it has a pose [s]."""
+    """It drives on for this long while not localised, as long as it has a pose; also for this long
+    without a landmark in view, unless the noise of odometry is given [s]."""
     patience: Positive = 10.0
     """After standing so long for one reason after another it gives up [s]."""
     obstacle_distance: NonNegative = 0.3

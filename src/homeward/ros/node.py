@@ -237,7 +237,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         def serve(request: Any, response: Any) -> Any:
             assert self._session is not None
             self._take(make(request))
-            faults = self._session.faults(time.monotonic())
+            faults = [fault.reason for fault in self._session.faults(time.monotonic())]
             response.success = True
             response.message = "; ".join(["asked, ~/said tells what comes of it", *faults])
             return response

@@ -10,6 +10,7 @@ from homeward.control import Twist
 from homeward.estimator import Status
 from homeward.frames import position_sigma
 from homeward.live.driving.goals import STAND, Belief, Drive, Goal, State, Step
+from homeward.live.driving.watchdog import Fault, Lasting
 from homeward.live.settings import Limits
 
 AFTERWARDS_S = 1.0
@@ -31,6 +32,8 @@ class Homing:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.state, self.reason = State.IDLE, ""
+        self.value: float | None = None
+        """The number that goes with the reason, if any."""
         self._goal: Goal | None = None
         self._drive: Drive | None = None
         """To the goal; None until that is known."""
@@ -39,6 +42,7 @@ class Homing:
         """When the state began."""
         self._sure = -math.inf
         """When the robot was localised last."""
+        self._uncertain = Lasting()
 
     @property
     def active(self) -> bool:
@@ -48,7 +52,7 @@ class Homing:
     def go(self, now: float) -> None:
         """Begin to drive, as soon as `aim` tells where to."""
         self._goal = self._drive = None
-        self._twist, self._sure = STAND, -math.inf
+        self._twist, self._sure, self.value = STAND, -math.inf, None
         self._enter(State.HELD, "", now)
 
     def aim(self, goal: Goal | None) -> None:
@@ -59,9 +63,10 @@ class Homing:
     def fail(self, reason: str, now: float) -> None:
         """Stand, and give up."""
         if self.active:
+            self.value = None
             self._stand(State.FAILED, reason, now)
 
-    def command(self, now: float, belief: Belief, faults: tuple[str, ...]) -> Twist | None:
+    def command(self, now: float, belief: Belief, faults: tuple[Fault, ...]) -> Twist | None:
         """Return the command at `now`, or None where the robot is left to others.
 
         Parameters
@@ -70,8 +75,8 @@ class Homing:
             [s]
         belief : Belief
             Where the robot is.
-        faults : tuple of str
-            What is wrong with the sensors.
+        faults : tuple of Fault
+            Faults of the sensors.
         """
         dt, self._last = min(now - self._last, LONGEST_STEP_S), now
         if belief.status is Status.LOCALISED:
@@ -79,7 +84,8 @@ class Homing:
         if not self.active:
             over = self.state is State.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
-        hindrance = faults[0] if faults else self._doubt(now, belief)
+        found = faults[0] if faults else self._doubt(now, belief)
+        hindrance, self.value = found or ("", None)
         if self._drive is None:
             return self._hold(hindrance, now, self._limits.patience)
         step = self._drive.step(now, belief, hindrance)
@@ -92,17 +98,17 @@ class Homing:
         self.reason, self._twist = step.reason, self._limited(step.twist, dt)
         return self._twist
 
-    def _doubt(self, now: float, belief: Belief) -> str:
-        """Return why the pose is not one to drive by; nothing where it is."""
+    def _doubt(self, now: float, belief: Belief) -> Fault | None:
+        """Return why the pose is not one to drive by; None where it is."""
         limits = self._limits
         if belief.pose is None or belief.covariance is None:
-            return f"lost, no pose: {belief.status.value}"
+            return Fault(f"lost, no pose: {belief.status.value}")
         if belief.status is not Status.LOCALISED and now - self._sure > limits.coast:
-            return f"lost, not localised: {belief.status.value}"
-        sigma = position_sigma(belief.covariance)
-        if not sigma <= limits.largest_sigma:
-            return f"lost, too uncertain: sigma {sigma:.2f} m, at most {limits.largest_sigma:g} m"
-        return ""
+            return Fault(f"lost, not localised: {belief.status.value}", now - self._sure)
+        sigma, largest = position_sigma(belief.covariance), limits.largest_sigma
+        if self._uncertain.holds(not sigma <= largest, now):
+            return Fault(f"lost, too uncertain: sigma of more than {largest:g} m", sigma)
+        return None
 
     def _hold(self, why: str, now: float, patience: float) -> Twist:
         """Stand at once; after a while give up."""
@@ -143,8 +149,8 @@ class Turning(Homing):
         super().go(now)
         self.aim(_Round())
 
-    def _doubt(self, now: float, belief: Belief) -> str:
-        return "" if belief.pose is not None else "no odometry"
+    def _doubt(self, now: float, belief: Belief) -> Fault | None:
+        return None if belief.pose is not None else Fault("no odometry")
 
 
 class _Round(NamedTuple):

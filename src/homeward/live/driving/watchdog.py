@@ -4,12 +4,38 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 from homeward.drives.clock import Clock
 
 AHEAD_S = 2.0
 """A stamp so far ahead of all others is a mistake, until `SEVERAL` agree with it [s]."""
 SEVERAL = 5
+CLEARED_S = 0.5
+"""A fault lasts until its cause has been absent for this long [s]: a sensor just at its limit would
+otherwise start and stop the robot many times a second."""
+
+
+class Fault(NamedTuple):
+    """Fault that keeps the robot from driving."""
+
+    reason: str
+    """In words that stay the same while the fault lasts."""
+    value: float | None = None
+    """The measured quantity, in the unit of the limit in the reason."""
+
+
+class Lasting:
+    """Condition that lasts until it has been absent for `CLEARED_S`."""
+
+    def __init__(self) -> None:
+        self._last = -math.inf
+
+    def holds(self, present: bool, now: float) -> bool:
+        """Return whether the condition holds at `now` [s], given whether it is present."""
+        if present:
+            self._last = max(self._last, now)
+        return present or self._last <= now < self._last + CLEARED_S
 
 
 class StampGate:
@@ -53,6 +79,7 @@ class Watchdog:
         self.newest = -math.inf
         """Newest stamp [s], on a clock that is never set back."""
         self._heard = -math.inf
+        self._silent = Lasting()
 
     def hear(self, t: float, now: float) -> float:
         """Take note of a sample of stamp `t` [s] at `now` [s] on a steady clock.
@@ -67,9 +94,11 @@ class Watchdog:
             self.newest, self._heard = t, now
         return t
 
-    def fault(self, now: float) -> str | None:
-        """Return what is wrong, in words."""
+    def fault(self, now: float) -> Fault | None:
+        """Return the fault at `now` [s]; its value is the time since the last sample [s]."""
         if self._heard == -math.inf:
-            return f"no {self._what} yet"
+            return Fault(f"no {self._what} yet")
         silent = now - self._heard
-        return f"no {self._what} for {silent:.2f} s" if silent > self._timeout else None
+        if not self._silent.holds(silent > self._timeout, now):
+            return None
+        return Fault(f"no {self._what} for more than {self._timeout:g} s", silent)
