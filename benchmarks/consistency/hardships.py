@@ -105,3 +105,13 @@ def stalling(whole: Trial, seed: int, every_s: float, for_s: float) -> Trial:
     fails = now_and_then(o.t, np.random.default_rng([seed, 6]), every_s, for_s)
     dead = replace(o, v=np.where(fails, 0.0, o.v), omega=np.where(fails, 0.0, o.omega))
     return replace(whole, drive=replace(whole.drive, odometry=dead))
+
+
+def bearings_late(whole: Trial, seconds: float) -> Trial:
+    """Return the same drive with bearings whose stamps are `seconds` after the pose they show.
+
+    A pose is due at the stamps, so it lags, too, unless the drive gives `bearings_late`.
+    """
+    seen = whole.drive.sightings
+    late = replace(whole.drive, sightings=replace(seen, t=seen.t + seconds))
+    return replace(whole, drive=late, stamps=whole.stamps + seconds)

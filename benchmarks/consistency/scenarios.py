@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.consistency.hardships import (
+    bearings_late,
     bearings_untold,
     home_untold,
     on_a_cart,
@@ -34,6 +35,7 @@ from benchmarks.consistency.trial import (
 )
 from homeward.drives.drive import Mount
 from homeward.frames import Pose
+from homeward.simulation.files import load_scenario
 from homeward.simulation.scenario import (
     Listed,
     Moved,
@@ -59,6 +61,8 @@ MOUNT = Mount(x=0.3, y=-0.1, yaw=0.2)
 """Of a camera that does not sit at the robot's centre [m, m, rad]."""
 SWAPPED_S = 30.0, 40.0
 """From when until when ids are swapped [s]."""
+LATE_S = 0.1, 0.4
+"""Smallest and largest delay of a camera's stamps [s]."""
 SOON_S = 15.0
 """So long is a drive of which only the beginning matters [s]."""
 NARROW = {90: 32, 60: 48}
@@ -223,6 +227,13 @@ def _soon(seed: int) -> Trial:
     return _room(seed, trajectory=points, rates=rates, visibility=Visibility())
 
 
+def _late(seed: int) -> Trial:
+    """The warehouse, with long straights, and a camera whose stamps are late."""
+    delay = float(np.random.default_rng([seed, 9]).uniform(*LATE_S))
+    warehouse = load_scenario("warehouse").model_copy(update={"seed": seed})
+    return bearings_late(trial(Leg(simulate(warehouse))), delay)
+
+
 HARDSHIPS: dict[str, tuple[dict[str, Any], Callable[[Trial, int], Trial]]] = {
     "outliers": ({"wrong_ids": 0.1}, lambda whole, seed: whole),
     "home-noisy": ({"home_sigma": 0.03}, lambda whole, seed: home_untold(whole)),
@@ -333,6 +344,13 @@ SCENARIOS = {
         exact=False,
     ),
     "cart": Named("4 of 12 moved as one in mid-drive", _cart, 1700, moves=True),
+    "late": Named(
+        "a warehouse, bearings stamped 0.1 to 0.4 s late, not specified",
+        _late,
+        2000,
+        exact=False,
+        moves=True,
+    ),
     "three-hardships": Named("three hardships at once", _three_hardships, 1800, exact=False),
 }
 """By name."""

@@ -1,13 +1,18 @@
 """The benchmarks' figures in their quick form, with room for the smaller number of runs."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from benchmarks.case2 import bound, final_error, scenario
 from benchmarks.roh import fixes, places
+from homeward.drives.folder import read_folder
 from homeward.drives.mrclam import read_mrclam
+from homeward.drives.opening import sample_drive
 from homeward.frames import Pose
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.preintegration import LAG
 from homeward.scoring import errors, statistics
 from homeward.simulation.simulate import simulate
 from homeward.track import run
@@ -25,6 +30,19 @@ def test_case_2_comes_near_the_bound_and_names_what_moved(moved):
         right.append(named == set(case.world.moved))
     assert sum(right) >= 10
     assert np.sqrt(np.mean(np.array(squares)[right])) < 1.6
+
+
+@pytest.mark.parametrize(("late", "bound"), [(0.2, 0.065), (0.3, 0.08), (0.4, 0.095)])
+def test_the_sample_with_late_bearings_keeps_its_map(late, bound):
+    drive = read_folder(sample_drive())
+    seen = dataclasses.replace(drive.sightings, t=drive.sightings.t + late)
+    robot = {**drive.settings.robot, "start": None}
+    localizer = Localizer(drive.home, **robot)
+    track = run(dataclasses.replace(drive, sightings=seen), localizer)
+    assert localizer.chart.map.begun == track.t[0]
+    assert localizer.chart.map.state.calibration[LAG] == pytest.approx(late, abs=0.03)
+    e = errors(track, drive.truth)
+    assert statistics(e.position, e.weight).rmse < bound  # late by 0.2 m/s: 0.04 to 0.08 m
 
 
 def test_static_fixes_on_real_beacons(data_dir):

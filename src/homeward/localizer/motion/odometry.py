@@ -163,10 +163,7 @@ class Odometry:
         """
         if t <= self.end:
             return self._motion
-        pieces = self._pieces(self.end, t, calibration)
-        return self._motion.compose(
-            integrate(pieces, calibration, self._noise.rates, self._straightest)[0]
-        )
+        return self._motion.compose(self._further(t, calibration)[0])
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
         """Integrate the motion up to `t` [s] for good and return it; earlier twists are refused."""
@@ -202,16 +199,21 @@ class Odometry:
         """Extend the integration to `t` [s]."""
         if t <= self.end:
             return
-        pieces = self._pieces(self.end, t, calibration)
-        motion, path = integrate(pieces, calibration, self._noise.rates, self._straightest)
+        motion, path, pieces = self._further(t, calibration)
         self._motion, self.end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
 
-    def _pieces(self, begin: float, end: float, calibration: np.ndarray) -> list[Piece]:
-        """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
+    def _further(self, t: float, calibration: np.ndarray) -> tuple[Motion, np.ndarray, list[Piece]]:
+        """Return the motion from `end` to `t` [s], its length by bend, and its pieces."""
         lag = min(max(float(calibration[LAG]), -MAX_LAG_S), MAX_LAG_S)
-        begin, end = begin - lag, end - lag
+        begin, end = self.end - lag, t - lag
+        pieces, ends = self._pieces(begin, end), (self._twists.mean(begin), self._twists.mean(end))
+        rates = self._noise.rates
+        return *integrate(pieces, ends, calibration, rates, self._straightest), pieces
+
+    def _pieces(self, begin: float, end: float) -> list[Piece]:
+        """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
         held = self._twists.between(begin, end)
         if not held:  # before the first twist, or none at all
             return [Piece(*self._dropout_growth(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]

@@ -112,7 +112,11 @@ class Piece(NamedTuple):
 
 
 def integrate(
-    pieces: Sequence[Piece], calibration: np.ndarray, rates: np.ndarray, straightest: float
+    pieces: Sequence[Piece],
+    ends: tuple[tuple[float, float], tuple[float, float]],
+    calibration: np.ndarray,
+    rates: np.ndarray,
+    straightest: float,
 ) -> tuple[Motion, np.ndarray]:
     """Preintegrate the twists of consecutive intervals.
 
@@ -120,6 +124,9 @@ def integrate(
     ----------
     pieces : sequence of Piece
         At least one.
+    ends : tuple of tuples
+        Mean speed [m/s] and turn rate [rad/s] at the start and at the end, for the derivative by
+        the lag. The noise of single samples there would count as information on the lag.
     calibration : ndarray, shape (8,)
         Linearisation point; the lag is already in the times of the pieces.
     rates : ndarray, shape (3, 3)
@@ -137,7 +144,7 @@ def integrate(
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = 1.0 + float(calibration[SPEED_SCALE])
     x = y = psi = path = turned = 0.0
-    by_bend, chords, ends = [0.0] * BENDS, [], []
+    by_bend, chords = [0.0] * BENDS, []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
         _, _, dt, v, omega, steady = piece
         way, spin = abs(v) * dt, abs(omega)
@@ -147,14 +154,14 @@ def integrate(
         c, s = math.cos(psi + half), math.sin(psi + half)
         chord = speed * dt * (math.sin(half) / half if half else 1.0)
         chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips))
-        ends.append((speed, rate))
         x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
         path, turned = path + way, turned + 2.0 * abs(half)
         by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), BENDS - 1)] += way
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     jacobian[:2, SPEED_SCALE] = delta[:2] / size
-    jacobian[:, LAG] = _shift(delta, *ends[0], *ends[-1])
+    twists = [(size * v, (1.0 + scale) * w + bias if v or w else 0.0) for v, w in ends]
+    jacobian[:, LAG] = _shift(delta, *twists[0], *twists[1])
     return Motion(delta, covariance, jacobian, path, turned, calibration), np.array(by_bend)
 
 

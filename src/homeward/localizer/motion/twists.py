@@ -18,6 +18,9 @@ MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
 """Mean speed [m/s] and turn rate [rad/s] over `STEADY_S` from which odometry indicates a motion:
 several standard deviations of jitter and bias at standstill, and a slower robot moves less in a
 second than a pose is uncertain."""
+MEAN_S = 0.2
+"""Averaging time of the twist that the derivative by the lag uses: four samples at 20 Hz quarter
+the variance of their noise, and the mean trails by less than a lag is uncertain [s]."""
 
 
 class Twist(NamedTuple):
@@ -113,6 +116,20 @@ class Twists:
         turned = self.heading(t) - self.heading(t - STEADY_S)
         fast = abs(self.steady_speed(t)) > MOVING_SPEED
         return fast or abs(turned) > MOVING_TURN_RATE * STEADY_S
+
+    def mean(self, t: float) -> tuple[float, float]:
+        """Return the mean speed [m/s] and turn rate [rad/s] in the last `MEAN_S` before `t` [s].
+
+        Only time after the first twist counts. Before that, the first twist is the mean.
+        """
+        if not self._twists:
+            return 0.0, 0.0
+        first = self._twists[0]
+        since = max(t - MEAN_S, first.t)
+        if t <= since:
+            return first.v, first.omega
+        (heading, path), (before, start) = self._reckoned(t), self._reckoned(since)
+        return (path - start) / (t - since), (heading - before) / (t - since)
 
     def steady_speed(self, t: float) -> float:
         """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
