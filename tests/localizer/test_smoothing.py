@@ -1,5 +1,6 @@
 """The final pass says no more than the whole drive tells: other homes, home not fixed."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ from rig import BEARING_SIGMA, Rig, ring
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.folder import read_folder
 from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
@@ -108,3 +110,44 @@ def test_home_on_the_circle_through_its_landmarks_is_not_fixed():
     assert Status.LOCALISED not in track.status
     assert not track.has_pose.any()
     assert set(track.reason) == {"home is not fixed well enough; drive on, best in an arc"}
+
+
+def heading_deviations(track, truth):
+    """Heading errors of the rows with a pose [standard deviations]."""
+    rows = track.has_pose & (track.t <= truth.t[-1])
+    off = wrap(track.heading[rows] - truth.at(track.t[rows]).heading)
+    return np.abs(off) / np.sqrt(track.covariance[rows, 2, 2])
+
+
+@pytest.mark.parametrize(
+    ("seconds", "turn", "blind"), [(1.0, 0.6, 1.5), (3.0, 1.2, 0.5), (3.0, 1.2, 2.0)]
+)
+def test_after_a_slip_poses_are_right_or_absent(seconds, turn, blind):
+    drive = recorded(ring(10), {}, seconds=60)
+    begin = drive.odometry.t[0] + 20.0
+    o, seen = drive.odometry, drive.sightings
+    slips = (o.t >= begin) & (o.t < begin + seconds)
+    ahead = np.abs(seen.bearing) < 1.3
+    dark = (seen.t >= begin) & (seen.t < begin + blind)
+    drive = dataclasses.replace(
+        drive,
+        odometry=dataclasses.replace(o, omega=o.omega + slips * turn / seconds),
+        sightings=seen.rows(ahead & ~dark),
+    )
+    track = smooth(drive)
+    off = heading_deviations(track, drive.truth)
+    assert (off > 4.0).mean() < 0.01
+    assert deviations(track, drive.truth).max() < 4.0
+    assert track.has_pose[track.t > begin + 9.0].mean() > 0.85
+    assert track.has_pose.mean() > 0.75
+
+
+def test_a_simulated_robot_on_oil_is_smoothed_right_or_not_at_all(data_dir):
+    folder = data_dir / "field" / "24-slip-smooth" / "drive"
+    if not folder.is_dir():
+        pytest.skip("no field/24-slip-smooth in the data folder")
+    drive = read_folder(folder)
+    track = smooth(drive)
+    assert heading_deviations(track, drive.truth).max() < 4.0
+    assert deviations(track, drive.truth).max() < 4.5
+    assert track.has_pose.mean() > 0.88

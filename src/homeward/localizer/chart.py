@@ -73,7 +73,8 @@ class Chart:
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known
         self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
-        self._last_accepted = -math.inf
+        self.last_accepted = -math.inf
+        """Time of the last frame of which a bearing was accepted [s]."""
         self._keeps = False
         self._begin_map(0.0)
 
@@ -216,7 +217,7 @@ class Chart:
         found = self._first_fix.add_frame(seen, eye, variances)
         if found is not None:
             known.expect(*found)
-            self._last_accepted = seen.t
+            self.last_accepted = seen.t
 
     def _resects(self, seen: WeighedFrame) -> bool:
         """Return whether a frame alone gives the pose in the survey.
@@ -242,7 +243,7 @@ class Chart:
                 wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
                 gated = self._gate_at_keyframe(seen, wider)
         if any(gated.fits.values()):
-            self._last_accepted = seen.t
+            self.last_accepted = seen.t
         return gated
 
     def _gate_at_keyframe(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -352,4 +353,4 @@ class Chart:
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing has been accepted recently before `t` [s]."""
-        return t - self._last_accepted > NO_BEARINGS_S
+        return t - self.last_accepted > NO_BEARINGS_S

@@ -102,6 +102,7 @@ class Localizer:
         self._lead = 0
         """How many more sightings fit the second, since it began or was last the worse one."""
         self._keeps = False
+        self._blind: list[tuple[float, float]] = []
         self._clock, self._reorder = Clock(), ReorderBuffer()
         self._sign_check = SignCheck(self._robot.sensor.yaw)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
@@ -239,6 +240,11 @@ class Localizer:
         return [(-math.inf, self.chart.map.begun), *self.chart.monitor.spells_lost]
 
     @property
+    def spells_blind(self) -> list[tuple[float, float]]:
+        """Intervals without an accepted bearing, after each of which a new map replaced one [s]."""
+        return self._blind
+
+    @property
     def found_home(self) -> np.ndarray | None:
         """(3,): home's pose in the frame of `own_map`; None unless found by home bearings."""
         found = self.chart.home.hypotheses
@@ -358,6 +364,7 @@ class Localizer:
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
         self._lead = max(0, self._lead + gained)
         if self._lead >= CLEARLY and self._is_sure(beside):
+            self._blind.append((self._chart.last_accepted, beside.map.begun))
             self._chart, self.counts, self._beside = beside, beside.counts, None
         elif self._chart.monitor.fits_well and self._is_sure(self._chart):
             self._beside = None

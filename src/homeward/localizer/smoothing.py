@@ -3,28 +3,40 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Collection, Sequence
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
-from homeward.estimator import Estimate
+from homeward.estimator import Estimate, Status
 from homeward.frames import Pose, between
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import MAX_LAG_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.status import IntegrityMonitor
+from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import FALSE_ALARM
 from homeward.one_thread import one_thread
+from homeward.reasons import Reason
 from homeward.track import Track, run, track_of
 
 SOLVES = 6
 """Solutions of the whole drive, each by several Gauss-Newton steps."""
+CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
+"""Squared deviation from which poses contradict the motion between them: one false alarm at
+`FALSE_ALARM` in 5,000 keyframes, as for `FINAL_GATE` [1]."""
 
 
 @one_thread()
@@ -47,7 +59,8 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     Track
         With the rows of the causal track, which is returned itself if home is not found, or if
         bearings and turns have opposite senses. Where the robot was lost in its last map, and
-        before that map began, rows are the causal ones.
+        before that map began, rows are the causal ones. No row next to a keyframe has a pose whose
+        bearings contradict the solution, nor one on a motion that odometry contradicts.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
@@ -57,15 +70,20 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
         return track
     localizer.chart.learn(float(track.t[-1]))
     whole = localizer.chart.map.smoother.whole()
-    for _ in range(SOLVES):
-        whole.solve()
+    _solve(whole)
+    if restore(_contradicted(drive, localizer.chart, whole), localizer.chart.map, whole):
+        _solve(whole)
+    lost = {seen.keyframe for seen in _contradicted(drive, localizer.chart, whole)}
     hypotheses = _at_keyframes(localizer.chart, whole) if localizer.conclude(whole) else None
     if hypotheses is None:
         return track
     stayed = localizer.chart.home.stayed(localizer.chart.map)
     rows = _rows(track.t, hypotheses, stayed, whole, drive, localizer)
-    for i in np.flatnonzero(_unknown(track.t, localizer)).tolist():
+    for i in np.flatnonzero(_within(localizer.spells_lost, track.t)).tolist():
         rows[i] = _row(track, i)
+    gaps = [*localizer.spells_blind, *_gaps(lost, hypotheses, whole, drive, localizer)]
+    for i in np.flatnonzero(_within(gaps, track.t)).tolist():
+        rows[i] = Estimate(rows[i].t, Status.MAPPING, Reason.LOST.words)
     return dataclasses.replace(
         track_of(localizer, rows),
         innovations=track.innovations,
@@ -75,10 +93,69 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     )
 
 
-def _unknown(times: np.ndarray, localizer: Localizer) -> np.ndarray:
-    """Return at which times the robot is unknown in the last map, shape (n,), bool."""
-    begin, end = np.array(localizer.spells_lost).T[:, :, None]
+def _solve(whole: Smoother) -> None:
+    """Solve the whole drive."""
+    for _ in range(SOLVES):
+        whole.solve()
+
+
+def _contradicted(drive: Drive, chart: Chart, whole: Smoother) -> list[SeenAt]:
+    """Return what was seen from keyframes whose poses it contradicts."""
+    keyframes, states = {t: k for k, t in enumerate(whole.stamps)}, whole.marginals()
+    found = []
+    for t, bearings, given in drive.sightings.stamps():
+        k = keyframes.get(t)
+        if k is None:
+            continue
+        ids = chart.map.landmarks.ids_at(t, bearings)
+        names = [n for n, number in ids.items() if math.isfinite(bearings[n])]
+        seen = np.array([bearings[n] for n in names])
+        frame = WeighedFrame(t, names, seen, chart.noise.sigmas(names, given))
+        seen_at = SeenAt(whole.first + k, frame, np.array([ids[n] for n in names], int))
+        if seen_at.contradicts(states[k], chart.map, whole):
+            found.append(seen_at)
+    return found
+
+
+def _within(intervals: Sequence[tuple[float, float]], times: np.ndarray) -> np.ndarray:
+    """Return which times lie in one of the intervals, shape (n,), bool."""
+    begin, end = np.array(intervals).reshape(-1, 2).T[:, :, None]
     return np.asarray(((begin <= times) & (times < end)).any(axis=0))
+
+
+def _gaps(
+    lost: Collection[int],
+    hypotheses: list[Hypotheses],
+    whole: Smoother,
+    drive: Drive,
+    localizer: Localizer,
+) -> list[tuple[float, float]]:
+    """Return the intervals between keyframes with sightings in which odometry is contradicted.
+
+    That is by the poses at both ends of a motion, or by the bearings from a keyframe. Where in such
+    an interval odometry failed is unknown.
+    """
+    stamps = np.array(whole.stamps)
+    seen = np.isin(whole.first + np.arange(stamps.size), whole.sightings[:, KEYFRAME])
+    seen[[k - whole.first for k in lost]] = False
+    seen[[0, -1]] = True
+    keyframes = [Pose(*h.best.pose) for h in hypotheses]
+    gaps = []
+    for a, b in pairwise(np.flatnonzero(seen).tolist()):
+        motions = zip(range(a, b), pairwise(keyframes[a : b + 1]), strict=True)
+        ends = {whole.first + k for k in range(a, b + 1)}
+        if not ends.isdisjoint(lost) or any(
+            _is_denied(_motion(drive, localizer, whole, k), between(*poses)) for k, poses in motions
+        ):
+            gaps.append((float(stamps[a]), float(stamps[b])))
+    return gaps
+
+
+def _motion(drive: Drive, localizer: Localizer, whole: Smoother, k: int) -> Motion:
+    """Return the motion of the odometry from the k-th keyframe in the window to the next one."""
+    begin, end = whole.stamps[k : k + 2]
+    odometry = _stretch(drive, localizer.chart.process_noise, begin, end)
+    return odometry.advance(end, whole.state.calibration)
 
 
 def _row(track: Track, i: int) -> Estimate:
@@ -144,6 +221,13 @@ def _rows(
         # Later bearings count too, so that the robot never coasts.
         rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
     return rows
+
+
+def _is_denied(motion: Motion, known: Pose) -> bool:
+    """Return whether the poses at both ends, `known` apart, contradict a motion of the odometry."""
+    off = np.array(known) - motion.delta
+    off[2] = wrap(off[2])
+    return float(off @ np.linalg.solve(motion.covariance + 1e-12 * np.eye(3), off)) > CONTRADICTED
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -127,6 +127,11 @@ class Landmarks:
         """Return the smoother's ids of landmarks, shape (m,); -1 of those not mapped."""
         return np.array([self.mapped[n].number if n in self.mapped else -1 for n in names], int)
 
+    def ids_at(self, t: float, names: Iterable[str]) -> dict[str, int]:
+        """Return the smoother's ids of landmarks where they were at `t` [s], if mapped, by name."""
+        known = {**self.mapped, **{n: m for n, m in self.former.items() if t < self.moved_at[n]}}
+        return {n: known[n].number for n in names if n in known}
+
     def index(self, landmarks: Iterable[Landmark]) -> np.ndarray:
         """Return the indices of landmarks in the state, shape (k,)."""
         return self.smoother.index(np.array([m.number for m in landmarks], int))

@@ -217,6 +217,18 @@ class Smoother:
         """Add rows of the table of sightings, shape (m, COLUMNS), of keyframes in the window."""
         self.sightings = np.concatenate([self.sightings, rows])
 
+    def drop_sightings_from(self, keyframe: int) -> None:
+        """Drop the sightings from a keyframe, by its number."""
+        self.sightings = self.sightings[self.sightings[:, KEYFRAME] != keyframe]
+
+    def move_keyframe(self, number: int, pose: np.ndarray) -> None:
+        """Set the pose (3,) of a keyframe in the window, where the next `solve` begins."""
+        if number < self.newest:
+            self._older[number - self.first] = pose
+        else:
+            mean = np.concatenate([pose, self.state.mean[3:]])
+            self.state = Marginal(mean, self.state.covariance)
+
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
         for rows in (self.sightings, *(part.sightings for part in self._closed or [])):

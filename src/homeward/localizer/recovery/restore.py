@@ -1,0 +1,95 @@
+"""Restoration of bearings to the solution of a whole drive that the causal run left out.
+
+While the robot was lost, or odometry had led it astray, the causal run rejected its bearings.
+Without them the whole solution would follow odometry there. In the finished map they determine the
+pose by resection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.map.map import Map
+from homeward.localizer.map.sightings import LANDMARK, sighting_rows
+from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.recovery.relocalise import SightLines, relocalise
+from homeward.localizer.tunables import GATE
+
+
+@dataclass(frozen=True)
+class SeenAt:
+    """Bearings of mapped landmarks from a keyframe."""
+
+    keyframe: int
+    """Its number."""
+    frame: WeighedFrame
+    """The bearings of m landmarks."""
+    ids: np.ndarray
+    """(m,): the landmarks' ids in the smoother."""
+
+    def contradicts(self, state: Marginal, known: Map, whole: Smoother) -> bool:
+        """Return whether most of these bearings, at least two, contradict the keyframe's pose.
+
+        Parameters
+        ----------
+        state : Marginal
+            The state at that keyframe, by the solution of the whole drive.
+        known : Map
+            The map.
+        whole : Smoother
+            All keyframes.
+        """
+        if not self.ids.size:
+            return False
+        eye = state.pose_after(known.camera(Motion.identity()))
+        seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
+        expected = state.predict_bearings(*seen)
+        sigmas = np.sqrt(expected.innovation_covariance.diagonal())
+        wrong = int((np.abs(expected.residual) > GATE * sigmas).sum())
+        return wrong >= 2 and 2 * wrong > self.ids.size
+
+    def lines(self, known: Map, whole: Smoother) -> SightLines:
+        """Return the bearings as sight lines from the keyframe's pose."""
+        positions, covariances = whole.state.places(whole.index(self.ids))
+        camera = known.camera(Motion.identity()).delta
+        return SightLines(
+            np.tile(camera, (self.ids.size, 1)),
+            self.frame.bearings,
+            self.frame.sigmas,
+            self.ids,
+            positions,
+            covariances,
+        )
+
+
+def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool:
+    """Restore bearings to keyframes whose pose they prove; return whether there are any.
+
+    Parameters
+    ----------
+    contradicted : iterable of SeenAt
+        What was seen from keyframes whose pose it contradicts.
+    known : Map
+        The map.
+    whole : Smoother
+        All keyframes. It gains the bearings, and is to be solved again.
+    """
+    restored = False
+    for seen in contradicted:
+        found = relocalise(seen.lines(known, whole))
+        if found is None:
+            continue
+        whole.move_keyframe(seen.keyframe, found[0])
+        number = whole.frames.add(seen.keyframe, known.camera(Motion.identity()))
+        rows = sighting_rows(seen.keyframe, number, seen.frame)
+        rows[:, LANDMARK] = seen.ids
+        whole.drop_sightings_from(seen.keyframe)  # they were accepted where it was not
+        whole.add_sightings(rows)
+        restored = True
+    return restored
