@@ -24,6 +24,7 @@ class Reason(_Words):
     )
     NOT_FIXED = "home is not fixed well enough; drive on, best in an arc"
     SIGNS_REVERSED = "bearings and turn rates go opposite ways; both must be anti-clockwise"
+    CAMERA_YAW = "bearings do not fit the camera's yaw on the robot; correct sensor.yaw"
     NO_BEARINGS = "no bearings now"
     FROZEN = "the camera is frozen: bearings repeat to the last bit while odometry moves"
     CONTRADICTED = "odometry moves, but the bearings stay: the camera is frozen, or the wheels spin"

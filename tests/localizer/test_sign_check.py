@@ -6,26 +6,31 @@ import numpy as np
 import pytest
 from rig import Rig, eight, ring, still
 
+from homeward.angles import wrap
 from homeward.control import Twist
-from homeward.drives.drive import HomeBearing
+from homeward.drives.drive import HomeBearing, Mount, Sensor
+from homeward.estimator import Status
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Reason
 
 
-def watched(law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0):
+def watched(
+    law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0, off=0.0, view=math.tau, gain=1
+):
     """Senses after a drive past landmarks, each seen five times a second."""
-    rng, sign_check = np.random.default_rng(0), SignCheck(yaw)
+    rng, sign_check = np.random.default_rng(0), SignCheck(Mount(yaw=yaw))
     x, y, psi, twists = 0.0, 0.0, 0.3, Twists()
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
-        twists.add(t, twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
+        twists.add(t, gain * twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
-            bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw + noise * rng.normal(size=len(d))
-            seen = {str(i): sign * float(b) for i, b in enumerate(bearings)}
-            sign_check.bearings(t, seen, twists.heading(t), twist.v)
+            bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
+            bearings = np.array(wrap(bearings + noise * rng.normal(size=len(d))))
+            seen = {str(i): sign * float(b) for i, b in enumerate(bearings) if abs(b) < view / 2}
+            sign_check.bearings(t, seen, *twists.reckoned(t))
         x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
         psi += 0.1 * twist.omega
     return sign_check
@@ -40,6 +45,11 @@ def backward(t):
     return Twist(-0.2, eight(t).omega)
 
 
+def weave(t):
+    """Left and right bends, and straight pieces."""
+    return Twist(0.2, 0.4 * math.sin(t / 4.0))
+
+
 def round_and_round(_):
     """A wide circle to the left."""
     return Twist(0.5, 0.25)
@@ -49,23 +59,23 @@ def round_and_round(_):
 @pytest.mark.parametrize("marks", [NEAR, FAR])
 @pytest.mark.parametrize("yaw", [0.0, 0.5])
 def test_right_bearings_are_right_however_near_the_landmarks(law, marks, yaw):
-    assert not watched(law, marks, 0.02, 0.02, yaw).reversed
+    assert not watched(law, marks, 0.02, 0.02, yaw).is_reversed
 
 
 @pytest.mark.parametrize("law", [eight, backward, round_and_round, lambda _: Twist(0.0, 0.5)])
 def test_bearings_that_run_clockwise_are_not(law):
-    assert watched(law, FAR, 0.02, 0.02, sign=-1.0).reversed
+    assert watched(law, FAR, 0.02, 0.02, sign=-1.0).is_reversed
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_noise_of_a_robot_that_stands_is_no_sign(sign):
-    assert not watched(still, FAR, noise=0.05, gyro=0.2, sign=sign).reversed
+    assert not watched(still, FAR, noise=0.05, gyro=0.2, sign=sign).is_reversed
     # As much noise hides no sign of one that turns.
-    assert watched(eight, FAR, noise=0.05, gyro=0.2, sign=sign).reversed is (sign < 0)
+    assert watched(eight, FAR, noise=0.05, gyro=0.2, sign=sign).is_reversed is (sign < 0)
 
 
 def test_a_straight_way_tells_nothing():
-    assert not watched(lambda _: Twist(0.3, 0.0), NEAR, 0.02, sign=-1.0).reversed
+    assert not watched(lambda _: Twist(0.3, 0.0), NEAR, 0.02, sign=-1.0).is_reversed
 
 
 @pytest.mark.parametrize("wrong", ["bearings", "turn rates"])
@@ -88,3 +98,56 @@ def test_a_drive_with_all_signs_right_has_no_such_note():
     answer = rig.drive(40)
     assert answer.reason != Reason.SIGNS_REVERSED.words
     assert not any("anti-clockwise" in note for note in rig.localizer.notes)
+
+
+@pytest.mark.parametrize("law", [eight, backward])
+@pytest.mark.parametrize("degrees", [45, 90, -90, 135, 180])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_large_yaw_error_is_measured_in_either_sense(law, degrees, sign):
+    sign_check = watched(law, FAR + NEAR, 0.02, 0.02, sign=sign, off=math.radians(degrees))
+    assert sign_check.is_wrong
+    assert sign_check.is_reversed is (sign < 0)
+    error = math.remainder(sign_check.yaw_error - math.radians(degrees), math.tau)
+    assert abs(error) < math.radians(15.0)
+
+
+@pytest.mark.parametrize("off", [-20, 20])
+def test_a_small_yaw_error_is_left_to_the_map(off):
+    assert not watched(eight, FAR + NEAR, 0.02, 0.02, off=math.radians(off)).is_wrong
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_camera_of_60_degrees_suffices(sign):
+    marks = list(ring(40, 2, 2.0, 5.0).values())
+    sign_check = watched(weave, marks, 0.01, 0.02, sign=sign, view=math.radians(60.0))
+    assert (sign_check.is_wrong, sign_check.is_reversed) == (sign < 0, sign < 0)
+    rear = watched(weave, marks, 0.01, 0.02, off=math.pi, view=math.radians(60.0), seconds=120.0)
+    assert (rear.is_reversed, abs(rear.yaw_error)) == (False, pytest.approx(math.pi))
+    assert "yaw: 3.14159" in rear.note()
+
+
+def test_a_speed_of_the_wrong_sign_is_named_as_the_other_cause():
+    note = watched(eight, FAR + NEAR, 0.02, 0.02, gain=-1).note()
+    assert "yaw: 3.14159" in note
+    assert "the speed v has the wrong sign" in note
+
+
+def test_odometry_that_never_turns_decides_nothing():
+    rng, sign_check = np.random.default_rng(3), SignCheck(Mount())
+    for k in range(600):
+        sign_check.bearings(k / 5, {"a": float(rng.uniform(-3, 3)), "b": k / 20}, 0.0, k / 50)
+    assert not sign_check.is_wrong
+
+
+@pytest.mark.parametrize("given", [True, False])
+@pytest.mark.parametrize("degrees", [90, 180])
+def test_a_camera_that_looks_elsewhere_gives_no_pose_after_20_s(degrees, given):
+    rig, turn = Rig(ring(12), promise=None), math.radians(degrees)
+    home = {n: HomeBearing(float(wrap(b.bearing - turn)), b.sigma) for n, b in rig.home.items()}
+    sensor = Sensor(x=0.0, y=0.0, yaw=0.0) if given else Sensor(x=0.0, y=0.0)
+    rig.localizer = Localizer(home, **rig.settings.robot | {"sensor": sensor})
+    answer = rig.drive(60, see=lambda seen: {n: float(wrap(b - turn)) for n, b in seen.items()})
+    assert answer.reason == Reason.CAMERA_YAW.words
+    assert f"they fit {degrees} degrees" in rig.localizer.notes[-1]
+    localised = [a for a, _ in rig.answers if a.status is Status.LOCALISED and a.t > 120.0]
+    assert not localised

@@ -104,7 +104,7 @@ class Localizer:
         self._keeps = False
         self._blind: list[tuple[float, float]] = []
         self._clock, self._reorder = Clock(), ReorderBuffer()
-        self._sign_check = SignCheck(self._robot.sensor.yaw)
+        self._sign_check = SignCheck(self._robot.sensor)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
         self._frozen = FrozenCamera(self._robot.sensor.yaw)
         self._at_newest: set[tuple[str, float]] = set()
@@ -114,9 +114,8 @@ class Localizer:
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and findings about the robot; each a sentence."""
-        if self.signs_reversed:
-            words = Reason.SIGNS_REVERSED.words
-            return (*self._notes, f"{words[0].upper()}{words[1:]}.")
+        if self.is_convention_wrong:
+            return (*self._notes, self._sign_check.note())
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.notes
@@ -205,12 +204,15 @@ class Localizer:
     @one_thread()
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return self.chart.landmarks(judge=not self.signs_reversed)
+        return self.chart.landmarks(judge=not self.is_convention_wrong)
 
     @property
-    def signs_reversed(self) -> bool:
-        """Whether bearings and odometry turn in opposite senses; then there is no pose."""
-        return self._sign_check.reversed
+    def is_convention_wrong(self) -> bool:
+        """Whether the bearings contradict their sense of rotation or the camera's yaw.
+
+        Then there is no pose.
+        """
+        return self._sign_check.is_wrong
 
     @property
     def mount(self) -> Pose | None:
@@ -331,9 +333,9 @@ class Localizer:
             frame = frame._replace(sightings=seen)
         if not frame.sightings:
             return []
-        if (twist := self._twists.before(frame.t)) is not None:
-            heading = self._twists.heading(frame.t)
-            self._sign_check.bearings(frame.t, frame.sightings, heading, twist.v)
+        if self._twists.before(frame.t) is not None:
+            reckoned = self._twists.reckoned(frame.t)
+            self._sign_check.bearings(frame.t, frame.sightings, *reckoned)
         innovations = self._chart.add_bearings(frame, self._t)
         if self._beside is not None:
             return self._update_beside(self._beside, frame, innovations)
@@ -397,9 +399,9 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...], said: float) -> Estimate:
         """Return the estimate at `t` [s], or `said` by the drive's own clock."""
-        if self.signs_reversed:
-            why = Reason.SIGNS_REVERSED.words
-            return Estimate(said, Status.MAPPING, why, None, None, innovations)
+        if self._sign_check.is_doubtful:
+            why = Reason.SIGNS_REVERSED if self._sign_check.is_reversed else Reason.CAMERA_YAW
+            return Estimate(said, Status.MAPPING, why.words, None, None, innovations)
         complaint = self._reorder.complaint() or self._dead.reason
         found = self.chart.estimate(t, innovations, complaint)
         if self._frozen.is_frozen:

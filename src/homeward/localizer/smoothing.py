@@ -66,7 +66,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     localizer.keep_closed()
     track = run(drive, localizer)
-    if localizer.signs_reversed:
+    if localizer.is_convention_wrong:
         return track
     localizer.chart.learn(float(track.t[-1]))
     whole = localizer.chart.map.smoother.whole()

@@ -1,72 +1,225 @@
-"""Sign-convention check: whether bearings and turn rates have the same sense of rotation.
+"""Check of the bearing convention: the sense of rotation, and the camera's yaw on the robot.
 
-When the robot turns left while driving forward, every landmark to its right moves further right, at
-any distance, and conversely. If most move the other way, either bearings or turn rates are
-clockwise. A mirrored map would fit them all, with a pose that is consistent and wrong.
+Wrong conventions give a consistent map, with a pose that is consistent and wrong: clockwise
+bearings give its mirror image, and a wrong yaw a map that is turned against the direction of
+travel. The right convention is the one in which landmarks have positive distances. With the
+rotation from odometry removed, a static landmark moves away from the direction of travel, at any
+distance. So a wrong yaw needs negative distances, and a wrong sense of rotation fits no distance.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections import deque
 from collections.abc import Mapping
 
-from homeward.localizer.inputs.by_id import ById
+import numpy as np
 
-MIN_TURN, MAX_INTERVAL_S = 0.1, 5.0
-"""Two sightings of a landmark are compared once the robot has turned this far [rad] within this
-time [s]."""
-MIN_ASIDE = 0.1
-"""Landmarks nearer than this to straight ahead or behind are on neither side [rad]."""
-MIN_COUNT, CERTAIN = 30, 120
-"""Comparisons before a verdict; and before the signs are taken as right for good."""
-MINORITY = 1.0 / 3.0
-"""Largest share of right comparisons that noise cannot explain [1]."""
+from homeward.drives.drive import Mount
+
+STEP = math.radians(15.0)
+"""Spacing of the yaws that are compared [rad]."""
+TOLERANCE, TOLERANCE_OFF_CENTRE = 1, 2
+"""Yaws up to this number of steps from the assumed one count as right: 15 degrees, which the map
+estimates. It is 30 degrees where x or y of the camera are not given: a camera off the robot's
+centre moves in another direction than the robot."""
+WINDOW_S, MAX_TURN = 4.0, 1.0
+"""A window ends after this time [s] or rotation [rad]: long enough for parallax, and so short that
+odometry drifts by less than the noise."""
+MAX_SIGHTINGS = 5_000
+"""Sightings of a window that are kept, which bounds memory and cost."""
+NOISE = 0.02
+"""Standard deviation of a bearing from the geometry of a window, drift included [rad]."""
+INDEPENDENT = 4.0
+"""Number of independent errors of a landmark in a window: those of odometry are correlated."""
+BAD_WINDOW = 0.1
+"""Probability that a window is evidence for nothing: slip, people, odometry that is late [1]."""
+PRIOR_WRONG = 0.01
+"""Prior probability of a wrong convention: in one of a hundred drives [1]."""
+FALSE_ALARM = 1e-4
+"""The convention is rejected once its posterior probability is below this [1]."""
+DOUBTFUL = 0.1
+"""There is no pose while that probability is below this, if x and y of the camera are given: else
+an unknown place of the camera can look like a yaw for some windows [1]."""
+MIN_PROBABILITY = 1e-9
+"""No hypothesis becomes less probable, so that a few windows suffice to reconsider [1]."""
+
+_YAWS = STEP * np.arange(round(math.tau / STEP))
 
 
 class SignCheck:
-    """Sign-convention check: counts how often bearings and odometry turn in opposite senses.
+    """Bayesian comparison of both senses of rotation and of all yaws of the camera.
+
+    In each window, every landmark has a direction and an inverse distance that is not negative,
+    fitted to its bearings by least squares. The likelihood of a hypothesis follows from the
+    residuals. It is mixed with a uniform one, so that no window alone decides.
 
     Parameters
     ----------
-    yaw : float
-        Of the camera's axis on the robot [rad].
+    sensor : Mount
+        Pose of the camera on the robot, as given or assumed.
     """
 
-    def __init__(self, yaw: float) -> None:
-        self._yaw = yaw
-        self._reference = ById[tuple[float, float, float]]()
-        """Reference sighting of each landmark: time [s], heading and bearing [rad]."""
-        self._agrees: deque[bool] = deque(maxlen=CERTAIN)
-        self._known = False
+    def __init__(self, sensor: Mount) -> None:
+        self._sensor = sensor
+        has_place = {"x", "y"} <= sensor.model_fields_set
+        self._tolerance = TOLERANCE if has_place else TOLERANCE_OFF_CENTRE
+        self._doubtful = DOUBTFUL if has_place else FALSE_ALARM
+        steps = np.arange(_YAWS.size)
+        right = np.minimum(steps, _YAWS.size - steps) <= self._tolerance
+        self._right = np.stack([right, np.zeros_like(right)])
+        wrong = PRIOR_WRONG / np.count_nonzero(~self._right)
+        share = (1.0 - PRIOR_WRONG) / np.count_nonzero(self._right)
+        self._probability = np.where(self._right, share, wrong)
+        """(2, k): of anti-clockwise and clockwise bearings, by yaw minus the assumed one."""
+        self._before: tuple[float, float] | None = None
+        self._place, self._turned, self._has_turned = 0j, 0.0, False
+        self._since = -math.inf
+        self._index: dict[str, int] = {}
+        self._rows: list[tuple[int, float, float, complex]] = []
 
     @property
-    def reversed(self) -> bool:
-        """Whether most bearings turn in the wrong sense."""
-        return len(self._agrees) >= MIN_COUNT and sum(self._agrees) <= MINORITY * len(self._agrees)
+    def is_doubtful(self) -> bool:
+        """Whether the convention is too improbable to give a pose."""
+        return float(self._probability[self._right].sum()) < self._doubtful
 
-    def bearings(self, t: float, sightings: Mapping[str, float], heading: float, v: float) -> None:
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the convention is rejected."""
+        return float(self._probability[self._right].sum()) < FALSE_ALARM
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether bearings and odometry rotate in opposite senses, if the convention is wrong."""
+        return self.is_doubtful and bool(self._probability[1].sum() > 0.5)
+
+    @property
+    def yaw_error(self) -> float:
+        """Yaw of the camera that fits best, minus the assumed one [rad].
+
+        For clockwise bearings, that is the yaw after their sign is changed. A multiple of 90
+        degrees is given where the data do not exclude it.
+        """
+        weight = self._probability[1 if self.is_reversed else 0]
+        near = np.exp(1j * (_YAWS - _YAWS[weight.argmax()]))
+        peak = np.where(near.real > math.cos(2.5 * STEP), weight, 0.0)
+        yaw = float(np.angle(peak @ np.exp(1j * _YAWS)))
+        square = round(yaw / (math.pi / 2)) * math.pi / 2
+        return square if abs(yaw - square) <= STEP else yaw
+
+    def note(self) -> str:
+        """Return what was found, what it means and what to do; empty where all is right."""
+        if not self.is_wrong:
+            return ""
+        error, given = self.yaw_error, self._sensor.yaw
+        line = _line(given + error)
+        if self.is_reversed:
+            words = "Bearings and turn rates go opposite ways; both must be anti-clockwise."
+            mirrored = math.remainder(error + 2.0 * given, math.tau)
+            if min(abs(error), abs(mirrored)) <= (self._tolerance + 0.5) * STEP:
+                return words
+            return (
+                f"{words} The camera's yaw is wrong, too: multiply the bearings by -1 and set"
+                f" {line} in drive.yaml, or multiply the turn rates by -1 and set"
+                f" {_line(-given - error)}."
+            )
+        words = (
+            f"The bearings do not fit the camera's yaw on the robot, {_degrees(given)}: they fit"
+            f" {_degrees(given + error)}. No pose is given until this is corrected. Set {line} in"
+            " drive.yaml"
+        )
+        if abs(error) > math.pi - (self._tolerance + 0.5) * STEP:
+            words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
+        return words + "."
+
+    def bearings(
+        self, t: float, sightings: Mapping[str, float], heading: float, path: float
+    ) -> None:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
 
-        `heading` is that of odometry alone [rad]; the robot drives at `v` [m/s].
+        `heading` [rad] and signed `path` [m] are those of odometry alone.
         """
-        if self._known:
-            return
-        for name, beta in sightings.items():
-            now = (t, heading, math.remainder(beta + self._yaw, math.tau))
-            before = self._reference.setdefault(name, now)
-            turn = heading - before[1]
-            if abs(turn) >= MIN_TURN or t - before[0] > MAX_INTERVAL_S:
-                self._reference[name] = now
-                if t - before[0] <= MAX_INTERVAL_S and _is_informative(turn, v, before[2], now[2]):
-                    self._agrees.append(math.remainder(now[2] - before[2], math.tau) * turn < 0.0)
-        self._reference.prune(lambda before: before[0] < t - MAX_INTERVAL_S)  # compared no more
-        if len(self._agrees) == CERTAIN and sum(self._agrees) > (1.0 - MINORITY) * CERTAIN:
-            self._known = True
-            self._reference.clear()
+        turn, way = (
+            (0.0, 0.0) if self._before is None else np.subtract((heading, path), self._before)
+        )
+        self._before = heading, path
+        self._place += cmath.rect(float(way), heading - float(turn) / 2.0)
+        self._turned += abs(float(turn))
+        self._has_turned |= turn != 0.0
+        if not self._rows:
+            self._since, self._turned = t, 0.0
+        camera = self._place + cmath.rect(1.0, heading) * complex(self._sensor.x, self._sensor.y)
+        if len(self._rows) < MAX_SIGHTINGS:
+            index = self._index
+            self._rows += [
+                (index.setdefault(name, len(index)), beta, heading, camera)
+                for name, beta in sightings.items()
+            ]
+        if t - self._since >= WINDOW_S or self._turned >= MAX_TURN:
+            if self._has_turned:  # else the turn rate may be dead
+                self._weigh()
+            self._rows, self._index = [], {}
+
+    def _weigh(self) -> None:
+        """Update the probabilities by the window."""
+        columns = zip(*self._rows, strict=True)
+        index, beta, heading, camera = (np.array(column) for column in columns)
+        place = camera * cmath.rect(1.0, -float(heading[0]))
+        turned, yaw = heading - heading[0], self._sensor.yaw
+        senses = (beta + yaw, yaw - beta)
+        logs = np.array([_log_likelihood(index, sense, turned, place) for sense in senses])
+        likelihood = np.exp(logs - logs.max())
+        likelihood /= likelihood.sum()
+        mixed = (1.0 - BAD_WINDOW) * likelihood + BAD_WINDOW / likelihood.size
+        posterior = self._probability * mixed
+        posterior = np.maximum(posterior / posterior.sum(), MIN_PROBABILITY)
+        self._probability = posterior / posterior.sum()
 
 
-def _is_informative(turn: float, forward: float, before: float, now: float) -> bool:
-    """Return whether turn [rad] and drive move a landmark the same way at both bearings."""
-    way = math.copysign(1.0, forward) * math.copysign(1.0, turn)
-    return forward == 0.0 or max(way * math.sin(before), way * math.sin(now)) < -math.sin(MIN_ASIDE)
+def _log_likelihood(
+    index: np.ndarray, beta: np.ndarray, heading: np.ndarray, camera: np.ndarray
+) -> np.ndarray:
+    """Return the log-likelihood (k,) of each yaw error, from all landmarks of a window.
+
+    Parameters
+    ----------
+    index : ndarray, shape (n,), int
+        Landmark of each sighting, from 0 on.
+    beta, heading : ndarray, shape (n,)
+        Its bearing from the robot's axis, and the robot's heading since the first [rad].
+    camera : ndarray, shape (n,), complex
+        Position of the camera, in the robot's frame at the first sighting [m].
+    """
+    num = np.bincount(index).astype(float)
+
+    def centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mean = np.bincount(index, values) / num
+        return values - mean[index], mean
+
+    # Least squares of angle = direction + inverse distance * lever(direction, position).
+    angle = beta + heading
+    first = angle[np.unique(index, return_index=True)[1]]
+    angle, mean = centred(np.asarray((angle - first[index] + math.pi) % math.tau - math.pi))
+    x, y = centred(camera.real)[0], centred(camera.imag)[0]
+    aa, ax, ay, xx, xy, yy = (
+        np.bincount(index, product)[:, None]
+        for product in (angle**2, angle * x, angle * y, x * x, x * y, y * y)
+    )
+    direction = (first + mean)[:, None] + _YAWS
+    s, c = np.sin(direction), np.cos(direction)
+    fitted = np.maximum(s * ax - c * ay, 0.0) ** 2
+    lever = s * s * xx - 2.0 * s * c * xy + c * c * yy
+    residual = aa - np.divide(fitted, lever, out=np.zeros_like(lever), where=lever > 1e-12)
+    variance = np.maximum(residual, 0.0) / num[:, None]
+    return np.asarray(-0.5 * INDEPENDENT * np.log(variance + NOISE**2).sum(axis=0))
+
+
+def _degrees(angle: float) -> str:
+    """Return an angle in whole degrees, above -180 and up to 180."""
+    return f"{180 - (180 - round(math.degrees(angle))) % 360} degrees"
+
+
+def _line(yaw: float) -> str:
+    """Return the line of drive.yaml that gives a yaw [rad]."""
+    yaw = math.remainder(yaw, math.tau)
+    return f"`sensor: {{yaw: {math.pi if yaw <= -math.pi + 1e-9 else yaw:.5f}}}`"

@@ -86,7 +86,7 @@ class Twists:
         """Append a twist that holds for a time [s]; none: the motion is unknown."""
         known = self._twists[-1].until if self._twists else -math.inf
         until = t + hold if hold > 0.0 else min(known, t)
-        self._twists.append(Twist(t, v, omega, until, *self._reckoned(t), self.steady_speed(t)))
+        self._twists.append(Twist(t, v, omega, until, *self.reckoned(t), self.steady_speed(t)))
 
     def before(self, t: float) -> Twist | None:
         """Return the twist that holds at `t` [s], or did last; None before the first."""
@@ -100,11 +100,11 @@ class Twists:
 
     def heading(self, t: float) -> float:
         """Return the heading at `t` [s], by odometry alone [rad]."""
-        return self._reckoned(t)[0]
+        return self.reckoned(t)[0]
 
     def path(self, t: float) -> float:
         """Return the signed path up to `t` [s], by odometry alone [m]."""
-        return self._reckoned(t)[1]
+        return self.reckoned(t)[1]
 
     def moves(self, t: float) -> bool:
         """Return whether odometry indicates a motion at `t` [s], beyond jitter at standstill.
@@ -128,15 +128,15 @@ class Twists:
         since = max(t - MEAN_S, first.t)
         if t <= since:
             return first.v, first.omega
-        (heading, path), (before, start) = self._reckoned(t), self._reckoned(since)
+        (heading, path), (before, start) = self.reckoned(t), self.reckoned(since)
         return (path - start) / (t - since), (heading - before) / (t - since)
 
     def steady_speed(self, t: float) -> float:
         """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
-        return (self._reckoned(t)[1] - self._reckoned(t - STEADY_S)[1]) / STEADY_S
+        return (self.reckoned(t)[1] - self.reckoned(t - STEADY_S)[1]) / STEADY_S
 
-    def _reckoned(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and signed path [m] at `t` [s], by odometry alone."""
+    def reckoned(self, t: float) -> tuple[float, float]:
+        """Return heading [rad] and signed path [m] at `t` [s] from odometry alone."""
         twist = self.before(t)
         if twist is None:
             twist = self._twists[0] if self._twists else None
