@@ -22,6 +22,12 @@ from homeward.track import Track
 NEAR_S = 0.05
 """Where ground truth is slow, the row nearest to each stamp is scored, if this near: half the
 interval of the rows [s]."""
+OFFSET_RATIO = 3.0
+"""Alignment must reduce the position RMSE by this factor before an offset is reported: then the
+offset is three times the other errors [1]."""
+MIN_OFFSET = 0.1
+"""Smallest position RMSE of an offset, as a share of the path's spread: smaller ones are errors of
+home, not of the choice of a frame [1]."""
 CHI_SQUARE_3_95 = 7.814727903251179
 """95 % quantile of chi-square with three degrees of freedom (Abramowitz and Stegun, table 26.8)."""
 CHI_SQUARE_1_95 = 3.841458820694124
@@ -54,6 +60,12 @@ class Errors:
     """Normalised estimation error squared of (x, y, heading); chi-square(3) when consistent."""
     nees_position: np.ndarray
     """The same of (x, y)."""
+    true_x: np.ndarray
+    """[m]"""
+    true_y: np.ndarray
+    """[m]"""
+    true_heading: np.ndarray
+    """[rad]"""
 
 
 @dataclass(frozen=True)
@@ -86,6 +98,21 @@ class Accuracy:
     """Share of time inside the 95 % region of chi-square(3)."""
     position_inside_sigma_shares: tuple[float, float, float]
     """Share of time inside the 1, 2 and 3 sigma ellipses; `ELLIPSE_SHARES` when consistent."""
+    aligned: Statistics
+    """Position error after the best rigid alignment with ground truth (aligned ATE) [m]."""
+    rpe_1s: Statistics | None
+    """Error of the translation during 1 s, in the robot's frame (RPE) [m]; None if too short."""
+    offset: Pose
+    """Pose of the frame of ground truth in the frame of the estimates [m, m, rad]."""
+    spread: float
+    """Distance of the true positions from their centre, RMS [m]."""
+
+    @property
+    def has_offset(self) -> bool:
+        """Whether a constant rigid offset explains the position error, and not its covariance."""
+        other = max(OFFSET_RATIO * self.aligned.rmse, MIN_OFFSET * self.spread)
+        explained = self.position.rmse > other > 0.0
+        return explained and self.position_inside_sigma_shares[2] < 0.5
 
 
 @dataclass(frozen=True)
@@ -195,6 +222,9 @@ def errors(track: Track, truth: Truth) -> Errors:
         heading=e[:, 2],
         nees=normalised_squared(e, track.covariance[rows]),
         nees_position=normalised_squared(e[:, :2], track.covariance[rows, :2, :2]),
+        true_x=np.asarray(true.x),
+        true_y=np.asarray(true.y),
+        true_heading=np.asarray(true.heading),
     )
 
 
@@ -215,6 +245,8 @@ def accuracy(errors: Errors) -> Accuracy | None:
 
     counted = errors.weight > 0
     d = errors.nees_position
+    offset, residual = _alignment(errors)
+    rpe = _relative(errors)
     return Accuracy(
         scored_s=total,
         position=statistics(errors.position, errors.weight),
@@ -224,7 +256,43 @@ def accuracy(errors: Errors) -> Accuracy | None:
         nees_mean=float(np.average(errors.nees[counted], weights=errors.weight[counted])),
         nees_inside_95_share=share(errors.nees <= CHI_SQUARE_3_95),
         position_inside_sigma_shares=(share(d <= 1.0), share(d <= 4.0), share(d <= 9.0)),
+        aligned=statistics(residual, errors.weight),
+        rpe_1s=statistics(rpe, np.ones_like(rpe)) if rpe.size else None,
+        offset=offset,
+        spread=_spread(errors),
     )
+
+
+def _spread(errors: Errors) -> float:
+    """Return the RMS distance of the true positions from their centre [m]."""
+    true, weight = errors.true_x + 1j * errors.true_y, errors.weight
+    away = np.abs(true - np.average(true, weights=weight))
+    return float(np.sqrt(np.average(away**2, weights=weight)))
+
+
+def _alignment(errors: Errors) -> tuple[Pose, np.ndarray]:
+    """Return the rigid transform from true to estimated positions, and the residuals (m,) [m]."""
+    true = errors.true_x + 1j * errors.true_y
+    estimate, weight = true + errors.x + 1j * errors.y, errors.weight
+    centre, place = (np.average(z, weights=weight) for z in (true, estimate))
+    angle = float(np.angle(np.sum(weight * np.conj(true - centre) * (estimate - place))))
+    turn = np.exp(1j * angle)
+    shift = place - turn * centre
+    residual = np.abs(estimate - turn * true - shift)
+    return Pose(float(shift.real), float(shift.imag), angle), residual
+
+
+def _relative(errors: Errors) -> np.ndarray:
+    """Return the error of the translation during 1 s, in the robot's frame, of each row [m]."""
+    t, true = errors.t, errors.true_x + 1j * errors.true_y
+    later = np.searchsorted(t, t + 1.0 - 1e-6)
+    row = np.flatnonzero(later < t.size)
+    later = later[row]
+    near = t[later] - t[row] <= 1.0 + TRUTH_GAP_S
+    row, later = row[near], later[near]
+    estimate, heading = true + errors.x + 1j * errors.y, errors.true_heading
+    moved = (estimate[later] - estimate[row]) * np.exp(-1j * (heading + errors.heading)[row])
+    return np.asarray(np.abs(moved - (true[later] - true[row]) * np.exp(-1j * heading[row])))
 
 
 def statistics(error: np.ndarray, weight: np.ndarray) -> Statistics:
@@ -309,6 +377,12 @@ def _accuracy_dict(accuracy: Accuracy) -> dict[str, float]:
     for name, unit in units.items():
         for statistic, value in asdict(getattr(accuracy, name)).items():
             numbers[f"{name}_{statistic}_{unit}"] = value
+    numbers["position_aligned_rmse_m"] = accuracy.aligned.rmse
+    if accuracy.rpe_1s is not None:
+        numbers["rpe_1s_rmse_m"] = accuracy.rpe_1s.rmse
+    if accuracy.has_offset:
+        keys = ("truth_offset_x_m", "truth_offset_y_m", "truth_offset_heading_rad")
+        numbers |= dict(zip(keys, accuracy.offset, strict=True))
     numbers["nees_mean"] = accuracy.nees_mean
     numbers["nees_inside_95_share"] = accuracy.nees_inside_95_share
     for k, share in enumerate(accuracy.position_inside_sigma_shares, start=1):

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from made_up_run import START, made_up
 
+from homeward.estimator import Status
+from homeward.reasons import Rejection
 from homeward.report import words
 from homeward.report.images.sightings import describe_moved
 from homeward.report.run.summary import sentence, summarise
@@ -112,3 +114,41 @@ def test_what_was_moved_in_a_room_is_told_with_what_of_it_can_be_known():
     assert said.startswith("Moved since home: box 3, box 5 and box 6; home's picture shows box 3")
     assert "box 5" not in said.split(";")[1]
     assert "none of them" in describe_moved({"box 5": False})
+
+
+def test_summary_separates_sightings_that_are_not_needed():
+    drive, track = made_up(seconds=180.0)
+    metrics = score(track, drive.truth)
+    rejected = {Rejection.VAGUE_ODOMETRY: 1616, Rejection.OUTSIDE_GATE: 3}
+    said = summarise(drive, track, dataclasses.replace(metrics, rejected=rejected))
+    assert said.endswith("7,197 sightings used, 1,616 not needed, 3 rejected.")
+
+
+def test_summary_reports_unverified_poses_and_time_without_a_pose():
+    drive, track = made_up(seconds=100.0)
+    first = int(np.flatnonzero(track.has_pose)[0])
+    t = track.t - track.t[0]
+    x, status = track.x.copy(), list(track.status)
+    for i in np.flatnonzero(t < 35.0).tolist():
+        posed = first <= i and t[i] < 5.0
+        status[i] = Status.UNVERIFIED if posed else Status.MAPPING
+        x[i] = x[i] if posed else np.nan
+    late = dataclasses.replace(track, x=x, status=status)
+    said = summarise(drive, late, score(late, None))
+    assert "with an unverified pose for 3 %, and no pose for 32 %" in said
+    assert "the first pose came after 2.0 s, and it was first localised after 35 s" in said
+
+
+def test_ground_truth_in_another_frame_is_reported_as_an_offset():
+    drive, track = made_up(seconds=180.0)
+    c, s = math.cos(0.7), math.sin(0.7)
+    x, y = c * drive.truth.x - s * drive.truth.y + 5.0, s * drive.truth.x + c * drive.truth.y
+    truth = dataclasses.replace(drive.truth, x=x, y=y, heading=drive.truth.heading + 0.7)
+    metrics = score(track, truth)
+    assert metrics.accuracy.has_offset
+    assert not score(track, drive.truth).accuracy.has_offset
+    assert metrics.as_dict()["position_aligned_rmse_m"] < 0.06
+    assert metrics.as_dict()["truth_offset_heading_rad"] == pytest.approx(-0.7, abs=0.01)
+    said = summarise(dataclasses.replace(drive, truth=truth), track, metrics)
+    assert "ground truth is in another frame, or home is wrong" in said
+    assert "surer" not in said

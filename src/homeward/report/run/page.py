@@ -83,11 +83,14 @@ def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]
     """Return label, error and whether it is an angle, for each row of the table of errors."""
     if accuracy is None:
         return []
+    rpe = [("translation in 1 s (RPE)", accuracy.rpe_1s, False)] if accuracy.rpe_1s else []
     return [
         ("position", accuracy.position, False),
+        ("position after rigid alignment (ATE)", accuracy.aligned, False),
         ("heading alpha", accuracy.heading, True),
         ("distance from home R", accuracy.R, False),
         ("direction from home theta", accuracy.theta, True),
+        *rpe,
     ]
 
 

@@ -6,10 +6,13 @@ import math
 
 from homeward.drives.drive import Drive
 from homeward.estimator import LandmarkEstimate, Status
+from homeward.reasons import Rejection
 from homeward.report.words import count, degrees, listing, name, percent, quantity
 from homeward.scoring import Accuracy, Metrics
 from homeward.track import Track
 
+NOT_NEEDED = Rejection.VAGUE_ODOMETRY, Rejection.STANDING
+"""Normal in every drive: sightings between keyframes, and of a robot that stands still."""
 OUTSIDE_3_SIGMA = 0.05
 """Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
 
@@ -77,8 +80,15 @@ def _localised(track: Track, metrics: Metrics) -> str:
         text += f", {percent(coasting)} on odometry alone"
     if unverified > 0.005:
         text += f", with an unverified pose for {percent(unverified)}"
+    without = 1.0 - (metrics.pose_share or 0.0)
+    if without * metrics.duration_s > metrics.first_pose_after_s + 0.5:
+        text += f", and no pose for {percent(without)}"
     if metrics.first_pose_after_s > 0.5:
         text += f"; the first pose came after {quantity(metrics.first_pose_after_s, 's')}"
+    localised = [i for i, s in enumerate(track.status) if s is Status.LOCALISED]
+    since = float(track.t[localised[0]] - track.t[0]) if localised else 0.0
+    if since > metrics.first_pose_after_s + 0.5:
+        text += f", and it was first localised after {quantity(since, 's')}"
     return text + "."
 
 
@@ -102,6 +112,14 @@ def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
 
 def caution(accuracy: Accuracy | None) -> str:
     """Say where the claimed uncertainty was too small; nothing where it was not."""
+    if accuracy is not None and accuracy.has_offset:
+        x, y, heading = accuracy.offset
+        return (
+            "The error is a constant offset: ground truth is in another frame, or home is wrong."
+            f" The frame of ground truth is at x {x:.2f} m, y {y:.2f} m, heading"
+            f" {degrees(heading)} in the frame of the estimates. The aligned error (ATE) is"
+            f" {quantity(accuracy.aligned.rmse, 'm')} RMSE."
+        )
     outside = 0.0 if accuracy is None else 1.0 - accuracy.position_inside_sigma_shares[2]
     if outside <= OUTSIDE_3_SIGMA:
         return ""
@@ -154,7 +172,10 @@ def _unjudged(track: Track) -> list[LandmarkEstimate]:
 
 def _rejected(metrics: Metrics) -> str:
     """Say how much of the input was not used."""
-    rejected = sum(metrics.rejected.values())
-    if not rejected:
+    unneeded = sum(metrics.rejected.get(why, 0) for why in NOT_NEEDED)
+    rejected = sum(metrics.rejected.values()) - unneeded
+    if not (rejected or unneeded):
         return ""
-    return f"{count(metrics.sightings_used, 'sighting').capitalize()} used, {rejected:,} rejected."
+    text = f"{count(metrics.sightings_used, 'sighting').capitalize()} used"
+    text += f", {unneeded:,} not needed" if unneeded else ""
+    return text + (f", {rejected:,} rejected." if rejected else ".")
