@@ -223,3 +223,15 @@ def test_stamps_in_seconds_are_not_remarked(t):
     remarks = {}
     remark_other_units(t, remarks)
     assert not remarks
+
+
+def test_ground_truth_in_another_frame_is_transformed_by_home_in_it(drive_folder):
+    (drive_folder / "truth.csv").write_text("t,x,y,heading\n0,1,2,1.5\n1,1,3,1.5\n")
+    (drive_folder / "drive.yaml").write_text(f"truth: {{home: [1, 1, {math.pi / 2}]}}\n")
+    drive = open_drive(drive_folder)
+    np.testing.assert_allclose(drive.truth.x, [1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(drive.truth.y, 0.0, atol=1e-12)
+    np.testing.assert_allclose(drive.truth.heading, 1.5 - math.pi / 2, atol=1e-12)
+    assert drive.settings.truth is None
+    (drive_folder / "truth.csv").unlink()
+    assert "no ground truth; remove the key" in refusal(open_drive, drive_folder)

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from homeward.angles import interpolate, wrap
 from homeward.estimator import ByValue
-from homeward.frames import Polar, Pose
+from homeward.frames import Polar, Pose, between
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -135,6 +135,13 @@ class HomeWhen(Strict):
         return self
 
 
+class TruthFrame(Strict):
+    """The frame of the ground truth."""
+
+    home: tuple[Finite, Finite, Finite]
+    """Home in that frame: x [m], y [m], heading [rad]."""
+
+
 class DriveSettings(Strict):
     """Everything that drive.yaml may say; every key may be absent."""
 
@@ -148,6 +155,8 @@ class DriveSettings(Strict):
     """Bearings are stamped so long after they were taken [s], by odometry's clock; None: 0. Readers
     take it out of the stamps (`on_time`), and a drive that was read has None."""
     start: Start | None = None
+    truth: TruthFrame | None = None
+    """None: the home frame. `open_drive` transforms the truth; then a drive has None."""
     epoch: int | None = None
     """Whole seconds to be added to every time of the drive to have its log's clock; None: 0. Logs
     with Unix stamps are counted from their first whole second, since a double holds Unix time to
@@ -363,6 +372,10 @@ class Truth(Columns):
             np.interp(t, self.t, self.y),
             interpolate(t, self.t, self.heading),
         )
+
+    def seen_from(self, home: Pose) -> Truth:
+        """Return the truth in the frame of a home, given in the present frame."""
+        return Truth(self.t, *between(home, Pose(self.x, self.y, self.heading)))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from homeward.drives.folder import (
 from homeward.drives.text.files import is_there, require_folder
 from homeward.drives.text.table import Table, read_columns
 from homeward.errors import InputError
-from homeward.frames import Pose, bearing, between
+from homeward.frames import Pose, bearing
 
 BARCODES = "Barcodes.dat"
 OTHER_ROBOTS = "sightings of other robots"
@@ -166,7 +166,7 @@ def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None
     if not is_there(path):
         return None
     seen = truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks)
-    return Truth(seen.t, *between(home, Pose(seen.x, seen.y, seen.heading)))
+    return seen.seen_from(home)
 
 
 def _whole(table: Table, name: str) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -95,6 +96,7 @@ def open_drive(
     named = None if topics is None else Path(topics)
     choices = Choices(robot, home, home_noise, seed, named, home_spin, tell)
     drive = on_one_clock(on_time(reader_of(place).read(place, choices)), place)
+    drive = _truth_from_home(drive, place)
     when = drive.settings.home
     if home_spin is not None:
         when = validated(HomeWhen, {"spin": home_spin})
@@ -102,6 +104,17 @@ def open_drive(
         raise InputError(f"home is told twice: in {HOME} and under home in {SETTINGS}", place)
     with speaking_of(place):
         return drive if when is None else with_home(drive, when)
+
+
+def _truth_from_home(drive: Drive, place: Path) -> Drive:
+    """Return a drive whose ground truth is in the home frame, by its settings."""
+    if drive.settings.truth is None:
+        return drive
+    if drive.truth is None:
+        raise InputError(f"{SETTINGS}: truth: the drive has no ground truth; remove the key", place)
+    settings = drive.settings.model_copy(update={"truth": None})
+    truth = drive.truth.seen_from(Pose(*drive.settings.truth.home))
+    return dataclasses.replace(drive, settings=settings, truth=truth)
 
 
 def located(path: str | os.PathLike[str]) -> Path:

@@ -91,7 +91,8 @@ def _jumps(
     # A motion that is slower than expected is no jump: before a burst of messages comes a gap.
     usable = np.clip(moved, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
     jump = np.fmin(*np.abs(moved - usable))
-    allowed = max_acceleration * lasts * np.maximum(lasts, count * period) / 2
+    with np.errstate(over="ignore"):  # of absurd stamps
+        allowed = max_acceleration * lasts * np.maximum(lasts, count * period) / 2
     return np.asarray(fast | (jump > np.maximum(allowed, max(min_jump, NOISE_FACTOR * noise))))
 
 

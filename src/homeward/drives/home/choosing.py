@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry, Truth
+from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry
 from homeward.drives.home.spin import Spin, spin
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import hold_time
-from homeward.frames import Pose, between
+from homeward.frames import Pose
 
 STILL_M = 0.05
 """A robot that goes further does not stand [m]."""
@@ -89,7 +89,7 @@ def _seen_from(drive: Drive, t: float) -> Drive:
         remarks[OF_OTHER_HOME.format("start prior")] = 1
     if truth is not None and truth.t[0] <= t <= truth.t[-1]:
         home = Pose(*(float(part[0]) for part in truth.at(np.array([t]))))
-        truth = Truth(truth.t, *between(home, Pose(truth.x, truth.y, truth.heading)))
+        truth = truth.seen_from(home)
     elif truth is not None:
         truth, remarks[OF_OTHER_HOME.format("truth")] = None, 1
     return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)

@@ -94,7 +94,8 @@ class Turn:
         stamps = np.unique([begin, *seen.t])
         way = reckoning(odometry, stamps)
         centre = (way.x + 1j * way.y - way.x[0] - 1j * way.y[0]) * np.exp(-1j * way.heading[0])
-        if not np.isfinite(centre).all():
+        during = (odometry.t >= begin) & (odometry.t <= end)
+        if not (np.isfinite(centre).all() and np.isfinite(odometry.omega[during]).all()):
             raise InputError("odometry has numbers that are not finite during home's spin")
         if (far := float(np.abs(centre).max())) > FARTHEST_M:
             raise InputError(

@@ -30,7 +30,7 @@ from homeward.drives.ros.topics.times import Clock
 from homeward.drives.text.settings import parse_settings, read_settings
 from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError, speaking_of
-from homeward.frames import Pose, between
+from homeward.frames import Pose
 
 Taker: TypeAlias = Callable[[float, Any], None]
 """Takes the time [s] of a message, and the message."""
@@ -265,4 +265,4 @@ class _Reading:
         t, x, y, heading = rows.T.copy()
         if told.home is None:
             return Truth(t, x, y, heading)
-        return Truth(t, *between(Pose(*told.home), Pose(x, y, heading)))
+        return Truth(t, x, y, heading).seen_from(Pose(*told.home))

@@ -6,6 +6,7 @@ import math
 
 from homeward.drives.drive import Drive
 from homeward.estimator import LandmarkEstimate, Status
+from homeward.frames import Pose, between
 from homeward.reasons import Rejection
 from homeward.report.words import count, degrees, listing, name, percent, quantity
 from homeward.scoring import Accuracy, Metrics
@@ -113,12 +114,12 @@ def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
 def caution(accuracy: Accuracy | None) -> str:
     """Say where the claimed uncertainty was too small; nothing where it was not."""
     if accuracy is not None and accuracy.has_offset:
-        x, y, heading = accuracy.offset
+        x, y, heading = between(Pose(*accuracy.offset), Pose(0.0, 0.0, 0.0))
         return (
             "The error is a constant offset: ground truth is in another frame, or home is wrong."
-            f" The frame of ground truth is at x {x:.2f} m, y {y:.2f} m, heading"
-            f" {degrees(heading)} in the frame of the estimates. The aligned error (ATE) is"
-            f" {quantity(accuracy.aligned.rmse, 'm')} RMSE."
+            f" The aligned error (ATE) is {quantity(accuracy.aligned.rmse, 'm')} RMSE. If it is the"
+            f" frame, add `truth: {{home: [{x:.3f}, {y:.3f}, {heading:.4f}]}}` to drive.yaml: home"
+            " in the frame of ground truth (m, m, rad)."
         )
     outside = 0.0 if accuracy is None else 1.0 - accuracy.position_inside_sigma_shares[2]
     if outside <= OUTSIDE_3_SIGMA:
