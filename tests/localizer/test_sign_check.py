@@ -10,7 +10,7 @@ from homeward.angles import wrap
 from homeward.control import Twist
 from homeward.drives.drive import HomeBearing, Mount, Sensor
 from homeward.estimator import Status
-from homeward.localizer.inputs.sign_check import SignCheck
+from homeward.localizer.inputs.sign_check import LAGS, SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Reason
@@ -30,7 +30,8 @@ def watched(
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
             bearings = np.array(wrap(bearings + noise * rng.normal(size=len(d))))
             seen = {str(i): sign * float(b) for i, b in enumerate(bearings) if abs(b) < view / 2}
-            sign_check.bearings(t, seen, *twists.reckoned(t))
+            reckoned = [twists.reckoned(at) for at in (t - LAGS).tolist()]
+            sign_check.bearings(t, seen, np.array(reckoned).T)
         x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
         psi += 0.1 * twist.omega
     return sign_check
@@ -135,7 +136,8 @@ def test_a_speed_of_the_wrong_sign_is_named_as_the_other_cause():
 def test_odometry_that_never_turns_decides_nothing():
     rng, sign_check = np.random.default_rng(3), SignCheck(Mount())
     for k in range(600):
-        sign_check.bearings(k / 5, {"a": float(rng.uniform(-3, 3)), "b": k / 20}, 0.0, k / 50)
+        reckoned = np.stack([np.zeros(LAGS.size), k / 50 - 0.1 * LAGS])
+        sign_check.bearings(k / 5, {"a": float(rng.uniform(-3, 3)), "b": k / 20}, reckoned)
     assert not sign_check.is_wrong
 
 

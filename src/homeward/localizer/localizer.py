@@ -33,7 +33,7 @@ from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
-from homeward.localizer.inputs.sign_check import SignCheck
+from homeward.localizer.inputs.sign_check import LAGS, SignCheck
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.motion.twists import Twists
@@ -334,8 +334,8 @@ class Localizer:
         if not frame.sightings:
             return []
         if self._twists.before(frame.t) is not None:
-            reckoned = self._twists.reckoned(frame.t)
-            self._sign_check.bearings(frame.t, frame.sightings, *reckoned)
+            reckoned = [self._twists.reckoned(t) for t in (frame.t - LAGS).tolist()]
+            self._sign_check.bearings(frame.t, frame.sightings, np.array(reckoned).T)
         innovations = self._chart.add_bearings(frame, self._t)
         if self._beside is not None:
             return self._update_beside(self._beside, frame, innovations)

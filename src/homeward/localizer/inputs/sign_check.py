@@ -9,7 +9,6 @@ distance. So a wrong yaw needs negative distances, and a wrong sense of rotation
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Mapping
 
@@ -26,6 +25,9 @@ centre moves in another direction than the robot."""
 WINDOW_S, MAX_TURN = 4.0, 1.0
 """A window ends after this time [s] or rotation [rad]: long enough for parallax, and so short that
 odometry drifts by less than the noise."""
+MIN_PATH, MIN_TURN = 0.1, 0.3
+"""A window counts if the camera moved this far [m] or the robot turned this far [rad]: the noise of
+odometry of a robot that stands stays below, and fits any yaw."""
 MAX_SIGHTINGS = 5_000
 """Sightings of a window that are kept, which bounds memory and cost."""
 NOISE = 0.02
@@ -33,7 +35,10 @@ NOISE = 0.02
 INDEPENDENT = 4.0
 """Number of independent errors of a landmark in a window: those of odometry are correlated."""
 BAD_WINDOW = 0.1
-"""Probability that a window is evidence for nothing: slip, people, odometry that is late [1]."""
+"""Probability that a window is evidence for nothing: slip, people [1]."""
+LAGS = np.array([0.0, 0.25, 0.5])
+"""Lags of the bearings that are compared, equally probable [s]: in changing turns, a lag looks
+like a wrong yaw."""
 PRIOR_WRONG = 0.01
 """Prior probability of a wrong convention: in one of a hundred drives [1]."""
 FALSE_ALARM = 1e-4
@@ -72,11 +77,11 @@ class SignCheck:
         share = (1.0 - PRIOR_WRONG) / np.count_nonzero(self._right)
         self._probability = np.where(self._right, share, wrong)
         """(2, k): of anti-clockwise and clockwise bearings, by yaw minus the assumed one."""
-        self._before: tuple[float, float] | None = None
-        self._place, self._turned, self._has_turned = 0j, 0.0, False
+        self._before: np.ndarray | None = None
+        self._place, self._turned, self._has_turned = np.zeros(LAGS.size, complex), 0.0, False
         self._since = -math.inf
         self._index: dict[str, int] = {}
-        self._rows: list[tuple[int, float, float, complex]] = []
+        self._rows: list[tuple[int, float, np.ndarray, np.ndarray]] = []
 
     @property
     def is_doubtful(self) -> bool:
@@ -132,23 +137,20 @@ class SignCheck:
             words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
         return words + "."
 
-    def bearings(
-        self, t: float, sightings: Mapping[str, float], heading: float, path: float
-    ) -> None:
+    def bearings(self, t: float, sightings: Mapping[str, float], reckoned: np.ndarray) -> None:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
 
-        `heading` [rad] and signed `path` [m] are those of odometry alone.
+        `reckoned` (2, l) is the heading [rad] and the signed path [m] from odometry alone, at `t`
+        minus each of `LAGS`.
         """
-        turn, way = (
-            (0.0, 0.0) if self._before is None else np.subtract((heading, path), self._before)
-        )
-        self._before = heading, path
-        self._place += cmath.rect(float(way), heading - float(turn) / 2.0)
-        self._turned += abs(float(turn))
-        self._has_turned |= turn != 0.0
+        turn, way = np.zeros_like(reckoned) if self._before is None else reckoned - self._before
+        self._before, heading = reckoned, reckoned[0]
+        self._place = self._place + way * np.exp(1j * (heading - turn / 2.0))
+        self._turned += abs(float(turn[0]))
+        self._has_turned |= bool(turn[0] != 0.0)
         if not self._rows:
             self._since, self._turned = t, 0.0
-        camera = self._place + cmath.rect(1.0, heading) * complex(self._sensor.x, self._sensor.y)
+        camera = self._place + np.exp(1j * heading) * complex(self._sensor.x, self._sensor.y)
         if len(self._rows) < MAX_SIGHTINGS:
             index = self._index
             self._rows += [
@@ -164,11 +166,18 @@ class SignCheck:
         """Update the probabilities by the window."""
         columns = zip(*self._rows, strict=True)
         index, beta, heading, camera = (np.array(column) for column in columns)
-        place = camera * cmath.rect(1.0, -float(heading[0]))
-        turned, yaw = heading - heading[0], self._sensor.yaw
-        senses = (beta + yaw, yaw - beta)
-        logs = np.array([_log_likelihood(index, sense, turned, place) for sense in senses])
-        likelihood = np.exp(logs - logs.max())
+        place, yaw = camera * np.exp(-1j * heading[0]), self._sensor.yaw
+        turned, senses = heading - heading[0], (beta + yaw, yaw - beta)
+        path, turn = np.abs(place[:, 0] - place[0, 0]).max(), np.abs(turned[:, 0]).max()
+        if path < MIN_PATH and turn < MIN_TURN:
+            return
+        logs = np.array(
+            [
+                [_log_likelihood(index, sense, turned[:, k], place[:, k]) for sense in senses]
+                for k in range(LAGS.size)
+            ]
+        )
+        likelihood = np.exp(logs - logs.max()).sum(axis=0)
         likelihood /= likelihood.sum()
         mixed = (1.0 - BAD_WINDOW) * likelihood + BAD_WINDOW / likelihood.size
         posterior = self._probability * mixed
