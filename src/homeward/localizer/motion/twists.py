@@ -18,9 +18,9 @@ MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
 """Mean speed [m/s] and turn rate [rad/s] over `STEADY_S` from which odometry indicates a motion:
 several standard deviations of jitter and bias at standstill, and a slower robot moves less in a
 second than a pose is uncertain."""
-MEAN_S = 0.2
-"""Averaging time of the twist that the derivative by the lag uses: four samples at 20 Hz quarter
-the variance of their noise, and the mean trails by less than a lag is uncertain [s]."""
+MEAN_S = 0.07
+"""Averaging time of the twist that the derivative by the lag uses: noise of single samples would
+count as information on the lag, and a longer mean trails behind where the robot accelerates [s]."""
 
 
 class Twist(NamedTuple):
