@@ -1,8 +1,8 @@
 """Advice on the horizon: how often it is false on right settings, and given on wrong ones.
 
-`python -m benchmarks.horizon [--pairs 1000] [--wrong 100]` draws panoramas of random rooms from
-random places, near home to across the room, and compares each with home's: with the right horizon,
-and cut above or below so that the horizon is elsewhere.
+`python -m benchmarks.horizon [--pairs 1000] [--wrong 100] [--seed 0]` draws panoramas of random
+rooms from random places, near home to across the room, and compares each with home's: with the
+right horizon, and cut above or below so that the horizon is elsewhere.
 """
 
 from __future__ import annotations
@@ -49,12 +49,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--wrong", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     false = matched = 0
     reported = {"cut below": 0, "cut above": 0}
     for k in range(max(options.pairs, options.wrong)):
-        rng = np.random.default_rng([k, 0])
-        pictures = pair(make_room(k // PER_ROOM), rng)
+        rng = np.random.default_rng([k, options.seed])
+        pictures = pair(make_room(1000 * options.seed + k // PER_ROOM), rng)
         if k < options.pairs:
             accepted, words = advice(pictures)
             matched += accepted

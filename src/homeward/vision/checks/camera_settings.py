@@ -25,6 +25,9 @@ LEAST_OFF = 0.15
 """Horizons that differ from the given one by less than this share of the height are not tried."""
 MIN_SIGMAS = 2.0
 """Matches gained over matches lost, in standard deviations of a difference by chance."""
+MIN_PARALLAX = 80.0
+"""Squared parallax over that of noise. A horizon that is wrong by 0.3 rad shifts a ray off its
+epipolar plane by about 0.3 of the parallax: by 3 standard deviations where the parallax is 9."""
 
 
 def better_settings(
@@ -86,7 +89,7 @@ def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
     another horizon only at random. Numbers of false alarms of whole comparisons do not decide:
     near home every horizon fits, and they differ by chance.
     """
-    if not found.accepted or found.motion is None:
+    if not found.accepted or found.motion is None or found.parallax < MIN_PARALLAX:
         return 0
     both = [(fits[match], fit) for match, fit in _matches(found).items() if match in fits]
     unfit = sum(not before for before, _ in both)
