@@ -129,7 +129,7 @@ def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path
     out = tmp_path / "out"
     done(call("run", short, "--estimator", "mine:make", "--set", "x=2.5", "--out", out))
     assert ",2.5,0,0," in (out / "estimate.csv").read_text().splitlines()[1]
-    done(call("run", out / "run.yaml", "--out", tmp_path / "again"))
+    done(call("run", out / "run.yaml", "--estimator", "mine:make", "--out", tmp_path / "again"))
     assert "x=1.0" in call("settings", "mine:make").stdout
     assert "y" in refused(call("run", short, "--estimator", "mine:make", "--set", "y=1"))
     assert "cannot smooth" in refused(call("run", short, "--estimator", "mine:make", "--smooth"))

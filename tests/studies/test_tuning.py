@@ -83,7 +83,8 @@ def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
     def judged(late):
         t = np.arange(late, 10.0)
         off = np.where(t < 5, 4.0, 1.0)  # the first poses are the worst
-        same = Errors(t, np.ones(t.size), off, off, off, off, off, off, 3.0 * off, off)
+        nees, zero = 3.0 * off, np.zeros(t.size)
+        same = Errors(t, np.ones(t.size), *6 * (off,), nees, off, zero, zero, zero)
         one = np.ones(t.size)
         return Judged(0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0))
 
