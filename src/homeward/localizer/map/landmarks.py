@@ -193,7 +193,8 @@ class Landmarks:
             if name in initialised:
                 self.range_mixtures.pop(name, None)
             else:
-                self._fit_range_mixture(name)
+                rows = np.array(self._candidates[name].rows)
+                self._fit_range_mixture(name, rows, self._line_sigmas(rows))
         return bool(initialised)
 
     def _is_due(self, name: str) -> bool:
@@ -232,16 +233,28 @@ class Landmarks:
             self.mapped[name].count_sighting(line)
         return True
 
-    def _fit_range_mixture(self, name: str) -> None:
+    def _fit_range_mixture(self, name: str, rows: np.ndarray, sigmas: np.ndarray) -> None:
         """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
-        rows = np.array(self._candidates[name].rows)
         eyes = self.smoother.cameras(rows)[0]
         mapped = np.hypot(*(self.smoother.state.positions - eyes[-1, :2]).T)
         scale = float(np.median(mapped)) if mapped.size else math.nan
         now = self.smoother.state.covariance[:3, :3]
-        seen = range_mixture(eyes, rows[:, BEARING], self._line_sigmas(rows), now, scale)
+        seen = range_mixture(eyes, rows[:, BEARING], sigmas, now, scale)
         if seen is not None:
             self.range_mixtures[name] = seen
+
+    def adopt(self, whole: Smoother) -> None:
+        """Adopt the solution of the whole drive: fit the range mixtures again, in its frame."""
+        waiting = {
+            name: np.array(self._candidates[name].rows)
+            for name in self.range_mixtures
+            if name in self._candidates
+        }
+        sigmas = {name: self._line_sigmas(rows) for name, rows in waiting.items()}
+        self.smoother = whole  # it does not keep the variances of single motions
+        self.range_mixtures.clear()
+        for name, rows in waiting.items():
+            self._fit_range_mixture(name, rows, sigmas[name])
 
     def _at_expected(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the expected position, and which sightings agree with it, if most do."""

@@ -283,7 +283,8 @@ class Map:
 
     def adopt(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive, for the same landmarks."""
-        self.smoother = self.landmarks.smoother = whole
+        self.smoother = whole
+        self.landmarks.adopt(whole)
         self._unlearnt_solution = False
 
     def _rows(
