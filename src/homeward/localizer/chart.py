@@ -31,7 +31,7 @@ from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_f
 from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.first_fix import FirstFix
 from homeward.localizer.recovery.monitor import Health, Monitor
-from homeward.localizer.recovery.search import pose_reset
+from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import SPEED_TIME_S
 from homeward.reasons import Rejection
@@ -39,6 +39,13 @@ from homeward.reasons import Rejection
 RESECTION_S = 2.0 * SPEED_TIME_S
 """Without odometry for this long, nothing is known of the velocity, and each pose is a resection
 from the survey, where the frame allows one [s]."""
+
+SLIP_MEMORY_S = 300.0
+"""For this long after bearings have denied a motion, wheels are expected to slip again: a robot
+passes the same spot of the floor several times [s]."""
+SLIP_SHARE = 1.0 / 3.0
+"""Standard deviation of a motion that may be a slip, as a share of it: three of them contain wheels
+that spin on the spot [1]."""
 
 
 class Chart:
@@ -75,6 +82,11 @@ class Chart:
         self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
+        self._driven = np.zeros(2)
+        """Path [m] and rotation [rad] to the newest keyframe from the last frame of which most
+        bearings were accepted; negative if that is after the keyframe."""
+        self.slipped_at = -math.inf
+        """When bearings last denied a motion [s]."""
         self._keeps = False
         self._begin_map(0.0)
 
@@ -181,9 +193,12 @@ class Chart:
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         state, moved = self.map.state, None
         motion = self.odometry.motion(t, state.calibration)
-        if motion is not Motion.identity():
+        may_slip = self._may_slip(t)
+        if motion is not Motion.identity() or may_slip:
             calibration = state.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+            if may_slip:
+                drift = drift + self._slip_covariance(motion)
             moved = motion.delta, drift
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
@@ -242,8 +257,11 @@ class Chart:
                 self.map.drop_frame()
                 wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
                 gated = self._gate_at_keyframe(seen, wider)
-        if any(gated.fits.values()):
+        fits = gated.fits.values()
+        if any(fits):
             self.last_accepted = seen.t
+        if 2 * sum(fits) > len(fits):
+            self._driven = np.zeros(2) if gated.new_keyframe else -_driven(gated.motion)
         return gated
 
     def _gate_at_keyframe(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -264,7 +282,7 @@ class Chart:
             case Health.LOST:
                 return self._relocalise(seen, motion)
             case _:
-                return self._begin_search(seen, health)
+                return self._begin_search(seen, health, motion)
 
     def _update(self, gated: Gated) -> bool:
         """Update the map by accepted bearings; return whether there is a new solution."""
@@ -280,12 +298,12 @@ class Chart:
         except np.linalg.LinAlgError:
             self._give_up_map()
             return True
-        return self._begin_search(gated.frame, Health.CARRIED)
+        return self._begin_search(gated.frame, Health.CARRIED, gated.motion)
 
-    def _begin_search(self, seen: WeighedFrame, why: Health) -> bool:
+    def _begin_search(self, seen: WeighedFrame, why: Health, motion: Motion) -> bool:
         """Begin a relocalisation; return whether it succeeds at once."""
         self.odometry.restart(seen.t)
-        self.monitor.begin_search(seen.t, why)
+        self.monitor.begin_search(seen.t, why, motion)
         return self._relocalise(seen, Motion.identity())
 
     def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
@@ -294,6 +312,10 @@ class Chart:
         since = search.motion_since(motion)
         search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
         found = search.find(self.map.landmarks, self.map.state)
+        if found is None and self.monitor.is_lost:
+            camera, driven = self.map.camera(Motion.identity()), self.monitor.driven(since)
+            found = find_by_frame(seen, camera, self.map.landmarks, self.map.state, driven)
+            since = Motion.identity()
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))
@@ -306,6 +328,7 @@ class Chart:
             return True
         self._begin_motion(seen.t, reset)
         self.monitor.end_search(seen.t)
+        self.slipped_at, self._driven = seen.t, np.zeros(2)
         return True
 
     def _find_home(self, now: float) -> None:
@@ -350,7 +373,25 @@ class Chart:
         """Restart odometry and monitor at a new keyframe, reached by a motion."""
         self.odometry.restart(t)
         self.monitor.add_keyframe(motion)
+        self._driven = self._driven + _driven(motion)
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing has been accepted recently before `t` [s]."""
-        return t - self.last_accepted > NO_BEARINGS_S
+        return t - self.last_accepted > (0.5 if self._may_slip(t) else 1.0) * NO_BEARINGS_S
+
+    def _may_slip(self, t: float) -> bool:
+        """Return whether wheels are expected to slip at `t` [s], since they did before."""
+        return t - self.slipped_at < SLIP_MEMORY_S
+
+    def _slip_covariance(self, motion: Motion) -> np.ndarray:
+        """Covariance (3, 3) of the motion since the last frame that fits, which may be a slip.
+
+        `motion` is that since the newest keyframe.
+        """
+        path, turned = (SLIP_SHARE * (self._driven + _driven(motion))).tolist()
+        return np.diag([path, path, turned]) ** 2
+
+
+def _driven(motion: Motion) -> np.ndarray:
+    """Return path [m] and rotation [rad] of a motion, shape (2,)."""
+    return np.array([motion.path, motion.turned])

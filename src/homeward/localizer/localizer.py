@@ -368,6 +368,7 @@ class Localizer:
         if self._lead >= CLEARLY and self._is_sure(beside):
             self._blind.append((self._chart.last_accepted, beside.map.begun))
             self._chart, self.counts, self._beside = beside, beside.counts, None
+            beside.slipped_at = frame.t
         elif self._chart.monitor.fits_well and self._is_sure(self._chart):
             self._beside = None
         elif beside.monitor.is_lost:

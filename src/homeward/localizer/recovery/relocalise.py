@@ -14,6 +14,7 @@ through it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,13 @@ class Located:
     log_likelihood: float
     """Log likelihood ratio: landmarks where they are mapped, over landmarks anywhere."""
 
+    def log_density(self, mean: np.ndarray, covariance: np.ndarray) -> float:
+        """Return the log density of the pose in a Gaussian, shapes (3,) and (3, 3)."""
+        off = self.pose - mean
+        off[2] = wrap(off[2])
+        square = float(off @ np.linalg.solve(covariance, off))
+        return -0.5 * (square + float(np.linalg.slogdet(TWO_PI * covariance)[1]))
+
     def log_evidence(self, log_prior: float) -> float:
         """Return the log Bayes factor with the pose integrated out, by its log prior density."""
         log_volume = 0.5 * float(np.linalg.slogdet(TWO_PI * self.covariance)[1])
@@ -74,7 +82,9 @@ class Located:
 
 
 def relocalise(
-    lines: SightLines, expected: tuple[np.ndarray, np.ndarray] | None = None
+    lines: SightLines,
+    expected: tuple[np.ndarray, np.ndarray] | None = None,
+    near: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pose in the map where the search began, and its covariance.
 
@@ -84,6 +94,9 @@ def relocalise(
         Its sight lines since then.
     expected : tuple of ndarray, shapes (3,) and (3, 3), optional
         The pose by odometry and its covariance, if the robot may still be there.
+    near : sequence of tuples of ndarray, shapes (3,) and (3, 3), optional
+        Means and covariances of the pose if the robot was only displaced; each is as probable as
+        that the robot is anywhere.
 
     Returns
     -------
@@ -101,13 +114,17 @@ def relocalise(
             continue
         distance = float(_distances(located.pose[None], lines)[0])
         if not any(_same(located.pose, f.pose, CLOSE * distance) for _, f in found):
-            anywhere = -math.log(TWO_PI * math.pi * distance**2)  # in sight of its landmarks
-            found.append((located.log_evidence(anywhere), located))
+            log_prior = -math.log(TWO_PI * math.pi * distance**2)  # in sight of its landmarks
+            log_priors = [log_prior, *(located.log_density(*each) for each in near)]
+            log_prior = float(np.logaddexp.reduce(log_priors)) - math.log(len(log_priors))
+            found.append((located.log_evidence(log_prior), located))
     if not found:
         return None
     found.sort(key=lambda f: -f[0])
     log_evidence, best = found[0]
-    rivals = [0.0, *(f[0] for f in found[1:])]  # 0: no landmark is where it is mapped
+    # Rival: no landmark is where it is mapped. It is improbable for a robot that was displaced.
+    elsewhere = math.log(UPHEAVAL / (1.0 - UPHEAVAL)) if near else 0.0
+    rivals = [elsewhere, *(f[0] for f in found[1:])]
     if not _is_proved(log_evidence, rivals):
         return None
     if expected is not None:
@@ -130,12 +147,8 @@ def _log_evidence_of(pose: np.ndarray, covariance: np.ndarray, lines: SightLines
     near = _refine(pose, lines)
     if near is None:
         return there
-    off = near.pose - pose
-    off[2] = wrap(off[2])
-    prior = covariance + 1e-12 * np.eye(3)
-    square = float(off @ np.linalg.solve(prior, off))
-    log_volume = float(np.linalg.slogdet(TWO_PI * prior)[1])
-    return max(there, near.log_evidence(-0.5 * (square + log_volume)))
+    prior = near.log_density(pose, covariance + 1e-12 * np.eye(3))
+    return max(there, near.log_evidence(prior))
 
 
 def _candidates(lines: SightLines) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,7 +13,19 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import CLOSE, RECENT
+from homeward.localizer.tunables import CLOSE, LINEAR, MINIMAL, RECENT
+
+Sighting: TypeAlias = tuple[str, float, float, Motion]
+"""Landmark, bearing and standard deviation [rad], and the motion to the camera."""
+
+
+class Driven(NamedTuple):
+    """How far the wheels drove."""
+
+    path: float
+    """[m]"""
+    turned: float
+    """[rad]"""
 
 
 class Search:
@@ -27,7 +40,7 @@ class Search:
     def __init__(self, begin: Motion | None = None) -> None:
         self._lost = begin is None
         self._to_newest = Motion.identity() if begin is None else begin.inverse()
-        self._seen: deque[tuple[str, float, float, Motion]] = deque(maxlen=RECENT)
+        self._seen: deque[Sighting] = deque(maxlen=RECENT)
 
     def motion_since(self, motion: Motion) -> Motion:
         """Return the motion since the search began, by that since the newest keyframe."""
@@ -55,27 +68,69 @@ class Search:
 
         None if it is undetermined, or if the robot may be where `state` of the map has it.
         """
-        known = [seen for seen in self._seen if seen[0] in landmarks.mapped]
-        if not known:
+        lines = _sight_lines(list(self._seen), landmarks, state)
+        if lines is None:
             return None
-        names, bearings, sigmas, cameras = zip(*known, strict=True)
-        mapped = [landmarks.mapped[n] for n in names]
-        positions, covariances = landmarks.places(mapped)
-        lines = SightLines(
-            cameras=np.array([c.uncalibrated + c.jacobian @ state.calibration for c in cameras]),
-            bearings=np.array(bearings),
-            sigmas=np.array(sigmas),
-            names=np.array([m.number for m in mapped]),
-            positions=positions,
-            covariances=covariances,
-        )
         if self._lost:
             return relocalise(lines)
         began, by_head = state.pose_after(self._to_newest.inverse())
         return relocalise(lines, (began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T))
 
 
-def _parallax(last: tuple[str, float, float, Motion], bearing: float, camera: Motion) -> float:
+def find_by_frame(
+    frame: WeighedFrame, camera: Motion, landmarks: Landmarks, state: Marginal, driven: Driven
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pose in the map at one frame, (3,), and its covariance, (3, 3), without odometry.
+
+    Where wheels slip, odometry connects frames wrongly, and no pose fits several of them. The robot
+    probably stands, or moved less than its wheels.
+
+    Parameters
+    ----------
+    frame : WeighedFrame
+        At least four mapped landmarks: any three fit some pose.
+    camera : Motion
+        The camera's pose on the robot.
+    landmarks, state
+        The map; its newest keyframe is before the robot was lost.
+    driven : Driven
+        Motion of the wheels since that keyframe.
+
+    Returns
+    -------
+    tuple of ndarray, or None
+        None if the frame alone does not determine the pose.
+    """
+    each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
+    lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)
+    if lines is None or lines.names.size <= MINIMAL:
+        return None
+    distance = float(np.median(np.hypot(*(lines.positions - state.mean[:2]).T)))
+    stands = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
+    moved = stands + np.array([driven.path, driven.path, driven.turned])
+    last, covariance = state.mean[:3], state.covariance[:3, :3]
+    return relocalise(lines, near=[(last, covariance + np.diag(s**2)) for s in (stands, moved)])
+
+
+def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:
+    """Return the sight lines to mapped landmarks; None if there are none."""
+    known = [each for each in seen if each[0] in landmarks.mapped]
+    if not known:
+        return None
+    names, bearings, sigmas, cameras = zip(*known, strict=True)
+    mapped = [landmarks.mapped[n] for n in names]
+    positions, covariances = landmarks.places(mapped)
+    return SightLines(
+        cameras=np.array([c.uncalibrated + c.jacobian @ state.calibration for c in cameras]),
+        bearings=np.array(bearings),
+        sigmas=np.array(sigmas),
+        names=np.array([m.number for m in mapped]),
+        positions=positions,
+        covariances=covariances,
+    )
+
+
+def _parallax(last: Sighting, bearing: float, camera: Motion) -> float:
     """Return the angle between a sighting's line and another bearing's, from `camera` [rad]."""
     _, before, _, then = last
     return float(wrap(camera.delta[2] + bearing - then.delta[2] - before))
