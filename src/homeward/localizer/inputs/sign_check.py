@@ -28,6 +28,10 @@ odometry drifts by less than the noise."""
 MIN_PATH, MIN_TURN = 0.1, 0.3
 """A window counts if the camera moved this far [m] or the robot turned this far [rad]: the noise of
 odometry of a robot that stands stays below, and fits any yaw."""
+STAYING = 0.3
+"""A window does not count if the bearings change by less than this share of the rotation: the robot
+stands while its wheels spin, or the camera is frozen. Landmarks that all are as near as the centre
+of the bend would do the same [1]."""
 MAX_SIGHTINGS = 5_000
 """Sightings of a window that are kept, which bounds memory and cost."""
 NOISE = 0.02
@@ -171,6 +175,9 @@ class SignCheck:
         path, turn = np.abs(place[:, 0] - place[0, 0]).max(), np.abs(turned[:, 0]).max()
         if path < MIN_PATH and turn < MIN_TURN:
             return
+        seen = _centred(_unwrapped(beta, index), index)[0]
+        if turn >= MIN_TURN and seen.std() < STAYING * _centred(turned[:, 0], index)[0].std():
+            return
         logs = np.array(
             [
                 [_log_likelihood(index, sense, turned[:, k], place[:, k]) for sense in senses]
@@ -183,6 +190,18 @@ class SignCheck:
         posterior = self._probability * mixed
         posterior = np.maximum(posterior / posterior.sum(), MIN_PROBABILITY)
         self._probability = posterior / posterior.sum()
+
+
+def _unwrapped(angle: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return angles (n,) without jumps by a full turn, for each landmark of `index` (n,) [rad]."""
+    first = angle[np.unique(index, return_index=True)[1]][index]
+    return np.asarray(first + (angle - first + math.pi) % math.tau - math.pi)
+
+
+def _centred(values: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values (n,) minus the mean of their landmark of `index` (n,), and the means."""
+    mean = np.bincount(index, values) / np.bincount(index)
+    return values - mean[index], mean
 
 
 def _log_likelihood(
@@ -199,23 +218,15 @@ def _log_likelihood(
     camera : ndarray, shape (n,), complex
         Position of the camera, in the robot's frame at the first sighting [m].
     """
-    num = np.bincount(index).astype(float)
-
-    def centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        mean = np.bincount(index, values) / num
-        return values - mean[index], mean
-
     # Least squares of angle = direction + inverse distance * lever(direction, position).
-    angle = beta + heading
-    first = angle[np.unique(index, return_index=True)[1]]
-    angle, mean = centred(np.asarray((angle - first[index] + math.pi) % math.tau - math.pi))
-    x, y = centred(camera.real)[0], centred(camera.imag)[0]
+    num = np.bincount(index)
+    angle, direction = _centred(_unwrapped(beta + heading, index), index)
+    x, y = _centred(camera.real, index)[0], _centred(camera.imag, index)[0]
     aa, ax, ay, xx, xy, yy = (
         np.bincount(index, product)[:, None]
         for product in (angle**2, angle * x, angle * y, x * x, x * y, y * y)
     )
-    direction = (first + mean)[:, None] + _YAWS
-    s, c = np.sin(direction), np.cos(direction)
+    s, c = np.sin(direction[:, None] + _YAWS), np.cos(direction[:, None] + _YAWS)
     fitted = np.maximum(s * ax - c * ay, 0.0) ** 2
     lever = s * s * xx - 2.0 * s * c * xy + c * c * yy
     residual = aa - np.divide(fitted, lever, out=np.zeros_like(lever), where=lever > 1e-12)
