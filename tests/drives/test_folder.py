@@ -104,6 +104,20 @@ def test_rows_that_are_a_little_late_are_sorted_as_in_a_log(tmp_path):
     }
 
 
+def test_a_survey_from_home_replaces_odometry_and_home_bearings(tmp_path):
+    survey = b"frame: home\nlandmarks: {a: {x: 1, y: 2}, b: {x: 3, y: 4}}\n"
+    folder = put(tmp_path / "run", landmarks_yaml=survey)
+    for name in ("odometry.csv", "home.csv"):
+        (folder / name).unlink()
+    drive = read_folder(folder)
+    assert drive.home == {}
+    np.testing.assert_array_equal(drive.odometry.t, np.unique(drive.sightings.t))
+    assert np.isnan(drive.odometry.v).all()
+    assert "stamps of bearings without odometry" in drive.remark_lines[-1]
+    (folder / "landmarks.yaml").unlink()
+    assert "no odometry.csv, home.csv in it" in refusal(read_folder, folder)
+
+
 def test_no_sightings_and_no_home_bearings_are_legal(tmp_path):
     drive = read_folder(
         put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n", home_csv=b"landmark,bearing\n")
@@ -258,12 +272,13 @@ def test_memory_is_that_of_the_numbers(tmp_path):
     n = 50_000
     rows = "".join(f"{i / 64},landmark {i % 500},{i / n}\n" for i in range(n))
     folder = put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode())
-    read_folder(folder)  # modules imported at first use are not counted
+    before = read_folder(folder)  # imports and growth of the table of interned ids do not count
     tracemalloc.start()
     try:
         read_folder(folder)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+    assert before.sightings.t.size == n
     # Two numbers, an id and a row, once in pieces and once whole; rows of text would be 5 times it.
     assert peak < 3 * n * 4 * 8

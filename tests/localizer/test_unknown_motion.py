@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from rig import DT, Rig, eight, ring, still
 
+from homeward.angles import wrap
 from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import (
     Drive,
     KnownLandmarks,
     Odometry,
+    Sensor,
     Sightings,
     SurveyedLandmark,
     Truth,
@@ -118,6 +120,36 @@ def test_no_odometry_at_all_with_a_survey_gives_poses():
     rig.drive(20, feel=False)
     assert rig.answers[-1][0].status is Status.LOCALISED
     assert off(rig)[0] < 0.15
+
+
+def test_noise_that_is_not_given_is_estimated_from_resections():
+    rig = Rig(ring(12, 0, 3.0, 6.0), promise=None)
+    rig.settings = rig.settings.model_copy(update={"sensor": Sensor()})
+    surveyed(rig)
+    noise = np.random.default_rng(1)
+
+    def blurred(seen):
+        near = sorted(seen, key=lambda name: abs(seen[name]))[:7]
+        return {name: float(wrap(seen[name] + 0.1 * noise.normal())) for name in near}
+
+    for _ in range(120):
+        rig.drive(1.0, eight, feel=False, see=lambda _: {})
+        rig.keep(rig.localizer.bearings(rig.t, blurred(rig.look())))
+    with_bearings = rig.answers[5::6][20:]
+    assert np.mean([answer.pose is not None for answer, _ in with_bearings]) > 0.8
+    assert rig.wrong_share() < 0.02
+
+
+def test_odometry_that_never_moved_stays_dead_where_bearings_do_not_show_it():
+    rig = Rig(ring(8), promise=None)
+    surveyed(rig)
+    drive_dead(rig, 30)
+    for _ in range(150):
+        rig.localizer.odometry(rig.t, 0.0, 0.0)
+        rig.drive(DT, still, feel=False)
+    drive_dead(rig, 2)
+    assert rig.answers[-1][0].pose is not None
+    assert off(rig)[1] < 4.0
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])

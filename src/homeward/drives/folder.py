@@ -46,6 +46,10 @@ SORTED = "rows of {} out of order, sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
 REPEATED_TRUTH = "truth rows with a repeated stamp"
 REPEATED_SIGHTINGS = "sightings of a landmark already seen at the same stamp; the last counts"
+NO_ODOMETRY = (
+    f"stamps of bearings without odometry, since {ODOMETRY} is missing: poses are from the bearings"
+    " of surveyed landmarks alone"
+)
 BEYOND_A_TURN = "bearings beyond a full turn, wrapped (are they in degrees?)"
 
 
@@ -61,10 +65,27 @@ def is_drive_folder(path: Path) -> bool:
 
 def knows_home(folder: Path) -> bool:
     """Return whether a folder tells of home without a home.csv: by a survey from there, or when."""
+    return _is_surveyed(folder) or read_drive_settings(folder / SETTINGS).home is not None
+
+
+def _is_surveyed(folder: Path) -> bool:
+    """Return whether the landmarks of a folder are surveyed from home."""
     known = folder / KNOWN
-    if is_there(known) and read_settings(known, KnownLandmarks).surveyed_from_home:
-        return True
-    return read_drive_settings(folder / SETTINGS).home is not None
+    return is_there(known) and read_settings(known, KnownLandmarks).surveyed_from_home
+
+
+def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
+    """Return the required files that a drive folder lacks.
+
+    A survey from home replaces odometry.csv and home.csv, and settings that say when the robot was
+    at home replace home.csv.
+    """
+    absent = [name for name in REQUIRED if not is_there(folder / name)]
+    if HOME in absent and (not home_needed or knows_home(folder)):
+        absent.remove(HOME)
+    if ODOMETRY in absent and _is_surveyed(folder):
+        absent.remove(ODOMETRY)
+    return absent
 
 
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
@@ -76,8 +97,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
         home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv
         (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
-        A survey in home's frame serves without home.csv, too, and so does drive.yaml where it
-        tells when the robot was at home.
+        A survey in home's frame serves without home.csv and odometry.csv, too, and drive.yaml
+        without home.csv where it gives the time at which the robot was at home.
     home_needed : bool
         Whether one of these must be there.
 
@@ -97,26 +118,29 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     """
     folder = Path(path)
     require_folder(folder)
-    missing = [name for name in REQUIRED if not is_there(folder / name)]
-    surveyed = is_there(folder / KNOWN)
-    known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
-    settings = read_drive_settings(folder / SETTINGS)
-    elsewhere = known.surveyed_from_home or settings.home is not None or not home_needed
-    homeless = missing == [HOME] and elsewhere
-    if missing and not homeless:
+    missing = missing_files(folder, home_needed)
+    if missing:
         else_ = f", and {BY_SPIN}" if missing == [HOME] else ""
         raise InputError(f"not a drive folder: no {', '.join(missing)} in it{else_}", folder)
+    surveyed = is_there(folder / KNOWN)
+    known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
     remarks: dict[str, int] = {}
     sightings = read_sightings(folder / BEARINGS, remarks)
+    if is_there(folder / ODOMETRY):
+        odometry = read_odometry(folder / ODOMETRY, remarks)
+    else:
+        t = np.unique(sightings.t)
+        odometry = Odometry(t, np.full(t.size, np.nan), np.full(t.size, np.nan))
+        remarks[NO_ODOMETRY] = t.size
     if absent := sorted(known.names - set(sightings.landmark.tolist()), key=natural):
         who = listing([quoted(name) for name in absent], 3)
         remarks[f"landmarks of {KNOWN} that the drive did not see: {who}"] = len(absent)
     return Drive(
         name=folder.resolve().name,
-        odometry=read_odometry(folder / ODOMETRY, remarks),
+        odometry=odometry,
         sightings=sightings,
-        home={} if homeless else read_home(folder / HOME, remarks),
-        settings=settings,
+        home=read_home(folder / HOME, remarks) if is_there(folder / HOME) else {},
+        settings=read_drive_settings(folder / SETTINGS),
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
         known=known,

@@ -29,12 +29,14 @@ from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
+from homeward.localizer.recovery.detectors import odometry_lost
 from homeward.localizer.recovery.first_fix import FirstFix
 from homeward.localizer.recovery.monitor import Health, Monitor
+from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import SPEED_TIME_S
-from homeward.reasons import Rejection
+from homeward.reasons import Reason, Rejection
 
 RESECTION_S = 2.0 * SPEED_TIME_S
 """Without odometry for this long, nothing is known of the velocity, and each pose is a resection
@@ -87,6 +89,7 @@ class Chart:
         bearings were accepted; negative if that is after the keyframe."""
         self.slipped_at = -math.inf
         """When bearings last denied a motion [s]."""
+        self._resection = Resection()
         self._keeps = False
         self._begin_map(0.0)
 
@@ -125,16 +128,20 @@ class Chart:
         motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
         rates = self.process_noise.rates
         self._contradiction.add_bearings(seen, self.map, motion, rates, self._twists)
-        gated = None
+        gated = found = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
         reset = health is Health.NO_MAP
         if self._known.surveyed_from_home and self._twists.unknown_time(seen.t) >= RESECTION_S:
-            if not self._resects(seen):
+            found = self._resect(seen)
+            if found is None:
                 self.counts.reject(Rejection.VAGUE_ODOMETRY, len(seen.names))
                 return []
-            reset = True
+            seen, reset = found.frame, True
         if reset:
             motion = self._reset_map(seen.t)
+        if found is not None:
+            self.map.registration.expect(found.origin, found.names)
+            self.last_accepted = seen.t
         if reset or health is Health.OK:
             self._take_first_fix(seen, motion)
             gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
@@ -193,6 +200,9 @@ class Chart:
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
         state, moved = self.map.state, None
         motion = self.odometry.motion(t, state.calibration)
+        if odometry_lost(motion, state):
+            words = complaint or Reason.LOST.words
+            return Estimate(t, Status.MAPPING, words, None, None, innovations)
         may_slip = self._may_slip(t)
         if motion is not Motion.identity() or may_slip:
             calibration = state.covariance[3:HEAD, 3:HEAD]
@@ -234,15 +244,11 @@ class Chart:
             known.expect(*found)
             self.last_accepted = seen.t
 
-    def _resects(self, seen: WeighedFrame) -> bool:
-        """Return whether a frame alone gives the pose in the survey.
-
-        After a long time without odometry, motions from frame to frame are guesses, and errors of
-        a map built on them add up. A map that begins at this frame has none of them.
-        """
-        known = self.map.registration
-        eye, _ = self.map.state.pose_after(self.map.camera(Motion.identity()))
-        return FirstFix(known.survey).add_frame(seen, eye, np.zeros(3)) is not None
+    def _resect(self, seen: WeighedFrame) -> Resected | None:
+        """Return the survey's pose from one frame; None if the frame does not determine it."""
+        camera = self.map.camera(Motion.identity()).delta
+        moved = self.odometry.dropout_motion(seen.t).covariance
+        return self._resection.find(seen, camera, self.map.registration.survey, moved)
 
     def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.

@@ -16,6 +16,7 @@ from homeward.drives.folder import (
     TRUTH,
     is_drive_folder,
     knows_home,
+    missing_files,
     read_folder,
     read_home,
     read_odometry,
@@ -126,13 +127,13 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
     if (path / HOME).exists():
         kind += f", {len(read_home(path / HOME, told))} landmarks seen at home"
     remarks: list[str] = []
-    missing = [name for name in needed if not (path / name).exists()]
-    if missing == [HOME] and needed == REQUIRED and knows_home(path):
-        missing = []
+    is_drive = needed == REQUIRED
+    absent = [name for name in needed if not (path / name).exists()]
+    missing = missing_files(path) if is_drive else absent
     if missing:
         remarks += [f"{number:,} {reason}" for reason, number in told.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
-    elif needed == REQUIRED:
+    elif is_drive:
         remarks += _judged(path)
     return LogInfo(kind, topics, None, tuple(remarks), folder=True)
 

@@ -124,7 +124,8 @@ class DeadOdometry:
     ) -> None:
         """Test the landmarks of a frame, and decide by all of the window."""
         if not t - self._begun <= WINDOW_S and self._frames >= WINDOW_FRAMES * bool(self._tracks):
-            self.is_dead &= not self._most(False)
+            if self._has_moved:  # odometry that never reported a motion stays dead
+                self.is_dead &= not self._most(False)
             self._begin_window(t)
         self._frames += 1
         for name, bearing in bearings.items():

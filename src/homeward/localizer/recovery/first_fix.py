@@ -85,17 +85,8 @@ class FirstFix:
         rows = [(i, *row) for i, kept in enumerate(self._seen.values()) for row in kept]
         numbers, eyes, bearings, sigmas, then = map(np.array, zip(*rows, strict=True))
         gathered = np.maximum(now - then, 0.0) / (*2 * [(0.5 * self._survey.size) ** 2], 1.0)
-        known = list(self._seen)
-        blocks = self._survey.covariance_of(known).reshape(len(known), 2, len(known), 2)
-        each = np.arange(len(known))
-        return SightLines(
-            cameras=eyes,
-            bearings=bearings,
-            sigmas=np.sqrt(sigmas**2 + gathered.sum(axis=1)),
-            names=numbers,
-            positions=np.array([self._survey.places[n] for n in known])[numbers],
-            covariances=blocks[each, :, each][numbers],
-        )
+        sigmas = np.sqrt(sigmas**2 + gathered.sum(axis=1))
+        return survey_lines(self._survey, list(self._seen), numbers, eyes, bearings, sigmas)
 
     def _agreeing(self, origin: np.ndarray, lines: SightLines) -> tuple[list[str], float]:
         """Return the landmarks all of whose lines agree, and the probability of a false alarm.
@@ -120,3 +111,24 @@ class FirstFix:
         stay = np.mean([self._survey.p_stayed(n) for n in self._seen])
         no_rival = bdtr(len(names) - 2, len(self._seen), stay)
         return names, math.comb(len(self._seen), MINIMAL) * float(tail * no_rival)
+
+
+def survey_lines(
+    survey: Survey,
+    names: list[str],
+    numbers: np.ndarray,
+    eyes: np.ndarray,
+    bearings: np.ndarray,
+    sigmas: np.ndarray,
+) -> SightLines:
+    """Return m sight lines to surveyed landmarks, of which `numbers` (m,) index `names`."""
+    each = np.arange(len(names))
+    blocks = survey.covariance_of(names).reshape(len(names), 2, len(names), 2)
+    return SightLines(
+        cameras=eyes,
+        bearings=bearings,
+        sigmas=sigmas,
+        names=numbers,
+        positions=np.array([survey.places[name] for name in names])[numbers],
+        covariances=blocks[each, :, each][numbers],
+    )
