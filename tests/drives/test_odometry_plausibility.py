@@ -128,3 +128,14 @@ def test_filters_widen_over_unknown_motion(name):
         assert np.isfinite(track.x).all()
         growth.append(float(track.sigmas[-1, 0]))
     assert growth[1] > growth[0]
+
+
+@pytest.mark.parametrize(
+    ("v", "omega", "unit"),
+    [(250.0, 0.3, "mm/s"), (0.25, 17.0, "degrees"), (0.25, 0.3, None), (9.0, 1.5, None)],
+)
+def test_rates_in_other_units_are_remarked(v, omega, unit):
+    remarks = {}
+    without_implausible(Odometry(T, np.full(T.size, v), np.full(T.size, omega)), remarks)
+    assert [why for why in remarks if "are the" in why and (unit or "") in why] == list(remarks)
+    assert bool(remarks) is (unit is not None)

@@ -26,6 +26,13 @@ NOISE_FACTOR = 12.0
 than 1 sample in a million deviates by more."""
 WINDOW_S, MAX_NEIGHBOURS = 0.5, 9
 """Neighbours of a sample on either side: those within this time [s], at most this number."""
+USUAL_TURN_RATE = 6.3
+"""A robot that turns more quickly than once a second for 5 % of the time is improbable [rad/s]."""
+SPEED_UNIT = "odometry samples faster than 10 m/s: are the speeds in mm/s or cm/s instead of m/s?"
+TURN_UNIT = (
+    "odometry samples that turn by more than 6.3 rad/s: are the turn rates in degrees instead of "
+    "rad per second?"
+)
 UNKNOWN = (
     "odometry intervals with an implausible motion (an encoder reset, a pose jump or a spike; the "
     "first at {:.2f} s, at {:.3g} m/s and {:.3g} rad/s); their motion counts as unknown"
@@ -37,6 +44,8 @@ def without_implausible(
 ) -> Odometry:
     """Return odometry in which implausible motion is unknown, and count it in `remarks`.
 
+    Rates that are usually too high are remarked: their unit is probably another one.
+
     Parameters
     ----------
     odometry : Odometry
@@ -47,6 +56,13 @@ def without_implausible(
         Sideways speed of differentiated poses [m/s], tested as the forward speed is.
     """
     t, v, omega = odometry.t, odometry.v, odometry.omega
+    for rate, usual, unit in (
+        (v, MAX_SPEED, SPEED_UNIT),
+        (omega, USUAL_TURN_RATE, TURN_UNIT),
+    ):
+        moving = np.abs(rate[np.abs(rate) > 0])
+        if moving.size and np.quantile(moving, 0.95, method="higher") > usual:
+            remarks[unit] = int((moving > usual).sum())
     bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
     bad |= _jumps(t, omega, MAX_TURN_RATE, MAX_TURN_ACCELERATION, MIN_TURN_JUMP)
     if sideways is not None:
