@@ -130,6 +130,13 @@ def test_filters_widen_over_unknown_motion(name):
     assert growth[1] > growth[0]
 
 
+def test_a_speed_that_is_always_zero_while_the_robot_turns_is_remarked():
+    remarks = {}
+    without_implausible(Odometry(T, np.zeros(T.size), np.full(T.size, 0.3)), remarks)
+    assert [*remarks.values()] == [T.size]
+    assert "its speed is missing" in next(iter(remarks))
+
+
 @pytest.mark.parametrize(
     ("v", "omega", "unit"),
     [(250.0, 0.3, "mm/s"), (0.25, 17.0, "degrees"), (0.25, 0.3, None), (9.0, 1.5, None)],

@@ -26,12 +26,17 @@ NOISE_FACTOR = 12.0
 than 1 sample in a million deviates by more."""
 WINDOW_S, MAX_NEIGHBOURS = 0.5, 9
 """Neighbours of a sample on either side: those within this time [s], at most this number."""
-USUAL_TURN_RATE = 6.3
-"""A robot that turns more quickly than once a second for 5 % of the time is improbable [rad/s]."""
-SPEED_UNIT = "odometry samples faster than 10 m/s: are the speeds in mm/s or cm/s instead of m/s?"
+USUAL_SPEED, USUAL_TURN_RATE = 40.0, 6.3
+"""A robot that is faster than a car, or turns more than once a second, for 5 % of the time in which
+it moves probably reports other units [m/s, rad/s]."""
+SPEED_UNIT = "odometry samples faster than 40 m/s: are the speeds in mm/s instead of m/s?"
 TURN_UNIT = (
     "odometry samples that turn by more than 6.3 rad/s: are the turn rates in degrees instead of "
     "rad per second?"
+)
+NO_SPEED = (
+    "odometry samples, all with a speed of exactly 0: if the robot did more than turn on the spot, "
+    "its speed is missing"
 )
 UNKNOWN = (
     "odometry intervals with an implausible motion (an encoder reset, a pose jump or a spike; the "
@@ -44,7 +49,8 @@ def without_implausible(
 ) -> Odometry:
     """Return odometry in which implausible motion is unknown, and count it in `remarks`.
 
-    Rates that are usually too high are remarked: their unit is probably another one.
+    Rates that are usually too high are remarked, since their unit is probably another one, and a
+    speed that is always zero while the robot turns.
 
     Parameters
     ----------
@@ -56,23 +62,35 @@ def without_implausible(
         Sideways speed of differentiated poses [m/s], tested as the forward speed is.
     """
     t, v, omega = odometry.t, odometry.v, odometry.omega
-    for rate, usual, unit in (
-        (v, MAX_SPEED, SPEED_UNIT),
-        (omega, USUAL_TURN_RATE, TURN_UNIT),
-    ):
-        moving = np.abs(rate[np.abs(rate) > 0])
-        if moving.size and np.quantile(moving, 0.95, method="higher") > usual:
-            remarks[unit] = int((moving > usual).sum())
     bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
     bad |= _jumps(t, omega, MAX_TURN_RATE, MAX_TURN_ACCELERATION, MIN_TURN_JUMP)
     if sideways is not None:
         bad |= _jumps(t, sideways, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
+    for rate, limit, unit in (
+        (v, USUAL_SPEED, SPEED_UNIT),
+        (omega, USUAL_TURN_RATE, TURN_UNIT),
+    ):
+        if _quick(t[~bad], rate[~bad]) > limit:
+            remarks[unit] = int((np.abs(rate) > limit).sum())
+    if not np.any(np.abs(v) > 0) and np.any(np.abs(omega) > 0):
+        remarks[NO_SPEED] = t.size
     if not bad.any():
         return odometry
     i = int(np.argmax(bad))
     speed = v[i] if sideways is None else np.hypot(v[i], sideways[i])
     remarks[UNKNOWN.format(t[i], speed, omega[i])] = int(bad.sum())
     return Odometry(t, np.where(bad, np.nan, v), np.where(bad, np.nan, omega))
+
+
+def _quick(t: np.ndarray, rate: np.ndarray) -> float:
+    """Return the rate that is exceeded for 5 % of the time of motion; 0 if there is none."""
+    lasts = np.minimum(np.diff(t), HOLD_S)
+    rates = np.abs(rate[:-1])
+    order = np.argsort(np.where(rates > 0, rates, -1.0))
+    time = np.where(rates > 0, lasts, 0.0)[order].cumsum()
+    if not time.size or time[-1] <= 0:
+        return 0.0
+    return float(rates[order][time.searchsorted(0.95 * time[-1])])
 
 
 def _jumps(
