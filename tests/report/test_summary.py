@@ -152,3 +152,6 @@ def test_ground_truth_in_another_frame_is_reported_as_an_offset():
     said = summarise(dataclasses.replace(drive, truth=truth), track, metrics)
     assert "ground truth is in another frame, or home is wrong" in said
     assert "surer" not in said
+    short = dataclasses.replace(metrics, pose_share=0.02)  # a short piece of a path is rigid
+    said = summarise(dataclasses.replace(drive, truth=truth), track, short)
+    assert "another frame" not in said

@@ -43,7 +43,7 @@ def write_page(
         metrics=metrics,
         # A number stays with its unit.
         sentence=re.sub(r"(?<=\d) (?=\w)", "\u00a0", sentence(track, metrics)),
-        caution=caution(metrics.accuracy),
+        caution=caution(metrics),
         plots=plots,
         embedded=embedded(plots),
         script=script(),

@@ -9,11 +9,13 @@ from homeward.estimator import LandmarkEstimate, Status
 from homeward.frames import Pose, between
 from homeward.reasons import Rejection
 from homeward.report.words import count, degrees, listing, name, percent, quantity
-from homeward.scoring import Accuracy, Metrics
+from homeward.scoring import Metrics
 from homeward.track import Track
 
 NOT_NEEDED = Rejection.VAGUE_ODOMETRY, Rejection.STANDING
 """Normal in every drive: sightings between keyframes, and of a robot that stands still."""
+MIN_OFFSET_SHARE = 0.5
+"""An offset of ground truth is suggested if there was a pose for this share of the time [1]."""
 OUTSIDE_3_SIGMA = 0.05
 """Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
 
@@ -56,7 +58,7 @@ def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
         return "The drive holds no samples, so there is nothing to say."
     sentences = [
         _localised(track, metrics),
-        _accuracy(metrics.accuracy, drive.truth is not None),
+        _accuracy(metrics, drive.truth is not None),
         _moved(track),
         _rejected(metrics),
     ]
@@ -99,8 +101,9 @@ def _localised_share(metrics: Metrics) -> float:
     return shares.get(Status.LOCALISED, 0.0) + shares.get(Status.COASTING, 0.0)
 
 
-def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
+def _accuracy(metrics: Metrics, has_truth: bool) -> str:
     """Say how far off the poses were."""
+    accuracy = metrics.accuracy
     if accuracy is None:
         return NOT_SCORED if has_truth else "There is no truth to measure the error against."
     p = accuracy.position
@@ -108,12 +111,15 @@ def _accuracy(accuracy: Accuracy | None, has_truth: bool) -> str:
         f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "
         f"{quantity(p.max, 'm')} at worst; heading {degrees(accuracy.heading.rmse)} RMSE."
     )
-    return f"{text} {caution(accuracy)}".strip()
+    return f"{text} {caution(metrics)}".strip()
 
 
-def caution(accuracy: Accuracy | None) -> str:
+def caution(metrics: Metrics) -> str:
     """Say where the claimed uncertainty was too small; nothing where it was not."""
-    if accuracy is not None and accuracy.has_offset:
+    accuracy = metrics.accuracy
+    # A short piece of the path is rigid whatever is wrong, so that it has an offset.
+    for_long = (metrics.pose_share or 0.0) >= MIN_OFFSET_SHARE
+    if accuracy is not None and accuracy.has_offset and for_long:
         x, y, heading = between(Pose(*accuracy.offset), Pose(0.0, 0.0, 0.0))
         return (
             "The error is a constant offset: ground truth is in another frame, or home is wrong."
