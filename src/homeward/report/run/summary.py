@@ -117,7 +117,7 @@ def _accuracy(metrics: Metrics, has_truth: bool) -> str:
 def caution(metrics: Metrics) -> str:
     """Say where the claimed uncertainty was too small; nothing where it was not."""
     accuracy = metrics.accuracy
-    # A short piece of the path is rigid whatever is wrong, so that it has an offset.
+    # Every short piece of a path fits with some offset.
     for_long = (metrics.pose_share or 0.0) >= MIN_OFFSET_SHARE
     if accuracy is not None and accuracy.has_offset and for_long:
         x, y, heading = between(Pose(*accuracy.offset), Pose(0.0, 0.0, 0.0))
