@@ -77,8 +77,8 @@ def _is_surveyed(folder: Path) -> bool:
 def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
     """Return the required files that a drive folder lacks.
 
-    A survey from home replaces odometry.csv and home.csv, and settings that say when the robot was
-    at home replace home.csv.
+    A survey in the home frame replaces odometry.csv and home.csv. Settings that give the time at
+    which the robot was at home replace home.csv.
     """
     absent = [name for name in REQUIRED if not is_there(folder / name)]
     if HOME in absent and (not home_needed or knows_home(folder)):
@@ -97,8 +97,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
         home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv
         (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
-        A survey in home's frame serves without home.csv and odometry.csv, too, and drive.yaml
-        without home.csv where it gives the time at which the robot was at home.
+        A survey in the home frame replaces home.csv and odometry.csv. A drive.yaml that gives the
+        time at which the robot was at home replaces home.csv.
     home_needed : bool
         Whether one of these must be there.
 

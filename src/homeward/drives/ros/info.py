@@ -128,8 +128,10 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
         kind += f", {len(read_home(path / HOME, told))} landmarks seen at home"
     remarks: list[str] = []
     is_drive = needed == REQUIRED
-    absent = [name for name in needed if not (path / name).exists()]
-    missing = missing_files(path) if is_drive else absent
+    if is_drive:
+        missing = missing_files(path)
+    else:
+        missing = [name for name in needed if not (path / name).exists()]
     if missing:
         remarks += [f"{number:,} {reason}" for reason, number in told.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
