@@ -27,13 +27,12 @@ import numpy as np
 
 from benchmarks.render import room_number
 from homeward.angles import wrap
-from homeward.control import Twist
 from homeward.drives.cameras.camera import unit_vectors
 from homeward.drives.drive import HomeBearing, Odometry, Sightings
 from homeward.drives.home.spin import spin
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist
 from homeward.registry import make_estimator
 from homeward.simulation.course import before
 from homeward.simulation.render.eye import Eye

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.control import STOP_RADIUS
-from homeward.laws import LAWS
+from homeward.control.laws import LAWS, STOP_RADIUS
 from homeward.registry import make_estimator
 from homeward.simulation.files import load_scenario
 from homeward.simulation.simulate import prepare, simulate

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.places.warehouse import HOME, Warehouse
 from benchmarks.routes.rivals import DeadReckoning, from_home_to_home, homes_on_the_way
-from homeward.following import Path as Line
+from homeward.control.following import Path as Line
 from homeward.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth

@@ -10,11 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
+from homeward.control.laws import law_named
 from homeward.drives.drive import HomeBearing, Start
 from homeward.estimator import HOLD_S, Counts, Estimate, Status
-from homeward.frames import Pose, between, to_polar
-from homeward.laws import law_named
+from homeward.frames import Pose, Twist, advance, between, to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.live_robot import LiveRobot
 from homeward.simulation.scenario import Homing, Scenario

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.control import Twist, advance
-from homeward.frames import Pose, bearing
+from homeward.frames import Pose, Twist, advance, bearing
 
 LONG, WIDE, SEES = 20.0, 12.0, 14.0
 """The hall, and how far reflectors are seen [m]."""

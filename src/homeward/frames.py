@@ -1,4 +1,4 @@
-"""Poses in the plane (SE(2)) and polar coordinates, on floats, arrays and CasADi symbols.
+"""Poses and twists in the plane (SE(2)), polar coordinates; on floats, arrays and CasADi symbols.
 
 A pose is (x, y, heading) of the robot's centre; (R, theta, alpha) are its polar coordinates in the
 home frame: distance from home, direction seen from home, heading.
@@ -6,11 +6,15 @@ home frame: distance from home, direction seen from home, heading.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from homeward.angles import apply, wrap
+
+Integration = Literal["rk4", "euler"]
+"""How a motion is integrated where symbols are."""
 
 
 class Pose(NamedTuple):
@@ -29,6 +33,13 @@ class Polar(NamedTuple):
     alpha: Any
 
 
+class Twist(NamedTuple):
+    """Twist of a unicycle, commanded or measured: v [m/s] forward, omega [rad/s] anti-clockwise."""
+
+    v: Any
+    omega: Any
+
+
 def compose(a: Pose, b: Pose) -> Pose:
     """Return pose `b`, given in the frame of `a`, in the frame in which `a` is given."""
     c, s = apply("cos", a.heading), apply("sin", a.heading)
@@ -44,6 +55,28 @@ def inverse(a: Pose) -> Pose:
 def between(a: Pose, b: Pose) -> Pose:
     """Return pose `b` as seen from pose `a` (both in one frame)."""
     return compose(inverse(a), b)
+
+
+def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
+    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
+
+    Floats, or arrays of one shape. Headings [rad] are not wrapped here.
+    """
+    half: Any = 0.5 * twist.omega * dt
+    trig: Any = np
+    shrink: Any
+    if isinstance(half, np.ndarray):
+        shrink = np.sinc(half / math.pi)
+    else:  # the same, much quicker
+        trig = math
+        # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
+        shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
+    chord = twist.v * dt * shrink
+    return Pose(
+        pose.x + chord * trig.cos(pose.heading + half),
+        pose.y + chord * trig.sin(pose.heading + half),
+        pose.heading + 2.0 * half,
+    )
 
 
 def to_polar(pose: Pose) -> Polar:

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from homeward.angles import apply, guarded_inverse, wrap
-from homeward.control import Integration
-from homeward.frames import Pose, bearing
+from homeward.frames import Integration, Pose, bearing
 
 POLAR = 3
 """Entries of the state in front of the bearings: R, theta, alpha."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_model import scene
 
-from homeward.control import homing
+from homeward.control.laws import homing
 from homeward.engine.batch import interpreted as noise
 from homeward.engine.batch.homing import homing_program, run_homing
 from homeward.engine.batch.recorded import run_recorded

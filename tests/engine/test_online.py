@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_model import scene
 
-from homeward.control import Twist, advance
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -20,7 +19,7 @@ from homeward.drives.drive import (
 from homeward.engine.estimators.runner import LARGEST
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.frames import Pose, bearing, compose, from_polar
+from homeward.frames import Pose, Twist, advance, bearing, compose, from_polar
 from homeward.reasons import Rejection
 from homeward.registry import NEED_START, make_estimator
 

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from homeward.control import Twist
+from homeward.frames import Twist
 from homeward.live.messages import Departure, Event, StoreRoute
 from homeward.live.player import Player
 from homeward.live.session import Session

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from live_rig import Rig, driving
 
+from homeward.control.limits import Limits
 from homeward.drives.drive import DriveSettings, OdometryNoise
 from homeward.errors import InputError
 from homeward.estimator import Status
@@ -29,7 +30,7 @@ from homeward.live.messages import (
     StoreHome,
 )
 from homeward.live.session import Session
-from homeward.live.settings import STOPS_WITHIN_S, Limits, LiveSettings
+from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
 
 HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0, "d": 2.8, "e": -0.9})
 

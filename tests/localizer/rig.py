@@ -10,11 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
 from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, bearing, compose
+from homeward.frames import Pose, Twist, advance, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.process_noise import ProcessNoise

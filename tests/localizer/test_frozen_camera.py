@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rig import START, Rig, eight, ring, still
 
-from homeward.control import Twist, advance
 from homeward.estimator import Status
-from homeward.frames import bearing
+from homeward.frames import Twist, advance, bearing
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.motion.twists import Twists
 from homeward.reasons import Reason, Rejection

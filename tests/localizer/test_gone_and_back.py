@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rig import Rig, another_room, eight, ring, still
 
-from homeward.control import Twist
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist
 from homeward.reasons import Reason, Rejection
 
 

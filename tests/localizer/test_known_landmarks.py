@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rig import NEES, Rig, ring
 
-from homeward.control import Twist
 from homeward.drives.drive import Drive, KnownLandmarks, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.frames import Twist
 from homeward.localizer.geometry import rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations

@@ -7,9 +7,9 @@ import pytest
 from rig import Rig, eight, ring, still
 
 from homeward.angles import wrap
-from homeward.control import Twist
 from homeward.drives.drive import HomeBearing, Mount, Sensor
 from homeward.estimator import Status
+from homeward.frames import Twist
 from homeward.localizer.inputs.sign_check import LAGS, SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.twists import Twists

@@ -7,8 +7,8 @@ import pytest
 from rig import DT, EVERY, Rig, ring, still
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.estimator import Status
+from homeward.frames import Twist, advance
 
 SLIP = Twist(0.2, 0.35)
 """Odometry reports a bend of 36 degrees in 1.8 s that the robot does not drive."""

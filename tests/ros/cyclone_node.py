@@ -20,7 +20,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from live_rig import SCENARIO
 
-from homeward.control import Twist as Command
+from homeward.frames import Twist as Command
 from homeward.live.messages import (
     Answer,
     BearingsIn,

@@ -19,10 +19,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from homeward.control import Twist as Command
-from homeward.control import advance
 from homeward.frames import Pose as Planar
-from homeward.frames import compose
+from homeward.frames import Twist as Command
+from homeward.frames import advance, compose
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
 

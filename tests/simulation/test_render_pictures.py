@@ -10,10 +10,9 @@ import yaml
 from rooms import scenario
 from shapely import Polygon, contains_xy
 
-from homeward.control import Twist, advance
 from homeward.drives.text.settings import validated
 from homeward.errors import InputError
-from homeward.frames import Pose, bearing, compose
+from homeward.frames import Pose, Twist, advance, bearing, compose
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import viewpoint
 from homeward.simulation.render.rays.surfaces import footprint

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
-from homeward.frames import Pose, from_polar, to_polar
+from homeward.frames import Pose, Twist, advance, from_polar, to_polar
 from homeward.registry import make_estimator
 from homeward.simulation.course import Ending
 from homeward.simulation.files import load_scenario

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.angles import wrap
-from homeward.control import Twist
-from homeward.frames import Pose, bearing, compose
+from homeward.frames import Pose, Twist, bearing, compose
 from homeward.simulation.files import load_scenario
 from homeward.simulation.sensing import Camera, Wheels
 from homeward.simulation.world import build_world

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control import Twist, advance
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist, advance
 from homeward.simulation.course import Ending
 from homeward.simulation.files import WAREHOUSE, load_scenario
 from homeward.simulation.scenario import Room

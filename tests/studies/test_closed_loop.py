@@ -5,7 +5,7 @@ import pytest
 from test_model import scene
 
 from homeward.angles import wrap
-from homeward.control import advance, homing
+from homeward.control.laws import homing
 from homeward.engine.batch.homing import homing_program
 from homeward.engine.program.generic import BELIEF
 from homeward.engine.program.interpreter import Interpreter
@@ -14,7 +14,7 @@ from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
 from homeward.filters.steps import predict_function, update_function
-from homeward.frames import Polar, Pose, bearing, from_polar
+from homeward.frames import Polar, Pose, advance, bearing, from_polar
 from homeward.model import PolarModel
 
 Q, DT, SPEED = 5, 0.05, 0.125

@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import without_implausible
 from homeward.estimator import hold_time
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist, advance
 
 
 def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from homeward.control import Integration
 from homeward.filters.ekf import ExtendedKalmanFilter
+from homeward.frames import Integration
 from homeward.model import PolarModel
 
 

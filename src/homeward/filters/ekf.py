@@ -8,8 +8,8 @@ from typing import ClassVar
 import casadi as ca
 
 from homeward.angles import wrap
-from homeward.control import Integration
 from homeward.filters.belief import Belief, Measurement, Prediction, Updated
+from homeward.frames import Integration
 from homeward.model import POLAR, PolarModel, Step, discretise
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
 from homeward.filters.invariant import SensorNoise
 from homeward.filters.settings import Engine
-from homeward.frames import Polar, Pose, from_polar
+from homeward.frames import Polar, Pose, Twist, advance, from_polar
 from homeward.model import home_anchored_bearing
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from homeward.control import Integration
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
+from homeward.frames import Integration
 
 Engine = Literal["auto", "interpreter", "native"]
 """What executes a filter. auto: compiled code where that is at hand, or where there is a compiler

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.control.goals import Goal, RouteGoal
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -23,7 +24,6 @@ from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse, to_polar
-from homeward.live.driving.goals import Along, Goal
 from homeward.live.looking import NEAREST_M, Looking
 from homeward.live.messages import (
     Answer,
@@ -52,7 +52,7 @@ from homeward.live.messages import (
     StoreRoute,
     TurnHome,
 )
-from homeward.live.sending import NO_PLACE, goal_of
+from homeward.live.sending import NO_PLACE, resolve_goal
 from homeward.live.visiting import Visiting
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator, settings_model
@@ -278,7 +278,7 @@ class Localisation:
 
     def _send(self, message: Departure) -> None:
         """Send the robot where a message says."""
-        self.goal = goal_of(message, self.home, self.place, self._known)
+        self.goal = resolve_goal(message, self.home, self.place, self._known)
         self._sent = message
         if isinstance(message, GoHome):
             self._homeward = message
@@ -355,12 +355,12 @@ class Localisation:
         if self._sent is None:
             return
         try:
-            goal = goal_of(self._sent, self.home, self.place, self._known)
+            goal = resolve_goal(self._sent, self.home, self.place, self._known)
         except InputError as error:  # it was stored, and not saved
             self.goal = self._sent = None
             self._homeward, self.goal_lost = GoHome(), str(error)
             return
-        if not isinstance(goal, Along):  # a drive along a route goes on where it was
+        if not isinstance(goal, RouteGoal):  # a drive along a route goes on where it was
             self.goal = goal
 
 

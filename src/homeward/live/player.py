@@ -6,10 +6,9 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 
-from homeward.control import Twist
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist
 from homeward.live.messages import (
     LONGEST_LINE,
     Answer,

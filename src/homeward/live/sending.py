@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
+from homeward.control.goals import Goal, PointGoal, RouteGoal
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.live.driving.goals import Along, Goal, Spot
 from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
 from homeward.live.visiting import Visiting
 
@@ -16,7 +16,7 @@ NO_PLACE = "there is no place: homeward live --place, or place of the node"
 Known = Callable[[], Iterable[LandmarkEstimate]]
 
 
-def goal_of(message: Departure, home: str, place: Visiting | None, known: Known) -> Goal:
+def resolve_goal(message: Departure, home: str, place: Visiting | None, known: Known) -> Goal:
     """Return where a message sends the robot, in the frame of the answers.
 
     Parameters
@@ -37,16 +37,16 @@ def goal_of(message: Departure, home: str, place: Visiting | None, known: Known)
     """
     match message:
         case GoTo(x=x, y=y):
-            return Spot("there", x, y)
+            return PointGoal("there", x, y)
         case GoToLandmark(name=name, standoff=standoff):
-            return Spot(name, *_landmark(name, place, known), standoff)
+            return PointGoal(name, *_landmark(name, place, known), standoff)
         case FollowRoute(name=name):
             if place is None:
                 raise InputError(NO_PLACE)
-            return Along(name, place.route(name).path)
+            return RouteGoal(name, place.route(name).path)
         case GoHome(name=str(name)) if place is not None:
-            return Spot(name, *place.home_pose(name, home)[:2])
-    return Spot(home, 0.0, 0.0)
+            return PointGoal(name, *place.home_pose(name, home)[:2])
+    return PointGoal(home, 0.0, 0.0)
 
 
 def _landmark(name: str, place: Visiting | None, known: Known) -> tuple[float, float]:

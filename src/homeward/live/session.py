@@ -15,15 +15,14 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
-from homeward.control import Twist
+from homeward.control.driver import Driver
+from homeward.control.goals import Belief, Goal, State, TurnGoal
+from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
 from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
-from homeward.frames import Pose, compose
-from homeward.live.driving.goals import Belief, State
-from homeward.live.driving.homing import Homing, Turning
-from homeward.live.driving.watchdog import Fault, Lasting, StampGate, Watchdog
+from homeward.frames import Pose, Twist, compose
 from homeward.live.driving.way import PATH_S, Way
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
@@ -83,7 +82,7 @@ class Session:
         noise = (robot or DriveSettings()).odometry
         self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
         """Whether the noise of odometry is given, so that the robot may drive on by it alone."""
-        self.homing, self._turning = Homing(told.limits), Turning(told.limits)
+        self.homing, self._turning = Driver(told.limits), Driver(told.limits)
         self._driver = self.homing
         self._turned_for = StoreHome()
         self.counts: Counter[str] = Counter()
@@ -162,7 +161,7 @@ class Session:
                 self._hand_to(self.homing, now)
             case TurnHome(name=name):
                 self._turned_for = StoreHome(name=name)
-                self._hand_to(self._turning, now)
+                self._hand_to(self._turning, now, TurnGoal())
         self._put(message, odom, t, sender)
 
     def ask_landmarks(self) -> None:
@@ -325,12 +324,12 @@ class Session:
         """Whether the robot is commanded."""
         return self._driver.active
 
-    def _hand_to(self, driver: Homing, now: float) -> None:
+    def _hand_to(self, driver: Driver, now: float, goal: Goal | None = None) -> None:
         """Let another one drive."""
         if driver is not self._driver:
             self._driver.fail("something else was asked for", now)
         self._driver = driver
-        driver.go(now)
+        driver.go(now, goal)
 
     def _turn(self, now: float) -> Twist | None:
         """Turn on; once round, home is stored, and after any other end it is not."""

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from homeward.control.following import LOOKAHEAD
 from homeward.drives.drive import Drive
 from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
-from homeward.following import LOOKAHEAD
 from homeward.frames import Pose, position_sigma
 from homeward.live.messages import BearingsIn
 from homeward.live.samples import Samples, last_of_equal, table

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control.following import LOOKAHEAD, Path
 from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.following import LOOKAHEAD, Path
 from homeward.frames import position_sigma
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
@@ -78,7 +78,7 @@ class Route:
 
     @property
     def path(self) -> Path:
-        """What a `homeward.following.Follower` drives along."""
+        """What a `homeward.control.following.Follower` drives along."""
         last = len(self.nodes) - 1
         stops = [
             (i, n.heading, n.dwell, n.waypoint)

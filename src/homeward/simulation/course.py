@@ -11,7 +11,6 @@ from itertools import zip_longest
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -23,7 +22,7 @@ from homeward.drives.drive import (
     Start,
 )
 from homeward.estimator import Estimate
-from homeward.frames import Polar, Pose, compose, from_polar, to_polar
+from homeward.frames import Polar, Pose, Twist, advance, compose, from_polar, to_polar
 from homeward.simulation.log import Log, stamps, within
 from homeward.simulation.scenario import Course, Repeat
 from homeward.simulation.sensing import Wheels

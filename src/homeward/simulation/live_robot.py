@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from homeward.control import Twist, advance
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist, advance
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera, Wheels
 from homeward.simulation.simulate import prepare

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.estimator import Estimate, Estimator, Status
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist
 from homeward.simulation.scenario import Course
 from homeward.simulation.world import Stream, generator, quantise
 

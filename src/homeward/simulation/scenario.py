@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from homeward.control import STOP_RADIUS
+from homeward.control.laws import STOP_RADIUS
 from homeward.drives.drive import Finite, Mount, NonNegative, Positive, Strict
 from homeward.frames import Polar, Pose, between, from_polar
 
@@ -280,7 +280,7 @@ class Waypoints(ByPoints):
 class Teach(ByPoints):
     """Drive from point to point by hand, and wait at each, so that it can be kept as a way point.
 
-    The hand is `homeward.following`.
+    The hand is `homeward.control.following`.
     """
 
     kind: Literal["teach"] = "teach"

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
-from homeward.frames import Pose, bearing, compose
+from homeward.frames import Pose, Twist, bearing, compose
 from homeward.simulation.geometry import in_view
 from homeward.simulation.scenario import Course, OdometryErrors, Scenario
 from homeward.simulation.world import Stream, World, generator, quantise

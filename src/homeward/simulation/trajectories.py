@@ -9,11 +9,10 @@ from typing import Protocol, assert_never
 
 import numpy as np
 
-from homeward.control import Twist, homing
+from homeward.control.following import COAST_S, Follower, Path, State
+from homeward.control.laws import Slope, homing, law_named, steer, way_home
 from homeward.errors import InputError
-from homeward.following import COAST_S, Follower, Path, State
-from homeward.frames import Polar, Pose, bearing, between, to_polar
-from homeward.laws import Slope, law_named, steer, way_home
+from homeward.frames import Polar, Pose, Twist, bearing, between, to_polar
 from homeward.simulation.repeating import place_of
 from homeward.simulation.scenario import ByPoints, Circle, Course, Homing, Repeat, Teach, Waypoints
 
@@ -202,7 +201,7 @@ class BearingControl(Control):
     trajectory : Homing
         Speed, and how near is home.
     slope : callable
-        Of `homeward.laws.LAWS`.
+        Of `homeward.control.laws.LAWS`.
     home : mapping of str to float
         Home bearings [rad] by their ids.
     """

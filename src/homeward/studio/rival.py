@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, compose
+from homeward.frames import Pose, Twist, compose
 from homeward.registry import make_estimator
 
 NAMED = 0.5

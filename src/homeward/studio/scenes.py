@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control.laws import LAWS
 from homeward.errors import InputError
 from homeward.frames import Pose, bearing, compose
-from homeward.laws import LAWS
 from homeward.simulation.files import load_scenario
 from homeward.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
 from homeward.simulation.world import World, build_world

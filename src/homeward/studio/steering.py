@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from homeward.angles import wrap
-from homeward.control import Twist
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist
 from homeward.simulation.live_robot import STAND, LiveRobot
 from homeward.simulation.scenario import Homing, Scenario
 from homeward.simulation.trajectories import Control, make_control

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from homeward.angles import wrap
-from homeward.control import Twist, homing
+from homeward.control.laws import homing
 from homeward.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.engine.batch.job import Draw, Given, Job, Result, given_values
 from homeward.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.steps import named_function
-from homeward.frames import Polar
+from homeward.frames import Polar, Twist
 from homeward.model import POLAR, discretise, true_bearings, unicycle_rates
 
 Law = Callable[[Polar, ca.SX], Twist]

@@ -7,9 +7,8 @@ from bisect import bisect_right
 from collections import deque
 
 from homeward.angles import wrap
-from homeward.control import Twist, advance
 from homeward.estimator import TwistHold
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist, advance
 from homeward.live.messages import OdometryIn
 
 PATH_S = 3.0

@@ -10,12 +10,13 @@ import casadi as ca
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist, homing
+from homeward.control.laws import homing
 from homeward.engine.batch.homing import Law, homing_program
 from homeward.engine.program.stages import Machine
 from homeward.filters.augmented import augmented_ekf
 from homeward.filters.ekf import ExtendedKalmanFilter
 from homeward.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.frames import Twist
 from homeward.model import POLAR, PolarModel
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world

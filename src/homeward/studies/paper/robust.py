@@ -8,7 +8,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
-from homeward.control import Twist, advance, homing
+from homeward.control.laws import homing
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -20,7 +20,16 @@ from homeward.drives.drive import (
     Start,
 )
 from homeward.estimator import Status
-from homeward.frames import Polar, Pose, bearing, from_polar, polar_covariance_to_pose, to_polar
+from homeward.frames import (
+    Polar,
+    Pose,
+    Twist,
+    advance,
+    bearing,
+    from_polar,
+    polar_covariance_to_pose,
+    to_polar,
+)
 from homeward.registry import make_estimator
 from homeward.studies.paper.cases import polar_errors
 from homeward.studies.paper.many import Errors, errors_over

@@ -6,8 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from homeward.control import STOP_RADIUS, Integration
+from homeward.control.laws import STOP_RADIUS
 from homeward.drives.drive import Finite, NonNegative, Positive, Strict
+from homeward.frames import Integration
 from homeward.simulation.scenario import ascending
 
 Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]

@@ -14,8 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from homeward.control import Twist, advance
-from homeward.frames import Pose
+from homeward.frames import Pose, Twist, advance
 from homeward.studies.planning.floor import Floor
 from homeward.studies.planning.settings import Plan
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from homeward.control import STOP_RADIUS
+from homeward.control.laws import STOP_RADIUS
 from homeward.drives.drive import Positive, Strict
 from homeward.drives.text.files import is_there, shipped_yaml
 from homeward.drives.text.settings import read_tree, validated

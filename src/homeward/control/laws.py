@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
 from homeward.errors import InputError
+from homeward.frames import Polar, Twist
 from homeward.plugins import LAWS as GROUP
 from homeward.plugins import fault, load
 
+STOP_RADIUS = 0.05
+"""Home counts as reached within this distance [m]; the paper does not say."""
 Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """From the directions of landmarks now and at home (k,) [rad], both in the home frame, to the way
 home (2,): minus the gradient of a cost."""
@@ -121,6 +123,27 @@ def way_home(
     length, slope_size = math.hypot(*step), math.hypot(*down)
     x, y = down * (length / slope_size if slope_size else 0.0)
     return float(x), float(y)
+
+
+def homing(polar: Polar, speed: Any) -> Twist:
+    """Return the paper's command, ``omega = pi - (alpha - theta)`` wrapped, at constant speed.
+
+    The gain is 1/s. Home is reached from any pose with R well above ``speed * 1 s``; closer than
+    that the law cannot turn fast enough, and the robot goes round once more.
+
+    Parameters
+    ----------
+    polar : Polar
+        Where the robot believes it is: R [m], theta [rad], alpha [rad]; floats, arrays or symbols.
+    speed : float or casadi.SX
+        [m/s]
+
+    References
+    ----------
+    Patil, Thakkar, Vachhani, "State Estimation for Vision-based Localization under Uncertain
+    Conditions".
+    """
+    return Twist(speed, wrap(math.pi - (polar.alpha - polar.theta)))
 
 
 def steer(x: float, y: float, heading: float, speed: float, max_turn_rate: float) -> Twist:

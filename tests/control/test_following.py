@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control import advance
-from homeward.following import (
+from homeward.control.following import (
     COAST_S,
     LOOKAHEAD,
     PATIENCE_S,
@@ -17,7 +16,7 @@ from homeward.following import (
     Path,
     State,
 )
-from homeward.frames import Pose
+from homeward.frames import Pose, advance
 
 DT = 0.05
 CORNERS = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])

@@ -1,14 +1,21 @@
-"""Homing laws: their costs, what is proved of them, and drives home by them."""
+"""Homing laws: the paper's on every number type; costs, proofs and drives home of the others."""
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from homeward.control import advance
+from homeward.control.laws import (
+    LAWS,
+    average_landmark_vector,
+    homing,
+    squared_angles,
+    steer,
+    way_home,
+)
 from homeward.errors import InputError
-from homeward.frames import Pose
-from homeward.laws import LAWS, average_landmark_vector, squared_angles, steer, way_home
+from homeward.frames import Polar, Pose, advance
 from homeward.simulation.course import Ending
 from homeward.simulation.files import load_scenario
 from homeward.simulation.simulate import simulate
@@ -85,7 +92,9 @@ def test_the_way_is_about_right_where_few_landmarks_are_in_sight_on_one_side():
 
 
 def test_a_law_of_another_package_drives_home(tmp_path, monkeypatch):
-    (tmp_path / "law_of_mine.py").write_text("from homeward.laws import squared_angles as mine\n")
+    (tmp_path / "law_of_mine.py").write_text(
+        "from homeward.control.laws import squared_angles as mine\n"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     changes = {"trajectory.law": "law_of_mine:mine", "moved.count": 0, "noise.bearing_sigma": 0.002}
     assert simulate(load_scenario("paper-homing", changes)).final_distance < 0.2
@@ -124,3 +133,33 @@ def test_each_law_drives_home_where_bearings_are_right(law, seed):
 def test_with_a_camera_that_sees_nothing_it_searches_until_time_is_up():
     changes = {"trajectory.law": "alv", "visibility.probability": 0, "trajectory.duration": 5}
     assert simulate(load_scenario("paper-homing", changes)).ending is Ending.TIME_UP
+
+
+@pytest.mark.parametrize(
+    ("theta", "alpha", "omega"),
+    [
+        (0.0, math.pi, 0.0),  # looks at home already
+        (0.5, 0.5 - math.pi, 0.0),
+        (-0.872, 0.349, math.pi - 1.221),  # the paper's start
+        (0.0, math.pi - 0.2, 0.2),  # home to the left: turn left
+        (0.0, math.pi + 0.2, -0.2),
+        (0.0, 0.0, math.pi),  # looks away
+        (3.0, -3.0, math.pi - (-6.0 + 2 * math.pi)),  # the shorter way round
+    ],
+)
+def test_turns_by_the_error_of_its_heading(theta, alpha, omega):
+    twist = homing(Polar(1.0, theta, alpha), 0.125)
+    assert twist.v == 0.125
+    assert twist.omega == pytest.approx(omega, abs=1e-12)
+
+
+def test_is_the_same_on_arrays_and_symbols():
+    rng = np.random.default_rng(0)
+    theta, alpha = rng.uniform(-4, 4, (2, 50))
+    each = [homing(Polar(1.0, a, b), 0.3).omega for a, b in zip(theta, alpha, strict=True)]
+    on_array = homing(Polar(1.0, theta, alpha), 0.3).omega
+    np.testing.assert_array_equal(on_array, each)
+    polar = Polar(*(ca.SX.sym(name) for name in ("R", "theta", "alpha")))
+    function = ca.Function("law", list(polar), [homing(polar, 0.3).omega])
+    on_symbols = [float(function(1.0, a, b)) for a, b in zip(theta, alpha, strict=True)]
+    np.testing.assert_allclose(on_symbols, each, atol=1e-14)

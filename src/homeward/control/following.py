@@ -28,8 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.control import Twist
-from homeward.frames import Pose, bearing
+from homeward.frames import Pose, Twist, bearing
 
 LOOKAHEAD = 0.4
 """The aim is so far ahead [m]: several times what a pose is off, so that its noise hardly steers,
@@ -51,6 +50,7 @@ STUCK_M = 0.5
 RETRY_S, PATIENCE_S = 5.0, 30.0
 """A stuck robot tries again after so long; one that got nowhere for so long gives up [s]."""
 STAND = Twist(0.0, 0.0)
+NO_POSE = "no pose to rely on"
 
 
 class Stop(NamedTuple):
@@ -202,7 +202,7 @@ class Follower:
         if blocked:
             return self._hold(blocked if isinstance(blocked, str) else "blocked", t)
         if pose is None or t - self._sure > COAST_S:
-            return self._hold("no pose to rely on", t)
+            return self._hold(NO_POSE, t)
         if self._is_stuck(t, pose):
             return self._hold("blocked: told to drive, and did not get on", t)
         twist = self._along(t, pose)

@@ -1,0 +1,1 @@
+"""Control of a robot, real or simulated: homing laws, routes, limits and watchdogs."""

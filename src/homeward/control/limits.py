@@ -1,0 +1,45 @@
+"""Limits within which a robot is driven; the defaults suit a small robot."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from homeward.drives.drive import NonNegative, Positive, Strict
+from homeward.frames import Twist
+
+PositiveOrInf = Annotated[float, Field(gt=0)]
+NonNegativeOrInf = Annotated[float, Field(ge=0)]
+
+
+class Limits(Strict):
+    """Limits of a drive to a goal; an infinite one does not limit."""
+
+    speed: Positive = 0.25
+    """The most [m/s]."""
+    turn_rate: Positive = 1.0
+    """The most [rad/s]."""
+    acceleration: PositiveOrInf = 0.5
+    """Of the speed, up and down; what is unsafe stops at once [m/s^2]."""
+    turn_acceleration: PositiveOrInf = 3.0
+    """Of the turn rate [rad/s^2]."""
+    radius: Positive = 0.03
+    """Home is reached where the robot is localised within this distance [m]."""
+    largest_sigma: PositiveOrInf = 0.25
+    """With a less certain position it stands [m]; the larger axis of the 1-sigma ellipse."""
+    coast: NonNegativeOrInf = 1.0
+    """It drives on for this long while not localised, as long as it has a pose; also for this long
+    without a landmark in view, unless the noise of odometry is given [s]."""
+    patience: PositiveOrInf = 10.0
+    """After standing so long for one reason after another it gives up [s]."""
+    obstacle_distance: NonNegative = 0.3
+    """It stands before anything nearer, where something tells how far the way is free [m]."""
+
+    def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
+        """Return the twist nearest to the wanted one that is reached from the last in `dt` [s]."""
+        dv, domega = (max(a * dt, 0.0) for a in (self.acceleration, self.turn_acceleration))
+        return Twist(
+            max(last.v - dv, min(last.v + dv, wanted.v)),
+            max(last.omega - domega, min(last.omega + domega, wanted.omega)),
+        )
