@@ -1,5 +1,6 @@
 """Never lost for ever, and no robot that was carried believes that its landmarks were."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,8 +11,10 @@ from test_found_out import Logged
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Innovation, Status
 from homeward.frames import Pose
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
-from homeward.localizer.recovery.detectors import SceneChangeDetector
+from homeward.localizer.recovery.monitor import SceneChangeDetector
 from homeward.localizer.smoothing import smooth
 
 
@@ -89,19 +92,20 @@ def innovations(names, accepted):
 
 
 def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
-    marks, here = np.array(list(ring(12).values())), np.zeros(3)
+    mean = np.concatenate([np.zeros(HEAD), np.array(list(ring(12).values())).ravel()])
+    marks, here = Marginal(mean, np.eye(mean.size)), Motion.identity()
     old, new = [f"a{i}" for i in range(6)], [f"b{i}" for i in range(6)]
     for turned, mapped, expected in ((0.0, [], True), (1.0, [], False), (0.0, new, False)):
         scene = SceneChangeDetector()
-        assert not scene.has_changed(new, [], here, marks)  # nothing was known before
-        assert not scene.has_changed(old, innovations(old, True), here, marks)
-        there = np.array([0.1, 0.0, turned])
-        said = scene.has_changed(new, innovations(mapped, True), there, marks)
+        assert not scene.has_changed(new, [], marks, here)  # nothing was known before
+        assert not scene.has_changed(old, innovations(old, True), marks, here)
+        there = dataclasses.replace(here, delta=np.array([0.1, 0.0, turned]))
+        said = scene.has_changed(new, innovations(mapped, True), marks, there)
         assert said is expected
     # One that was known, and does not fit any more, changes nothing.
     scene = SceneChangeDetector()
-    scene.has_changed(old, innovations(old, True), here, marks)
-    assert scene.has_changed([*new, "a0"], innovations(["a0"], False), here, marks)
+    scene.has_changed(old, innovations(old, True), marks, here)
+    assert scene.has_changed([*new, "a0"], innovations(["a0"], False), marks, here)
 
 
 def mix_up(rig, seconds):

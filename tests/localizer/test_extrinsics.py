@@ -13,7 +13,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import NC
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.preintegration import MOUNT
-from homeward.localizer.output.pose import PoseEstimate
+from homeward.localizer.output.pose import CommonErrors, PoseEstimate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import GIVEN_WRONG
 
@@ -69,7 +69,7 @@ def test_a_camera_at_the_centre_is_left_there(seed):
 def test_what_was_told_is_not_doubted():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0, "yaw": 0.3})
     rig.drive(60)
-    assert np.abs(rig.localizer.chart.map.state.calibration[MOUNT]).max() < 0.02
+    assert np.abs(rig.localizer.chart.map.smoother.state.calibration[MOUNT]).max() < 0.02
     assert rig.error() < 0.05
     wrong = Extrinsics(DriveSettings(sensor=Sensor(x=0.5, y=0.0, yaw=0.0)), LocalizerSettings())
     assert not wrong.test(*told_by_map(np.array([0.5, 0.5, 0.5]), 1e4, wrong.sigmas))
@@ -143,7 +143,9 @@ def test_an_error_of_the_cameras_place_matters_as_far_as_the_robot_is_turned_fro
     off = np.array([0.03, -0.02])
     c, s = math.cos(heading), math.sin(heading)
     error = np.array([[c, -s], [s, c]]) @ off - off
-    told = PoseEstimate(camera, nothing).with_assumed_mount(np.outer(off, off), True)
+    errors = CommonErrors(assumed_mount=np.outer(off, off))
+    told = PoseEstimate(camera, nothing).after(None, errors)
     assert told.covariance[:2, :2] == pytest.approx(np.outer(error, error), abs=1e-12)
-    other = PoseEstimate(camera, nothing).with_assumed_mount(np.outer(off, off), False)
+    errors.same_camera = False
+    other = PoseEstimate(camera, nothing).after(None, errors)
     assert np.trace(other.covariance) == pytest.approx(off @ off)

@@ -40,7 +40,7 @@ def test_the_sample_with_late_bearings_keeps_its_map(late, bound):
     localizer = Localizer(drive.home, **robot)
     track = run(dataclasses.replace(drive, sightings=seen), localizer)
     assert localizer.chart.map.begun == track.t[0]
-    assert localizer.chart.map.state.calibration[LAG] == pytest.approx(late, abs=0.03)
+    assert localizer.chart.map.smoother.state.calibration[LAG] == pytest.approx(late, abs=0.03)
     e = errors(track, drive.truth)
     assert statistics(e.position, e.weight).rmse < bound  # late by 0.2 m/s: 0.04 to 0.08 m
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.map import gating as gate
-from homeward.localizer.map.state import HEAD, Prediction
+from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.preintegration import NC, Motion
 
 
@@ -103,7 +103,7 @@ def ahead(residual, sigma=0.01):
     angle = 2.0 * np.pi * np.arange(m) / m
     jacobian = np.zeros((m, HEAD + 2))
     jacobian[:, HEAD:] = np.stack([-np.sin(angle), np.cos(angle)], axis=1) / 3.0
-    return Prediction(residual, jacobian, np.zeros((m, HEAD + 2)), sigma**2 * np.eye(m))
+    return gate.Prediction(residual, jacobian, np.zeros((m, HEAD + 2)), sigma**2 * np.eye(m))
 
 
 def by_shift(m, shift):

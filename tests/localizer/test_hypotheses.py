@@ -20,9 +20,9 @@ from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_
 from homeward.localizer.home.problem import USUAL, HomeProblem
 from homeward.localizer.map.range_mixture import range_mixture
 from homeward.localizer.output.pose import (
+    PoseEstimate,
     centre,
     combined_estimate,
-    in_home_frame,
     landmark_distance,
     other_hypotheses,
 )
@@ -107,7 +107,7 @@ def two_hypotheses(weights=(0.6, 0.4)):
 def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_around_it():
     both = two_hypotheses()
     rng = np.random.default_rng(0)
-    parts = [in_home_frame(f) for f in both.fits]
+    parts = [PoseEstimate.of(*f.in_home_frame) for f in both.fits]
     samples = np.concatenate(
         [
             rng.multivariate_normal(np.array(a.pose), a.covariance, round(4e5 * w))

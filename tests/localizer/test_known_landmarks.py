@@ -81,7 +81,7 @@ class SurveyedRig(Rig):
 
     def scale(self):
         """How many deviations the map's scale is off, and the deviation [1]."""
-        state = self.localizer.chart.map.state
+        state = self.localizer.chart.map.smoother.state
         sigma = math.sqrt(state.calibration_variances[SPEED_SCALE])
         return (state.calibration[SPEED_SCALE] - SCALE) / sigma, sigma
 

@@ -24,7 +24,8 @@ def known(heading_sigma=0.01, mapped=NAMES):
     covariance = 1e-4 * np.eye(HEAD + 2 * len(NAMES))
     covariance[2, 2] = heading_sigma**2
     state = Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
-    return SimpleNamespace(state=state, landmarks=SimpleNamespace(mapped=mapped))
+    landmarks, smoother = SimpleNamespace(mapped=mapped), SimpleNamespace(state=state)
+    return SimpleNamespace(smoother=smoother, landmarks=landmarks)
 
 
 def drifted(shift=0.0, turn=0.0):
@@ -39,7 +40,8 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
         for i, n in enumerate(names)
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
-    gated = Gated(frame, drifted(), False, np.zeros((0, 6)), np.zeros(0), None, innovations, False)
+    rows, lines = np.zeros((0, 6)), np.zeros(0)
+    gated = Gated(frame, drifted(), False, rows, lines, None, innovations, {}, False)
     return monitor.assess_innovations(gated, known())
 
 

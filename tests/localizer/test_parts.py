@@ -14,10 +14,12 @@ from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map import elimination
+from homeward.localizer.map.gating import bearing_residuals
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.sightings import Frames, bearing_residuals
+from homeward.localizer.map.sightings import Frames
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.preintegration import (
@@ -29,7 +31,7 @@ from homeward.localizer.motion.preintegration import (
     camera_on_robot,
 )
 from homeward.localizer.motion.twists import MEAN_S
-from homeward.localizer.recovery.detectors import SlipDetector
+from homeward.localizer.recovery.monitor import SlipDetector
 
 NOTHING = np.zeros(len(CALIBRATION))
 
@@ -158,7 +160,8 @@ def test_bearings_have_the_derivatives_they_say():
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
-    frames.add(0, motion.compose(camera_on_robot(mount, calibration)))
+    nothing = WeighedFrame(0.0, [], np.zeros(0), np.zeros(0))
+    frames.add(0, motion.compose(camera_on_robot(mount, calibration)), nothing)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):

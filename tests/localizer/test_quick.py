@@ -9,9 +9,9 @@ from rig import Rig, Wheels, ring
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import MAX_HOME_LANDMARKS
-from homeward.localizer.map.sightings import LANDMARK, sighting_rows
+from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.preintegration import NC, Motion, camera_on_robot
+from homeward.localizer.motion.preintegration import NC, camera_on_robot
 from homeward.localizer.smoothing import bridged
 
 SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.001])
@@ -50,9 +50,8 @@ def seen(rng, window):
     bearings = np.arctan2(*(POINTS - eye).T[::-1]) - psi + 0.005 * rng.normal(size=len(POINTS))
     sigmas = np.full(len(POINTS), 0.005)
     look = WeighedFrame(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
-    rows = sighting_rows(window.newest, window.frames.next, look)
     camera = camera_on_robot(MOUNT, window.state.calibration)
-    window.frames.add(window.newest, Motion.identity().compose(camera))
+    rows = window.frames.add(window.newest, camera, look)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows
 

@@ -53,7 +53,7 @@ def test_wrong_bearings_from_the_start_bend_no_map(seed):
 
     rig.drive(20, see=wild)
     assert rig.wrong_share() < 0.02
-    assert abs(rig.localizer.chart.map.state.calibration[TURN_SLIP]) < 0.1
+    assert abs(rig.localizer.chart.map.smoother.state.calibration[TURN_SLIP]) < 0.1
     assert rig.answers[-1][0].status is Status.LOCALISED
 
 

@@ -20,6 +20,7 @@ from homeward.drives.drive import (
 )
 from homeward.drives.one_clock import on_one_clock
 from homeward.estimator import HOLD_S, MAX_HOLD_S, Status, hold_time
+from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.localizer import Localizer
@@ -172,11 +173,11 @@ def test_a_robot_that_stands_among_walkers_has_no_dead_odometry(outliers):
 
 
 def test_odometry_that_lags_is_not_dead():
-    dead = DeadOdometry()
+    dead, noise = DeadOdometry(), BearingNoise(0.01, 0.01)
     for k in range(200):
         t = 0.1 * k
         dead.odometry(t, 0.5 if t > 10.0 else 0.0, 0.0)
-        dead.bearings(t, {f"L{i}": i + 0.3 * max(t - 9.4, 0.0) for i in range(6)}, {}, 0.01)
+        dead.bearings(t, {f"L{i}": i + 0.3 * max(t - 9.4, 0.0) for i in range(6)}, {}, noise)
         assert not dead.is_dead
 
 

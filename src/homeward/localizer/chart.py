@@ -29,9 +29,8 @@ from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
-from homeward.localizer.recovery.detectors import odometry_lost
 from homeward.localizer.recovery.first_fix import FirstFix
-from homeward.localizer.recovery.monitor import Health, Monitor
+from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
 from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
@@ -108,7 +107,7 @@ class Chart:
         """Integrate the odometry after a twist of `t` [s] has arrived."""
         self.odometry.rewind(t)
         if t - self.odometry.end > ADVANCE_S:
-            self.odometry.run_ahead(t, self.map.state.calibration)
+            self.odometry.run_ahead(t, self.map.smoother.state.calibration)
 
     def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
         """Process all bearings of one stamp; return their innovations.
@@ -125,7 +124,8 @@ class Chart:
             return []
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
-        motion = self.odometry.advance(seen.t, self.map.state.calibration)  # 2 preintegration
+        calibration = self.map.smoother.state.calibration
+        motion = self.odometry.advance(seen.t, calibration)  # 2 preintegration
         rates = self.process_noise.rates
         self._contradiction.add_bearings(seen, self.map, motion, rates, self._twists)
         gated = found = None
@@ -198,7 +198,7 @@ class Chart:
         if self.monitor.is_lost:
             words = complaint or self.monitor.reason.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        state, moved = self.map.state, None
+        state, moved = self.map.smoother.state, None
         motion = self.odometry.motion(t, state.calibration)
         if odometry_lost(motion, state):
             words = complaint or Reason.LOST.words
@@ -213,21 +213,21 @@ class Chart:
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
-        return self._contradiction.applied(found, state.pose_after(motion)[0])
+        return self._contradiction.applied(found, state, motion)
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, by name; of home only if `judge`."""
         hypotheses = self.home.hypotheses if judge else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
-        observed, calibration = self.home.observation, self.map.state.calibration
+        observed, calibration = self.home.observation, self.map.smoother.state.calibration
         return LandmarkReport(
             observed.with_noise(self.noise),
             observed.yaw(calibration, self.extrinsics.contradicted),
             self.map.landmarks,
             self.home.names,
             hypotheses,
-            self.map.registration.in_home_frame(self.map.state),
+            self.map.registration.in_home_frame(self.map.smoother.state),
             self.map.registration.survey,
         ).landmarks()
 
@@ -236,7 +236,7 @@ class Chart:
         known = self.map.registration
         if not known.survey.places or known.knows_home or self.map.landmarks.expected:
             return
-        state = self.map.state
+        state = self.map.smoother.state
         eye, _ = state.pose_after(self.map.camera(motion))
         variances = state.propagate(motion).covariance.diagonal()[:3]
         found = self._first_fix.add_frame(seen, eye, variances)
@@ -294,7 +294,8 @@ class Chart:
         """Update the map by accepted bearings; return whether there is a new solution."""
         if not self.map.inflate(gated):
             return False
-        moved = self.monitor.moved_landmarks(self.map.landmarks.update_rejections(gated.fits))
+        rejected = self.map.landmarks.update_rejections(gated.fits)
+        moved = self.monitor.moved_landmarks(rejected) if rejected else []
         try:
             changed = self.map.update(gated, moved)
             carried = carried_since(self.map.landmarks) if changed else None
@@ -317,16 +318,16 @@ class Chart:
         search = self.monitor.search
         since = search.motion_since(motion)
         search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
-        found = search.find(self.map.landmarks, self.map.state)
+        found = search.find(self.map.landmarks, self.map.smoother.state)
         if found is None and self.monitor.is_lost:
             camera, driven = self.map.camera(Motion.identity()), self.monitor.driven(since)
-            found = find_by_frame(seen, camera, self.map.landmarks, self.map.state, driven)
+            found = find_by_frame(seen, camera, self.map.landmarks, self.map.smoother.state, driven)
             since = Motion.identity()
         if found is None:
             if self.monitor.is_lost:
                 self.counts.reject(Rejection.LOST, len(seen.names))
             return False
-        reset = pose_reset(self.map.state.mean[:3], *found).compose(since)
+        reset = pose_reset(self.map.smoother.state.mean[:3], *found).compose(since)
         try:
             self.map.reset_pose(seen, reset)
         except np.linalg.LinAlgError:
@@ -341,17 +342,18 @@ class Chart:
         """Update home after a change of the map, and the integrity monitor."""
         self.home.update(self.map)
         self.share_extrinsics(self._integrity)
-        self._integrity.scale_variance = self.map.scale_variance
+        self._integrity.set_scale_variance(self.map.scale_variance)
         solved = self.map.solved and not self._coasts(now)
         self._integrity.update(self.home.hypotheses, solved, self.home.stayed(self.map))
 
     def share_extrinsics(self, integrity: IntegrityMonitor) -> None:
         """Let an integrity monitor know how uncertain the camera's position on the robot is."""
-        observed, state = self.home.observation, self.map.state
+        observed, state = self.home.observation, self.map.smoother.state
         calibration = state.calibration, state.calibration_variances
-        integrity.same_camera = observed.same_camera
-        integrity.mount_covariance = observed.mount_covariance(state)
-        integrity.assumed_mount = self.extrinsics.assumed_covariance(*calibration, state.scale)
+        integrity.errors.same_camera = observed.same_camera
+        integrity.errors.mount = observed.mount_covariance(state)
+        assumed = self.extrinsics.assumed_covariance(*calibration, state.scale)
+        integrity.errors.assumed_mount = assumed
 
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""

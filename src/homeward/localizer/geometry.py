@@ -78,8 +78,15 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``compose(a, b)`` and its Jacobians by a and by b, (..., 3, 3) each."""
-    there = compose(a, b)
-    return there, lever(there - a), rotation(a[..., 2])
+    if not a.ndim == b.ndim == 1:
+        there = compose(a, b)
+        return there, lever(there - a), rotation(a[..., 2])
+    (x, y, heading), (ahead, aside, turn) = a.tolist(), b.tolist()
+    c, s = math.cos(heading), math.sin(heading)
+    to_x, to_y = x + c * ahead - s * aside, y + s * ahead + c * aside
+    by_a = np.array([[1.0, 0.0, y - to_y], [0.0, 1.0, to_x - x], [0.0, 0.0, 1.0]])
+    by_b = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([to_x, to_y, heading + turn]), by_a, by_b
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

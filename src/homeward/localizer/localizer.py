@@ -119,9 +119,9 @@ class Localizer:
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.notes
-        extrinsics, calibration = self.chart.extrinsics, self.chart.map.state.calibration
+        extrinsics, calibration = self.chart.extrinsics, self.chart.map.smoother.state.calibration
         survey = self.chart.map.registration.survey
-        scale = survey.notes(self.chart.map.state) if survey.known.tells else self._notes
+        scale = survey.notes(self.chart.map.smoother.state) if survey.known.tells else self._notes
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
         wheels = *self._plausibility.notes, *self._dead.notes
         return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
@@ -187,7 +187,7 @@ class Localizer:
         given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, valid))
-        self._dead.bearings(t, usable, valid, self.chart.noise.sigma)
+        self._dead.bearings(t, usable, valid, self.chart.noise)
         innovations = self._process_due()
         return self._estimate(t, innovations, said)
 
@@ -217,7 +217,7 @@ class Localizer:
     @property
     def mount(self) -> Pose | None:
         """The estimated pose of the camera on the robot; None where it is as given or assumed."""
-        return self.chart.extrinsics.estimate(self.chart.map.state.calibration)
+        return self.chart.extrinsics.estimate(self.chart.map.smoother.state.calibration)
 
     @property
     def chart(self) -> Chart:
@@ -309,7 +309,7 @@ class Localizer:
 
     def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
-        for chart in self.charts:
+        for chart in self.charts if number else ():
             chart.counts.reject(why, number)
 
     def _is_too_late(self, t: float) -> bool:
@@ -333,9 +333,9 @@ class Localizer:
             frame = frame._replace(sightings=seen)
         if not frame.sightings:
             return []
-        if self._twists.before(frame.t) is not None:
-            reckoned = [self._twists.reckoned(t) for t in (frame.t - LAGS).tolist()]
-            self._sign_check.bearings(frame.t, frame.sightings, np.array(reckoned).T)
+        reckoned = self._twists.reckoned_at((frame.t - LAGS).tolist())
+        if reckoned is not None:
+            self._sign_check.bearings(frame.t, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, self._t)
         if self._beside is not None:
             return self._update_beside(self._beside, frame, innovations)

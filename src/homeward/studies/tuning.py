@@ -207,8 +207,8 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
         raise HomewardError(
             f"{drive.name}: in its first half the robot moves too little for its odometry's noise"
         )
-    calibration = chart.map.state.calibration
-    variances = chart.map.state.calibration_variances
+    calibration = chart.map.smoother.state.calibration
+    variances = chart.map.smoother.state.calibration_variances
     off = np.sqrt(calibration**2 + variances)
     noise = Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading))
     return noise, float(off[TURN_SCALE]), float(off[TURN_BIAS])

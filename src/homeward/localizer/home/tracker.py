@@ -84,7 +84,7 @@ class HomeTracker:
         self._surveyed = known.registration.knows_home
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
-        problem = self.problem(known, known.state)
+        problem = self.problem(known, known.smoother.state)
         if now is not None and before == self.names:
             self.hypotheses = self._follow(problem, now, known)
         else:

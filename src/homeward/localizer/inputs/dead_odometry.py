@@ -15,6 +15,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 
+from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.motion.odometry import MAX_LAG_S
 from homeward.localizer.tunables import GATE, MAJORITY, MIN_SIGHTINGS, MINIMAL
 
@@ -92,11 +93,15 @@ class DeadOdometry:
                 self._test(*frame)
 
     def bearings(
-        self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float], default: float
+        self,
+        t: float,
+        bearings: Mapping[str, float],
+        sigmas: Mapping[str, float],
+        noise: BearingNoise,
     ) -> None:
         """Add a frame of stamp `t` [s]: bearings, and standard deviations where given [rad]."""
         if not math.isnan(self._since):
-            self._waiting.append((t, bearings, sigmas, default))
+            self._waiting.append((t, bearings, sigmas, noise.sigma))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from homeward.drives.clock import LATE_S
@@ -53,8 +53,8 @@ class ReorderBuffer:
         self.newest = frame.t
         self._waiting.append(frame)
 
-    def due(self, last_odometry_t: float, now: float) -> Iterator[BearingFrame]:
-        """Yield the frames that need not wait any longer, in order of time.
+    def due(self, last_odometry_t: float, now: float) -> list[BearingFrame]:
+        """Remove and return the frames that need not wait any longer, in order of time.
 
         Parameters
         ----------
@@ -63,11 +63,13 @@ class ReorderBuffer:
         now : float
             The newest stamp of all [s].
         """
+        due = []
         while self._waiting:
             t = self._waiting[0].t
             if last_odometry_t < t < self._waits_until and t >= now - LATE_S:
-                return
-            yield self._waiting.popleft()
+                break
+            due.append(self._waiting.popleft())
+        return due
 
     @property
     def waits(self) -> bool:

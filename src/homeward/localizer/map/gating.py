@@ -1,4 +1,4 @@
-"""Innovation gate and data snooping (Baarda, 1968): which bearings fit the map's prediction.
+"""Predicted bearings, innovation gate and data snooping (Baarda, 1968): which bearings fit.
 
 The gate allows for the noise of odometry, which makes innovations large, and which inflates the
 noise of bearings that are seen between keyframes.
@@ -6,25 +6,122 @@ noise of bearings that are seen between keyframes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cached_property
 from statistics import median
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.special import chdtri
 
+from homeward.angles import wrap
 from homeward.estimator import Innovation
-from homeward.localizer.geometry import rotation
+from homeward.localizer.geometry import sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
-from homeward.localizer.map.state import HEAD, Marginal, Prediction
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import BASELINE, FALSE_ALARM, INFLATION, MAJORITY, MINIMAL, VAGUE
 
 MIN_SIGMA, ROUNDING = 1e-6, 1e-10
 """Smallest standard deviation of a bearing [rad]; smallest share of the largest variance [1]."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted bearings from the newest pose: innovations and their covariance."""
+
+    residual: np.ndarray
+    """(m,): innovations, measured minus expected [rad]."""
+    jacobian: np.ndarray
+    """(m, 13): Jacobian of the expected bearings; see `bearing_residuals`."""
+    correlated: np.ndarray
+    """(m, 3 + 8 + 2 n): cross-covariance of the expected bearings with the state."""
+    innovation_covariance: np.ndarray
+    """(m, m): innovation covariance."""
+
+    def only(self, keep: np.ndarray) -> Prediction:
+        """Return a subset, given by a mask (m,)."""
+        (kept,) = keep.nonzero()
+        if kept.size == keep.size:
+            return self
+        return Prediction(
+            self.residual[kept],
+            self.jacobian[kept],
+            self.correlated[kept],
+            self.innovation_covariance.take(kept, axis=0).take(kept, axis=1),
+        )
+
+    def widened(self, variances: np.ndarray) -> Prediction:
+        """Return it with variances (m,) [rad^2] added."""
+        covariance = self.innovation_covariance.copy()
+        covariance.flat[:: len(covariance) + 1] += variances
+        return Prediction(self.residual, self.jacobian, self.correlated, covariance)
+
+
+def bearing_residuals(
+    bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals of bearings, and the Jacobian of the expected ones.
+
+    Parameters
+    ----------
+    bearings : ndarray, shape (m,)
+        Measured from the camera's axis [rad].
+    eyes, by_head : ndarray, shape (m, 3), (m, 3, 11), or (3,), (3, 11)
+        The camera's pose and its Jacobian; see `Frames.eyes`.
+    positions : ndarray, shape (m, 2)
+        Of the landmarks [m].
+
+    Returns
+    -------
+    residual : ndarray, shape (m,)
+        Measured minus expected [rad], wrapped.
+    jacobian : ndarray, shape (m, 13)
+        Jacobian by keyframe's pose, calibration and landmark.
+    """
+    seen = sight(eyes, positions)
+    by_eye = np.empty((len(bearings), 1, 3))
+    np.negative(seen.by_place, out=by_eye[:, 0, :2])
+    by_eye[:, 0, 2] = -1.0
+    jacobian = np.empty((len(bearings), 5 + NC))
+    jacobian[:, : 3 + NC] = (by_eye @ by_head)[:, 0]
+    jacobian[:, 3 + NC :] = seen.by_place
+    return np.asarray(wrap(bearings - seen.bearing)), jacobian
+
+
+def predict_bearings(
+    state: Marginal,
+    bearings: np.ndarray,
+    sigmas: np.ndarray,
+    cameras: tuple[np.ndarray, np.ndarray],
+    index: np.ndarray,
+) -> Prediction:
+    """Predict bearings from the newest pose: innovations and their covariance.
+
+    Parameters
+    ----------
+    state : Marginal
+        With the newest pose.
+    bearings, sigmas : ndarray, shape (m,)
+        Measured from the camera's axis, and their standard deviations [rad].
+    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11), or (3,) and (3, 11)
+        The camera's poses and Jacobians; see `Frames.eyes`, `pose_after`.
+    index : ndarray, shape (m,), int
+        Indices of the landmarks.
+    """
+    at = HEAD + 2 * index
+    residual, jacobian = bearing_residuals(bearings, *cameras, state.positions[index])
+    head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
+    p = state.covariance
+    by_x, by_y = p.take(at, axis=0), p.take(at + 1, axis=0)
+    correlated = head @ p[:HEAD] + gx * by_x + gy * by_y
+    innovation_covariance = correlated[:, :HEAD] @ head.T
+    innovation_covariance += correlated.take(at, axis=1) * gx.T
+    innovation_covariance += correlated.take(at + 1, axis=1) * gy.T
+    innovation_covariance.flat[:: len(bearings) + 1] += sigmas**2
+    return Prediction(residual, jacobian, correlated, innovation_covariance)
 
 
 @dataclass(frozen=True)
@@ -45,13 +142,10 @@ class Gated:
     """Prediction of the bearings of mapped landmarks ..."""
     innovations: list[Innovation]
     """... and their innovations."""
+    fits: dict[str, bool]
+    """Whether the bearing of each mapped landmark was accepted."""
     contradicts_motion: bool
     """Whether the accepted bearings contradict the motion since the newest keyframe."""
-
-    @cached_property
-    def fits(self) -> dict[str, bool]:
-        """Whether the bearing of each mapped landmark was accepted."""
-        return {i.landmark: i.accepted for i in self.innovations}
 
 
 def gate_bearings(
@@ -216,7 +310,7 @@ def _data_snooping(
 
 def _motion_covariance(motion: Motion, heading: float, prediction: Prediction) -> np.ndarray:
     """Return the covariance of residuals (m, m) by a motion's noise."""
-    off = prediction.jacobian[:, HEAD:]
-    by_motion = off @ rotation(heading)[:2]  # the sign does not matter
+    off, c, s = prediction.jacobian[:, HEAD:], math.cos(heading), math.sin(heading)
+    by_motion = off @ np.array([[c, -s, 0.0], [s, c, 0.0]])  # the sign does not matter
     by_motion[:, 2] = 1.0
     return np.asarray(by_motion @ motion.covariance @ by_motion.T)

@@ -12,7 +12,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.localizer.geometry import sight
-from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.inputs.by_id import MAX_IDS, ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
 from homeward.localizer.map.smoother import Smoother
@@ -154,7 +154,7 @@ class Landmarks:
         self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray
     ) -> None:
         """Add accepted sightings of `t` [s], rows of the table, along directions [rad]."""
-        newest = self.smoother.newest
+        newest = int(rows[0, KEYFRAME]) if len(rows) else 0
         for name, row, line in zip(names, rows, directions.tolist(), strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
@@ -165,7 +165,8 @@ class Landmarks:
                 if not landmark.rejections:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
-        if self._candidates.prune(lambda waiting: waiting.since < t - FORGET_S):
+        known = self._candidates
+        if len(known) > MAX_IDS and known.prune(lambda waiting: waiting.since < t - FORGET_S):
             for name in self.range_mixtures.keys() - self._candidates.keys():
                 del self.range_mixtures[name]
 

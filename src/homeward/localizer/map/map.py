@@ -10,23 +10,25 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.inputs.by_id import MAX_IDS, ById
 from homeward.localizer.map.gating import (
     Gated,
+    Prediction,
     contradicts_motion,
     gate_bearings,
     inflate_by_odometry,
+    predict_bearings,
 )
 from homeward.localizer.map.landmarks import FORGET_S, Landmarks
 from homeward.localizer.map.learning.learner import Learner
-from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA, sighting_rows
+from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.state import Marginal, Prediction
+from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.preintegration import Motion, camera_on_robot
+from homeward.localizer.motion.preintegration import Motion, camera_after
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import CALIBRATION_DRIFT, FALSE_ALARM, NEGLIGIBLE, STANDSTILL
@@ -104,19 +106,15 @@ class Map:
         """Information on the scale by the motions, at the initial process noise [1]."""
 
     @property
-    def state(self) -> Marginal:
-        """State: newest keyframe's pose, calibration and landmarks."""
-        return self.smoother.state
-
-    @property
     def scale_variance(self) -> float:
         """Variance of the map's scale by slips that leave no residuals [1]."""
         common_slip = self._process_noise.common_slip_variance
         return common_slip / max(self._scale_information, common_slip) if common_slip else 0.0
 
-    def camera(self, motion: Motion) -> Motion:
-        """Return the motion from the newest keyframe to the camera after the robot's motion."""
-        return motion.compose(camera_on_robot(self._mount, self.state.calibration))
+    def camera(self, motion: Motion, state: Marginal | None = None) -> Motion:
+        """Return the motion to the camera after the robot's from a `state`, or from the newest."""
+        now = (self.smoother.state if state is None else state).mean[3:HEAD]
+        return camera_after(motion, self._mount, now)
 
     def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions of landmarks when home saw them, as far as known.
@@ -154,7 +152,7 @@ class Map:
         """Return whether the robot is far enough from its newest keyframe, or has stopped."""
         stopped, self._last_path = 0.0 < motion.path == self._last_path, motion.path
         due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
-        scale = self.state.scale if self.landmarks.mapped else 0.0
+        scale = self.smoother.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
         return due and (stopped or shift > STANDSTILL * scale or motion.turned > STANDSTILL)
 
@@ -173,7 +171,7 @@ class Map:
         self._solve_due = not full or since * SOLVES_PER_WINDOW >= kept or not smoother.converged
         if self._pending_rows and not self._solve_due:
             seen = smoother.predict(np.concatenate(self._pending_rows))
-            self._solve_due = not self._apply_if_linear(self.state.update(seen))
+            self._solve_due = not self._apply_if_linear(self.smoother.state.update(seen))
         smoother.add_keyframe(t, motion, inlier_ratios)
         self._counts_here.clear()
         self._pending_rows = []
@@ -190,13 +188,13 @@ class Map:
         new_keyframe : bool
             Whether the newest keyframe is at the end of it, not at its start.
         """
-        since = Motion.identity() if new_keyframe else motion
+        since, state = Motion.identity() if new_keyframe else motion, self.smoother.state
         rows, eye, by_head = self._rows(frame, since)
         (known,) = (rows[:, LANDMARK] >= 0).nonzero()
         bearings, sigmas = frame.bearings[known], frame.sigmas[known]
         index = self.smoother.index(rows[known, LANDMARK])
-        seen = self.state.predict_bearings(bearings, sigmas, (eye, by_head), index)
-        heading = self.state.mean[2] - (motion.delta[2] if new_keyframe else 0.0)
+        seen = predict_bearings(state, bearings, sigmas, (eye, by_head), index)
+        heading = float(state.mean[2]) - (motion.delta[2] if new_keyframe else 0.0)
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
         )
@@ -206,7 +204,8 @@ class Map:
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
         lines = eye[2] + frame.bearings
         contradicted = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
-        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, contradicted)
+        fits = dict(zip(names, accepted.tolist(), strict=True))
+        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, fits, contradicted)
 
     def drop_frame(self) -> None:
         """Drop the frame that was gated last, before an update with it."""
@@ -219,7 +218,7 @@ class Map:
         """
         if gated.new_keyframe:
             return True
-        arguments = gated.motion, len(self._pending_rows) + 1, gated.prediction, self.state
+        arguments = gated.motion, len(self._pending_rows) + 1, gated.prediction, self.smoother.state
         widened = inflate_by_odometry(gated.rows, *arguments)
         if widened is None:
             self._counts.reject(Rejection.VAGUE_ODOMETRY, len(gated.frame.names))
@@ -247,7 +246,7 @@ class Map:
         rows, prediction = gated.rows, gated.prediction
         kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
-        changed = self.landmarks.reinitialise(moved) or fixed
+        changed = bool(moved and self.landmarks.reinitialise(moved)) or fixed
         rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:
@@ -292,9 +291,9 @@ class Map:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a frame as rows of the table of sightings, with its camera's pose and Jacobian."""
         newest, camera = self.smoother.newest, self.camera(motion)
-        rows = sighting_rows(newest, self.smoother.frames.add(newest, camera), frame)
+        rows = self.smoother.frames.add(newest, camera, frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        return rows, *self.state.pose_after(camera)
+        return rows, *self.smoother.state.pose_after(camera)
 
     def _add_sightings(
         self,
@@ -318,8 +317,10 @@ class Map:
                 self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
-        self._last_seen.prune(lambda last: last < t - FORGET_S)  # no error lasts so long
-        self._counts.reject(Rejection.STANDING, skipped)
+        if len(self._last_seen) > MAX_IDS:
+            self._last_seen.prune(lambda last: last < t - FORGET_S)  # no error lasts so long
+        if skipped:
+            self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))
         if skipped == len(names):
             self.smoother.frames.drop_newest()
@@ -342,7 +343,7 @@ class Map:
         if initialised:
             self.registration.fix_expected()
         due = initialised or self._solve_due
-        if seen is None or due or not self._apply_if_linear(self.state.update(seen)):
+        if seen is None or due or not self._apply_if_linear(self.smoother.state.update(seen)):
             self._solve()
         else:
             self.solved = False
@@ -352,7 +353,7 @@ class Map:
         """Accept an EKF update if it is near enough to linear; return whether it was."""
         if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
             return False
-        turned = abs(updated.mean[2] - self.state.mean[2])
+        turned = abs(updated.mean[2] - self.smoother.state.mean[2])
         moved = updated.positions - self._solved_positions
         if turned > NEGLIGIBLE or (np.hypot(*moved.T) > NEGLIGIBLE * updated.reach).any():
             return False

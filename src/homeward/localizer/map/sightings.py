@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.localizer.geometry import composition, sight
+from homeward.localizer.geometry import composition
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motion.preintegration import NC, Motion
@@ -39,13 +38,23 @@ class Frames:
         """Number of the next frame."""
         return self.first + len(self.keyframes)
 
-    def add(self, keyframe: int, camera: Motion) -> int:
-        """Add a frame, `camera` being the motion from its keyframe; return its number."""
-        number = self.next
+    def add(self, keyframe: int, camera: Motion, frame: WeighedFrame) -> np.ndarray:
+        """Add a frame, `camera` being the motion from its keyframe.
+
+        Returns
+        -------
+        ndarray, shape (m, COLUMNS)
+            Its rows in the table of sightings, with landmarks still open (-1).
+        """
+        rows = np.empty((len(frame.names), COLUMNS))
+        rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
+        rows[:, FRAME], rows[:, TIME] = self.first + len(self.keyframes), frame.t
+        rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
+        uncalibrated = camera.delta - camera.jacobian @ camera.calibration
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
-        self.free = np.concatenate([self.free, camera.uncalibrated[None]])
+        self.free = np.concatenate([self.free, uncalibrated[None]])
         self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
-        return number
+        return rows
 
     def drop_newest(self) -> None:
         """Drop the newest frame."""
@@ -99,27 +108,6 @@ class Frames:
         return eyes, np.concatenate([by_pose, by_camera @ self.jacobians], axis=2)
 
 
-def sighting_rows(keyframe: int, number: int, frame: WeighedFrame) -> np.ndarray:
-    """Return rows of the table for one frame, with landmarks still open (-1).
-
-    Parameters
-    ----------
-    keyframe, number : int
-        Numbers of the keyframe, and of the frame.
-    frame : WeighedFrame
-        Of m landmarks.
-
-    Returns
-    -------
-    ndarray, shape (m, COLUMNS)
-    """
-    rows = np.empty((len(frame.names), COLUMNS))
-    rows[:, KEYFRAME], rows[:, FRAME], rows[:, LANDMARK] = keyframe, number, -1
-    rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
-    rows[:, GAP], rows[:, TIME] = np.inf, frame.t
-    return rows
-
-
 def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:
     """Return effective standard deviations of rows (m,) [rad]: larger for correlated errors."""
     excess = correlated.excess(rows[:, GAP])
@@ -131,34 +119,3 @@ def scale_noise(rows: np.ndarray, factor: float) -> None:
     added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
     rows[:, OWN] *= factor
     rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
-
-
-def bearing_residuals(
-    bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of bearings, and the Jacobian of the expected ones.
-
-    Parameters
-    ----------
-    bearings : ndarray, shape (m,)
-        Measured from the camera's axis [rad].
-    eyes, by_head : ndarray, shape (m, 3), (m, 3, 11), or (3,), (3, 11)
-        The camera's pose and its Jacobian; see `Frames.eyes`.
-    positions : ndarray, shape (m, 2)
-        Of the landmarks [m].
-
-    Returns
-    -------
-    residual : ndarray, shape (m,)
-        Measured minus expected [rad], wrapped.
-    jacobian : ndarray, shape (m, 13)
-        Jacobian by keyframe's pose, calibration and landmark.
-    """
-    seen = sight(eyes, positions)
-    by_eye = np.empty((len(bearings), 1, 3))
-    np.negative(seen.by_place, out=by_eye[:, 0, :2])
-    by_eye[:, 0, 2] = -1.0
-    jacobian = np.empty((len(bearings), 5 + NC))
-    jacobian[:, : 3 + NC] = (by_eye @ by_head)[:, 0]
-    jacobian[:, 3 + NC :] = seen.by_place
-    return np.asarray(wrap(bearings - seen.bearing)), jacobian

@@ -31,6 +31,7 @@ from homeward.localizer.map.factors import (
     step_row,
     weigh_sightings,
 )
+from homeward.localizer.map.gating import Prediction, bearing_residuals, predict_bearings
 from homeward.localizer.map.sightings import (
     BEARING,
     COLUMNS,
@@ -39,11 +40,10 @@ from homeward.localizer.map.sightings import (
     LANDMARK,
     SIGMA,
     Frames,
-    bearing_residuals,
     effective_sigmas,
     scale_noise,
 )
-from homeward.localizer.map.state import HEAD, Marginal, Prediction
+from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.map.triangulation import INFINITY_RATIO
 from homeward.localizer.motion.preintegration import (
@@ -257,7 +257,8 @@ class Smoother:
     def predict(self, rows: np.ndarray) -> Prediction:
         """Predict sightings from the newest keyframe, rows of the table."""
         seen = rows[:, BEARING], self.effective_sigmas(rows)
-        return self.state.predict_bearings(*seen, self.cameras(rows), self.index(rows[:, LANDMARK]))
+        index = self.index(rows[:, LANDMARK])
+        return predict_bearings(self.state, *seen, self.cameras(rows), index)
 
     def solve(self) -> None:
         """Solve the whole window by Gauss-Newton.

@@ -6,49 +6,20 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
 
 from homeward.localizer.geometry import composition, rotation
-from homeward.localizer.map.sightings import bearing_residuals
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import CLOSE, GATE
 
+if TYPE_CHECKING:
+    from homeward.localizer.map.gating import Prediction
+
 HEAD = 3 + NC
 """Length of the state before the landmarks: newest pose and calibration."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted bearings from the newest pose: innovations and their covariance."""
-
-    residual: np.ndarray
-    """(m,): innovations, measured minus expected [rad]."""
-    jacobian: np.ndarray
-    """(m, 13): Jacobian of the expected bearings; see `bearing_residuals`."""
-    correlated: np.ndarray
-    """(m, 3 + 8 + 2 n): cross-covariance of the expected bearings with the state."""
-    innovation_covariance: np.ndarray
-    """(m, m): innovation covariance."""
-
-    def only(self, keep: np.ndarray) -> Prediction:
-        """Return a subset, given by a mask (m,)."""
-        (kept,) = keep.nonzero()
-        if kept.size == keep.size:
-            return self
-        return Prediction(
-            self.residual[kept],
-            self.jacobian[kept],
-            self.correlated[kept],
-            self.innovation_covariance.take(kept, axis=0).take(kept, axis=1),
-        )
-
-    def widened(self, variances: np.ndarray) -> Prediction:
-        """Return it with variances (m,) [rad^2] added."""
-        covariance = self.innovation_covariance.copy()
-        covariance.flat[:: len(covariance) + 1] += variances
-        return Prediction(self.residual, self.jacobian, self.correlated, covariance)
 
 
 @dataclass(frozen=True)
@@ -92,10 +63,11 @@ class Marginal:
 
     def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
-        moved = motion.uncalibrated + motion.jacobian @ self.calibration
+        by_calibration, now = motion.jacobian, self.mean[3:HEAD]
+        moved = motion.delta - by_calibration @ motion.calibration + by_calibration @ now
         by_head = np.empty((3, HEAD))
         there, by_head[:, :3], by_motion = composition(self.mean[:3], moved)
-        np.matmul(by_motion, motion.jacobian, out=by_head[:, 3:])
+        np.matmul(by_motion, by_calibration, out=by_head[:, 3:])
         return there, by_head
 
     def propagate(self, motion: Motion) -> Marginal:
@@ -107,36 +79,6 @@ class Marginal:
         covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
         covariance[:3, :3] += turn @ motion.covariance @ turn.T
         return Marginal(mean, covariance)
-
-    def predict_bearings(
-        self,
-        bearings: np.ndarray,
-        sigmas: np.ndarray,
-        cameras: tuple[np.ndarray, np.ndarray],
-        index: np.ndarray,
-    ) -> Prediction:
-        """Predict bearings from the newest pose: innovations and their covariance.
-
-        Parameters
-        ----------
-        bearings, sigmas : ndarray, shape (m,)
-            Measured from the camera's axis, and their standard deviations [rad].
-        cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11), or (3,) and (3, 11)
-            The camera's poses and Jacobians; see `Frames.eyes`, `pose_after`.
-        index : ndarray, shape (m,), int
-            Indices of the landmarks.
-        """
-        at = HEAD + 2 * index
-        residual, jacobian = bearing_residuals(bearings, *cameras, self.positions[index])
-        head, gx, gy = jacobian[:, :HEAD], jacobian[:, HEAD, None], jacobian[:, HEAD + 1, None]
-        p = self.covariance
-        by_x, by_y = p.take(at, axis=0), p.take(at + 1, axis=0)
-        correlated = head @ p[:HEAD] + gx * by_x + gy * by_y
-        innovation_covariance = correlated[:, :HEAD] @ head.T
-        innovation_covariance += correlated.take(at, axis=1) * gx.T
-        innovation_covariance += correlated.take(at + 1, axis=1) * gy.T
-        innovation_covariance.flat[:: len(bearings) + 1] += sigmas**2
-        return Prediction(residual, jacobian, correlated, innovation_covariance)
 
     def update(self, seen: Prediction) -> Marginal:
         """EKF update by sightings, with a redescending M-estimator against large innovations.

@@ -93,6 +93,11 @@ def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
     return Motion(delta, np.zeros((3, 3)), CAMERA_JACOBIAN, calibration=calibration)
 
 
+def camera_after(motion: Motion, mount: np.ndarray, calibration: np.ndarray) -> Motion:
+    """Return the motion to the camera from the start of the robot's motion; see above."""
+    return motion.compose(camera_on_robot(mount, calibration))
+
+
 class Piece(NamedTuple):
     """Interval with one twist, preceded by the growth of variance during a dropout, if any."""
 

@@ -8,6 +8,8 @@ from collections import deque
 from operator import attrgetter
 from typing import NamedTuple
 
+import numpy as np
+
 from homeward.estimator import TwistHold
 
 STEADY_S = 0.5
@@ -113,9 +115,9 @@ class Twists:
         """
         if t - self.newest > 0.5 * STEADY_S:
             return False
-        turned = self.heading(t) - self.heading(t - STEADY_S)
-        fast = abs(self.steady_speed(t)) > MOVING_SPEED
-        return fast or abs(turned) > MOVING_TURN_RATE * STEADY_S
+        (heading, path), (before, start) = self.reckoned(t), self.reckoned(t - STEADY_S)
+        fast = abs(path - start) / STEADY_S > MOVING_SPEED
+        return fast or abs(heading - before) > MOVING_TURN_RATE * STEADY_S
 
     def mean(self, t: float) -> tuple[float, float]:
         """Return the mean speed [m/s] and turn rate [rad/s] in the last `MEAN_S` before `t` [s].
@@ -144,6 +146,12 @@ class Twists:
         dt = max(min(t, twist.until) - twist.t, 0.0)
         return twist.heading + twist.omega * dt, twist.path + twist.v * dt
 
+    def reckoned_at(self, times: list[float]) -> np.ndarray | None:
+        """Return `reckoned` at k times [s], newest first, (2, k); None before the first twist."""
+        if self.before(times[0]) is None:
+            return None
+        return np.array([self.reckoned(t) for t in times]).T
+
     def between(self, begin: float, end: float) -> list[Twist]:
         """Return the twists that hold from `begin` until `end` [s], at least in part."""
         first = len(self._twists)
@@ -167,7 +175,7 @@ class DeadReckoning:
 
     def advance(self, t: float, twists: Twists) -> tuple[float, float, float]:
         """Advance to `t` [s]; return x, y [m] and heading [rad], which is not wrapped."""
-        heading, path = twists.heading(t), twists.path(t)
+        heading, path = twists.reckoned(t)
         if not math.isnan(self._path):
             step, middle = path - self._path, 0.5 * (heading + self.heading)
             self.x += step * math.cos(middle)

@@ -18,6 +18,7 @@ from homeward.estimator import Estimate, Status
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.twists import DeadReckoning, Twists
 from homeward.localizer.recovery.relocalise import MIN_LOG_ODDS
@@ -36,15 +37,18 @@ UNSEEN_S = 2.0
 class _Reference(NamedTuple):
     """First of the frames whose bearings have stayed."""
 
-    t: float
-    """[s]"""
-    seen: dict[str, list[float]]
-    """Of each mapped landmark: bearing and its standard deviation [rad], and distance [m], which
-    the map changes if the contradiction lasts."""
+    frame: WeighedFrame
+    """The frame."""
+    ids: np.ndarray
+    """(m,): the smoother's ids of its landmarks, -1 of those not mapped."""
+    state: Marginal
+    """The state of the map at its newest keyframe, before the contradiction changes it ..."""
+    known: np.ndarray
+    """(n,): ... the ids of the landmarks in it ..."""
+    motion: Motion
+    """... and the motion from that keyframe to the frame."""
     odometry: np.ndarray
     """(3,): pose by odometry alone."""
-    pose: np.ndarray
-    """(3,): pose in the map."""
 
 
 class Contradiction:
@@ -53,8 +57,8 @@ class Contradiction:
     def __init__(self) -> None:
         self._reference: _Reference | None = None
         self._reckoning = DeadReckoning()
-        self._moved = np.zeros(3)
-        """Motion by odometry since the reference, in the robot's frame there."""
+        self._here = np.zeros(3)
+        """Pose by odometry alone at the newest frame."""
         self._is_proved = False
         """Whether the bearings contradict odometry by a Bayes factor of 370."""
         self._newest = self._stayed = -math.inf
@@ -78,92 +82,91 @@ class Contradiction:
         twists : Twists
             History of odometry.
         """
-        here = np.array(self._reckoning.advance(frame.t, twists))
+        self._here = np.array(self._reckoning.advance(frame.t, twists))
         self._newest, reference = frame.t, self._reference
         if reference is not None and (self._is_proved or twists.moves(frame.t)):
-            self._moved = between(reference.odometry, here)
-            camera = known.camera(Motion.identity()).delta
-            log_odds = self._log_odds(reference, frame, camera, rates)
+            log_odds = self._log_odds(reference, frame, known, rates)
             if log_odds is not None:
                 self._is_proved |= log_odds > MIN_LOG_ODDS
                 self._stayed = frame.t
             if log_odds is not None or (self._is_proved and frame.t - self._stayed < LASTS_S):
                 return
-        mapped, state = known.landmarks.mapped, known.state
-        rows = [row for row, name in enumerate(frame.names) if name in mapped]
-        names = [frame.names[row] for row in rows]
-        index = known.landmarks.index([mapped[n] for n in names])
-        eye = state.pose_after(known.camera(motion))[0]
-        distances = np.hypot(*(state.positions[index] - eye[:2]).T)
-        columns = np.column_stack([frame.bearings[rows], frame.sigmas[rows], distances])
-        seen = dict(zip(names, columns.tolist(), strict=True))
-        self._reference = _Reference(frame.t, seen, here, state.pose_after(motion)[0])
-        self._is_proved, self._moved = False, np.zeros(3)
+        ids, smoother = known.landmarks.ids(frame.names), known.smoother
+        self._reference = _Reference(frame, ids, smoother.state, smoother.ids, motion, self._here)
+        self._is_proved = False
 
     def _log_odds(
-        self, reference: _Reference, frame: WeighedFrame, camera: np.ndarray, rates: np.ndarray
+        self, reference: _Reference, frame: WeighedFrame, known: Map, rates: np.ndarray
     ) -> float | None:
         """Return the log Bayes factor of bearings that stayed.
 
         None where most of them changed, or one as odometry predicts.
         """
-        elapsed = frame.t - reference.t
-        common = [row for row, name in enumerate(frame.names) if name in reference.seen]
+        before = reference.frame
+        elapsed = frame.t - before.t
+        each = zip(before.names, reference.ids.tolist(), strict=True)
+        row_before = {name: row for row, (name, number) in enumerate(each) if number >= 0}
+        common = [row for row, name in enumerate(frame.names) if name in row_before]
         if not common:
             return -math.inf if elapsed < UNSEEN_S else None
-        then = np.array([reference.seen[frame.names[row]] for row in common])
-        variance = frame.sigmas[common] ** 2 + then[:, 1] ** 2
-        change = np.asarray(wrap(frame.bearings[common] - then[:, 0]))
-        direction = then[:, 0] + camera[2]
-        places = np.stack([np.cos(direction), np.sin(direction)], axis=-1) * then[:, 2:]
-        moved = compose(self._moved, camera)
+        then = [row_before[frame.names[row]] for row in common]
+        change = np.asarray(wrap(frame.bearings[common] - before.bearings[then]))
+        variance = frame.sigmas[common] ** 2 + before.sigmas[then] ** 2
+        stays = np.abs(change) <= INLIER * np.sqrt(variance)
+        if np.count_nonzero(stays) < MAJORITY * len(common):
+            return None
+        camera = known.camera(Motion.identity()).delta
+        eye = reference.state.pose_after(known.camera(reference.motion, reference.state))[0]
+        at = reference.known.searchsorted(reference.ids[then])
+        distances = np.hypot(*(reference.state.positions[at] - eye[:2]).T)
+        direction = before.bearings[then] + camera[2]
+        places = np.stack([np.cos(direction), np.sin(direction)], axis=-1) * distances[:, None]
+        motion = between(reference.odometry, self._here)
+        moved = compose(motion, camera)
         view = sight(moved, places + camera[:2])
         by_eye = np.column_stack([-view.by_place, -np.ones(len(change))])
-        jacobian = by_eye @ lever(moved - self._moved)
-        off = np.asarray(wrap(then[:, 0] + change - view.bearing))
-        covariance = self._motion_covariance(rates, elapsed)
+        jacobian = by_eye @ lever(moved - motion)
+        off = np.asarray(wrap(before.bearings[then] + change - view.bearing))
+        shift, turn = float(np.hypot(*motion[:2])), abs(float(motion[2]))
+        covariance = np.diag(rates @ [elapsed, shift, turn]) + _systematic_covariance(motion)
         predicted = variance + ((jacobian @ covariance) * jacobian).sum(axis=1)
-        stays = np.abs(change) <= INLIER * np.sqrt(variance)
         follows = np.abs(off) <= INLIER * np.sqrt(predicted)
-        if np.count_nonzero(stays) < MAJORITY * len(common) or (follows & ~stays).any():
+        if (follows & ~stays).any():
             return None
         return _log_bayes_factor(
             change[stays], off[stays], variance[stays], jacobian[stays], covariance
         )
 
-    @property
-    def _systematic(self) -> np.ndarray:
-        """(3,): systematic error of odometry's motion since the reference [m, m, rad]."""
-        shift, turn = float(np.hypot(*self._moved[:2])), abs(float(self._moved[2]))
-        return ODOMETRY_ERROR * np.array([shift, shift, turn])
-
-    def _motion_covariance(self, rates: np.ndarray, elapsed: float) -> np.ndarray:
-        """Return the covariance (3, 3) of odometry's motion since the reference."""
-        shift, turn = self._systematic[1:] / ODOMETRY_ERROR
-        return np.diag(rates @ [elapsed, shift, turn] + self._systematic**2)
-
-    def applied(self, found: Estimate, pose: np.ndarray) -> Estimate:
+    def applied(self, found: Estimate, state: Marginal, motion: Motion) -> Estimate:
         """Return an estimate whose covariance contains the pose of either case, and its status.
 
         Parameters
         ----------
         found : Estimate
-            An estimate with a pose.
-        pose : ndarray, shape (3,)
-            The same pose in the map.
+            An estimate with a pose: that in the map after a `motion` from the newest keyframe, of
+            which `state` is the state.
         """
         reference = self._reference
         if not self._is_proved or reference is None or found.pose is None:
             return found
-        off = np.stack([reference.pose, compose(reference.pose, self._moved)]) - pose
+        pose = state.pose_after(motion)[0]
+        before = reference.state.pose_after(reference.motion)[0]
+        moved = between(reference.odometry, self._here)
+        off = np.stack([before, compose(before, moved)]) - pose
         off[:, 2] = wrap(off[:, 2])
         off = off @ rotation(found.pose.heading - float(pose[2])).T
-        spread = off.T @ off + np.diag(self._systematic**2)
+        spread = off.T @ off + _systematic_covariance(moved)
         found = dataclasses.replace(found, covariance=found.covariance + spread)
-        if self._newest - reference.t < LASTS_S:
+        if self._newest - reference.frame.t < LASTS_S:
             return found
         why = Reason.CONTRADICTED.words
         return dataclasses.replace(found, status=Status.UNVERIFIED, reason=why)
+
+
+def _systematic_covariance(motion: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) of a motion (3,) by the systematic error of odometry."""
+    shift, turn = float(np.hypot(*motion[:2])), abs(float(motion[2]))
+    return np.diag((ODOMETRY_ERROR * np.array([shift, shift, turn])) ** 2)
 
 
 def _log_bayes_factor(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,48 +35,53 @@ class PoseEstimate:
         x, y, heading = pose.tolist()
         return PoseEstimate(Pose(x, y, wrap(heading)), covariance)
 
-    def propagate(self, delta: np.ndarray, drift: np.ndarray) -> PoseEstimate:
-        """Propagate it by a motion.
+    def after(
+        self,
+        moved: tuple[np.ndarray, np.ndarray] | None,
+        more: CommonErrors,
+        inflation: np.ndarray | None = None,
+    ) -> PoseEstimate:
+        """Return the estimate after a motion, with the errors common to all hypotheses.
 
         Parameters
         ----------
-        delta : ndarray, shape (3,)
-            The motion, in the robot's frame before it [m, m, rad].
-        drift : ndarray, shape (3, 3)
-            Covariance of the motion in that frame.
+        moved : tuple of ndarray, shapes (3,) and (3, 3), or None
+            The motion and its covariance, in the robot's frame before it [m, m, rad]; None: none.
+        more : CommonErrors
+            The errors.
+        inflation : ndarray, shape (3, 3), optional
+            Covariance to be added before the motion.
         """
-        after, by_pose, turn = composition(np.array(self.pose), delta)
-        covariance = by_pose @ self.covariance @ by_pose.T + turn @ drift @ turn.T
-        return PoseEstimate.of(after, covariance)
-
-    def inflated(self, covariance: np.ndarray) -> PoseEstimate:
-        """Return it with a covariance (3, 3) added."""
-        return PoseEstimate(self.pose, self.covariance + covariance)
-
-    def with_mount(self, mount_covariance: np.ndarray) -> PoseEstimate:
-        """Return it with an error (2, 2) of the camera's position on the robot at home [m^2]."""
-        covariance = self.covariance.copy()
-        covariance[:2, :2] += mount_covariance
-        return PoseEstimate(self.pose, covariance)
-
-    def with_assumed_mount(self, covariance: np.ndarray, same_camera: bool) -> PoseEstimate:
-        """Return it with an error (2, 2) of the camera's position on the robot [m^2].
-
-        The pose is then that of the camera, less its offset as home saw it.
-        """
-        c, s = math.cos(self.pose.heading), math.sin(self.pose.heading)
-        turned = np.array([[c, -s], [s, c]]) - same_camera * np.eye(2)
-        return self.with_mount(turned @ covariance @ turned.T)
-
-    def with_scale(self, sigma: float) -> PoseEstimate:
-        """Return it with an error of the map's scale, of standard deviation `sigma` [1]."""
-        out = np.array([self.pose.x, self.pose.y, 0.0])
-        return PoseEstimate(self.pose, self.covariance + sigma**2 * out[:, None] * out)
+        x, y, heading = self.pose
+        covariance = self.covariance.copy() if inflation is None else self.covariance + inflation
+        if moved is not None:
+            after, by_pose, turn = composition(np.array(self.pose), moved[0])
+            covariance = by_pose @ covariance @ by_pose.T + turn @ moved[1] @ turn.T
+            x, y, heading = after.tolist()
+            heading = wrap(heading)
+        if more.assumed_mount.any():
+            c, s, same = math.cos(heading), math.sin(heading), float(more.same_camera)
+            turned = np.array([[c - same, -s], [s, c - same]])
+            covariance[:2, :2] += turned @ more.assumed_mount @ turned.T
+        covariance[:2, :2] += more.mount
+        out = np.array([x, y, 0.0])
+        covariance += more.scale_sigma**2 * out[:, None] * out
+        return PoseEstimate(Pose(x, y, heading), covariance)
 
 
-def in_home_frame(fit: HomeFit) -> PoseEstimate:
-    """Return the newest keyframe's pose in the home frame for one hypothesis."""
-    return PoseEstimate.of(*fit.in_home_frame)
+@dataclass
+class CommonErrors:
+    """Errors of a pose in the home frame that all hypotheses have in common."""
+
+    mount: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    """(2, 2): covariance of the camera's x and y on the robot at home [m^2] ..."""
+    assumed_mount: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    """(2, 2): ... and where these are assumed, not estimated [m^2]. The pose is then that of the
+    camera, less its offset as home saw it."""
+    same_camera: bool = True
+    """Whether the camera sits now as it did at home."""
+    scale_sigma: float = 0.0
+    """Standard deviation of the map's scale [1]."""
 
 
 def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:

@@ -13,6 +13,7 @@ from homeward.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.output.pose import (
+    CommonErrors,
     OtherHypotheses,
     PoseEstimate,
     combined_estimate,
@@ -73,8 +74,6 @@ class IntegrityMonitor:
         self._settings = settings
         self._speed_scale = settings.odometry.speed_scale if given is None else given
         self._scale_mapped = scale_mapped
-        self.scale_variance = 0.0
-        """Variance of the map's scale, beside that of the speed's [1]."""
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
         self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
@@ -92,17 +91,14 @@ class IntegrityMonitor:
         """... and of one by a survey to be relied on [m]."""
         self.fixed = False
         """Whether the pose is certain enough to be published."""
-        self.mount_covariance = np.zeros((2, 2))
-        """Covariance of the camera's x and y on the robot [m^2] ..."""
-        self.assumed_mount = np.zeros((2, 2))
-        """... and where these are assumed, not estimated [m^2]."""
-        self.same_camera = True
-        """Whether the camera sits now as it did at home."""
+        self.errors = CommonErrors()
+        """Errors that are not in the hypotheses: of the camera's pose, and of scale."""
+        self.set_scale_variance(0.0)
 
-    @property
-    def _scale_sigma(self) -> float:
-        """Standard deviation of the map's scale, unless the state contains it [1]."""
-        return 0.0 if self._scale_mapped else math.sqrt(self._speed_scale**2 + self.scale_variance)
+    def set_scale_variance(self, variance: float) -> None:
+        """Set the variance of the map's scale, next to that of the speed's [1]."""
+        unmapped = 0.0 if self._scale_mapped else math.sqrt(self._speed_scale**2 + variance)
+        self.errors.scale_sigma = unmapped
 
     def update(
         self, now: Hypotheses | None, solved: bool, stayed: np.ndarray | None = None
@@ -160,19 +156,11 @@ class IntegrityMonitor:
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
-        estimate = self._now(self._estimate, moved)
+        estimate, tails = self._estimate.after(moved, self.errors), self._others.tails
         status, reason = self._status(estimate, self._best, coasting)
-        if self._others.tails is not None:
-            estimate = self._now(self._estimate.inflated(self._others.tails), moved)
+        if tails is not None:
+            estimate = self._estimate.after(moved, self.errors, tails)
         return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
-
-    def _now(
-        self, estimate: PoseEstimate, moved: tuple[np.ndarray, np.ndarray] | None
-    ) -> PoseEstimate:
-        """Return an estimate after a motion since the keyframe, with all uncertainties."""
-        estimate = estimate if moved is None else estimate.propagate(*moved)
-        estimate = estimate.with_assumed_mount(self.assumed_mount, self.same_camera)
-        return estimate.with_mount(self.mount_covariance).with_scale(self._scale_sigma)
 
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough to evaluate landmarks by it."""
@@ -214,7 +202,8 @@ class IntegrityMonitor:
         most = self._max_sigma if self.fixed else reach
         # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
-        return max(turn, _sigma(self._estimate.with_scale(self._scale_sigma).covariance)) <= most
+        only_scale = CommonErrors(scale_sigma=self.errors.scale_sigma)
+        return max(turn, _sigma(self._estimate.after(None, only_scale).covariance)) <= most
 
 
 def _sigma(covariance: np.ndarray) -> float:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.map import Map
-from homeward.localizer.map.sightings import LANDMARK, sighting_rows
+from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
@@ -49,7 +50,7 @@ class SeenAt:
             return False
         eye = state.pose_after(known.camera(Motion.identity()))
         seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
-        expected = state.predict_bearings(*seen)
+        expected = predict_bearings(state, *seen)
         sigmas = np.sqrt(expected.innovation_covariance.diagonal())
         wrong = int((np.abs(expected.residual) > GATE * sigmas).sum())
         return wrong >= 2 and 2 * wrong > self.ids.size
@@ -86,8 +87,7 @@ def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool
         if found is None:
             continue
         whole.move_keyframe(seen.keyframe, found[0])
-        number = whole.frames.add(seen.keyframe, known.camera(Motion.identity()))
-        rows = sighting_rows(seen.keyframe, number, seen.frame)
+        rows = whole.frames.add(seen.keyframe, known.camera(Motion.identity()), seen.frame)
         rows[:, LANDMARK] = seen.ids
         whole.drop_sightings_from(seen.keyframe)  # they were accepted where it was not
         whole.add_sightings(rows)
