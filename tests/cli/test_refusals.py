@@ -44,6 +44,7 @@ REFUSED = {
     "simulate circle --set visibility.range=[1,2,3]": "takes 2 values or fewer",
     "simulate circle --set visibility.occlusion=perhaps": "must be true or false",
     "render cellar": "rooms",
+    "camera calibrate boards --board 7x5": "camera_calibration of ROS, Kalibr or OpenCV",
     "render office --set camera.width=7": "camera.width",
     "render office --set camera.depth=7": "camera.depth",
     "render office --set trajectory=5": "trajectory: must be keys and values, not 5",

@@ -17,7 +17,6 @@ from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
 from homeward.cli.drives.view import view
 from homeward.cli.export import export
-from homeward.cli.images.camera import camera
 from homeward.cli.images.compare import compare
 from homeward.cli.images.render import render
 from homeward.cli.images.see import see
@@ -31,9 +30,21 @@ from homeward.cli.studio import studio
 from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.errors import HomewardError, InputError, without
 
+REMOVED = {
+    "camera": "calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file in "
+    "images.yaml or the topics file (camera: {file: camera.yaml})",
+}
+"""What to use instead of commands that earlier versions had."""
+
 
 class OneLineErrors(TyperGroup):
     """Turns every error of ours, and Ctrl-C, into one line and an exit status."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the arguments name."""
+        if args[0] in REMOVED:
+            raise InputError(f"homeward {args[0]} was removed: {REMOVED[args[0]]}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -107,5 +118,4 @@ for command in COMMANDS:
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
     name = command.__name__.rstrip("_")
     app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
-app.add_typer(camera, name="camera", epilog=EXIT_STATUSES)
 app.add_typer(place, name="place", epilog=EXIT_STATUSES)
