@@ -13,7 +13,7 @@ from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import View
 from homeward.vision.features.match_propagation import propagate_matches, thinned
-from homeward.vision.features.matching import RATIO
+from homeward.vision.features.matching import RATIO, match
 from homeward.vision.features.moved_groups import moved_groups
 from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
 from homeward.vision.features.self_similarity import self_similar
@@ -225,7 +225,7 @@ def _paired(
     if heading is not None:
         possible, ratio = _near(home.angle, now.angle, WITHIN), FORGIVING_RATIO
         possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
-    rows, quality = home.finder.match(home, now, ratio, possible)
+    rows, quality = match(home.descriptor, now.descriptor, ratio, possible)
     i, j = rows.T
     upright = np.abs(wrap(now.angle[j] - home.angle[i])) < WITHIN
     places = np.column_stack([home.column[i], home.row[i], now.column[j], now.row[j]])
@@ -239,8 +239,7 @@ def _paired(
     begun = similarity(at_now, growth, turn)
     laid = align_patches(home.pyramid, now.pyramid, at_home, home.size[i], begun)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
-    larger = growth**2 if home.finder.tells_size else laid.area
-    pairs = _pairs(directions, now, laid, np.log(larger) / 2, camera)
+    pairs = _pairs(directions, now, laid, np.log(growth), camera)
     found = laid.found
     return rows[kept][found], pairs[found], laid.rows(found), quality[kept][found]
 

@@ -110,7 +110,7 @@ class FrontEnd:
         InputError
             When it is no picture, or not as large as home's; it is as if it had not been taken.
         """
-        return self.take(look(panorama, self.camera, self.home.mask, self.home.finder))
+        return self.take(look(panorama, self.camera, self.home.mask))
 
     def take(self, view: View) -> FrameBearings:
         """Take the next frame of the drive; errors as of `see`."""

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from native_rig import COMPILER
 
 from homeward.engine.native import library, program
 
@@ -50,7 +49,6 @@ def test_what_a_wheel_brought_is_taken_unless_it_is_damaged(damaged, cache, tmp_
     numbers = np.arange(20.0)
     assert functions().twice(numbers.size, numbers) == 0
     assert numbers.tolist() == (2 * np.arange(20.0)).tolist()
-    assert (functions.maker == COMPILER.identity) == damaged
     monkeypatch.setenv("CC", "none-of-that-name")
     assert (program.Program(package, {}, ())() is None) == damaged
 

@@ -50,9 +50,7 @@ def compare(
     from homeward.vision.recorded.settings import read_image_settings
 
     settings = read_image_settings(camera)
-    home_image, home_view = read_view(
-        home, settings.panorama, mask=mask or settings.mask, finder=settings.finder
-    )
+    home_image, home_view = read_view(home, settings.panorama, mask=mask or settings.mask)
     now_image, now_view = read_view(now, settings.panorama, like=home_view)
     if not (force or settings.force):
         require_panoramas([home_image, now_image], settings.panorama)

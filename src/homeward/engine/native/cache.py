@@ -1,4 +1,4 @@
-"""Where compiled code, and what else took long, is kept: a folder of its owner's alone.
+"""Cache of compiled code: a folder that only its owner can read and write.
 
 A file's name is the key of what was asked for and the checksum of what is in it, so that one
 rename puts both in place at once, and a file that was cut short or exchanged is never loaded.
@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 class Cache:
-    """A folder of files of one kind: compiled code, or what was found in pictures.
+    """A folder of compiled code of one kind.
 
     It is made when something is first kept; its files' names end in `suffix`.
     """
@@ -60,14 +60,6 @@ class Cache:
         place = self.folder / f"{key}-{_checksum(file)}{self._suffix}"
         os.replace(file, place)
         return place
-
-    def bound(self, most: int) -> None:
-        """Let the oldest files go until the others have no more than so many bytes."""
-        told = [(file, file.stat()) for file in self.folder.glob(f"*{self._suffix}")]
-        for file, stats in sorted(told, key=lambda each: each[1].st_mtime, reverse=True):
-            most -= stats.st_size
-            if most < 0:
-                file.unlink(missing_ok=True)
 
     def workshop(self) -> tempfile.TemporaryDirectory[str]:
         """Return a folder to work in, of this process alone, which goes when it is left."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.engine.native.compiler import NativeError, find_compiler, processor
+from homeward.engine.native.compiler import NativeError
 from homeward.engine.native.library import load, prebuilt, source_in
 
 
@@ -60,8 +60,6 @@ class Program:
         self._package = package
         self._functions, self._may_fail = functions, may_fail
         self._lock = Lock()
-        self.maker = processor()
-        """What, beside the files in the package, decides what they answer; known once loaded."""
 
     def __call__(self) -> ctypes.CDLL | None:
         """Return the compiled functions; None where there is no compiler, or it fails."""
@@ -77,7 +75,6 @@ class Program:
         if (found := prebuilt(folder)) is None:
             try:
                 found = load(source_in(folder))
-                self.maker = find_compiler().identity
             except NativeError:
                 return None
         library = found.functions

@@ -55,7 +55,7 @@ def better_settings(
         None where none does.
     """
     if not seen.accepted:
-        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera, finder=views[0].finder)
+        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
         if compare(views[0], flipped, camera).accepted:
             return "the pictures agree only if one of them is mirrored: mirror it back"
     if isinstance(camera, Ring):
@@ -63,7 +63,7 @@ def better_settings(
     fits, best, most = _matches(seen), None, 0
     for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
-        home, now = (look(p, other, v.mask, v.finder) for p, v in zip(pictures, views, strict=True))
+        home, now = (look(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
         gain = _gain(fits, found)
         if gain > most:

@@ -1,4 +1,4 @@
-"""Features of a panorama, by SIFT with RootSIFT descriptors mostly, and Shi-Tomasi corners."""
+"""Features of a panorama: SIFT with RootSIFT descriptors, and Shi-Tomasi corners."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from homeward.vision.cameras.grey import as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.matching import match
 from homeward.vision.features.pyramid import Pyramid, enlarged
 from homeward.vision.opencv import opencv
 
@@ -60,8 +59,6 @@ class View:
     """Of the panorama itself, for patch alignment."""
     mask: Mask | None
     """Which pixels may be used; None: all of them."""
-    finder: Sift
-    """What found the features; it describes and matches those of other panoramas, too."""
 
     def __len__(self) -> int:
         return self.column.size
@@ -104,47 +101,7 @@ class View:
         return np.insert(place[inside], 2, CORNER_SIZE / times, axis=1)
 
 
-class Sift:
-    """Finds, describes and matches features: by SIFT (Lowe, IJCV 2004), a subclass otherwise."""
-
-    tells_size = True
-    """Whether the sizes of two features tell how much nearer one of them is."""
-
-    def find(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find features in a grey picture.
-
-        Returns
-        -------
-        rows : ndarray, shape (n, 4)
-            Column, row, diameter [px], and turn, clockwise from the right [deg].
-        descriptors : ndarray of float32, shape (n, k)
-            Unit vectors.
-        """
-        # Made anew each time, in a microsecond: threads share nothing.
-        # Without the precise upscale every keypoint is a quarter of a pixel off.
-        sift = opencv().SIFT_create(
-            nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
-        )
-        points, found = sift.detectAndCompute(image, None)
-        if not points:
-            return np.zeros((0, 4)), np.zeros((0, 128), np.float32)
-        # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
-        found /= np.maximum(found.sum(axis=1, keepdims=True), 1e-9)
-        return np.array([(*p.pt, p.size, p.angle) for p in points]), np.sqrt(found)
-
-    def match(
-        self, home: View, now: View, ratio: float, possible: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Match the features of two views: pairs and qualities as of `matching.match`."""
-        return match(home.descriptor, now.descriptor, ratio, possible)
-
-
-SIFT = Sift()
-
-
-def look(
-    image: np.ndarray, camera: Panorama, mask: Mask | None = None, finder: Sift = SIFT
-) -> View:
+def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     """Find the features of a panorama.
 
     Parameters
@@ -156,8 +113,6 @@ def look(
         What its pixels look at.
     mask : Mask, optional
         Leaves out what belongs to the robot.
-    finder : Sift, optional
-        Of features.
 
     Raises
     ------
@@ -170,7 +125,7 @@ def look(
     if mask is not None and mask.room.shape != image.shape:
         (rows, columns), whole = mask.room.shape, f"{width}x{height}"
         raise InputError(f"a mask of {columns}x{rows} pixels for a panorama of {whole}")
-    found = _detect(image, times, finder)
+    found = _detect(image, times)
     if mask is not None:
         kept = mask.clear_at(*found[:3])
         found = tuple(part[kept] for part in found)
@@ -190,7 +145,6 @@ def look(
         descriptor,
         Pyramid.of(image, times),
         mask,
-        finder,
     )
 
 
@@ -199,7 +153,6 @@ def read_view(
     camera: Panorama,
     like: View | None = None,
     mask: Path | None = None,
-    finder: Sift = SIFT,
 ) -> tuple[np.ndarray, View]:
     """Read an image, and find its features.
 
@@ -210,12 +163,9 @@ def read_view(
     camera : Panorama
         That took it.
     like : View, optional
-        Of home: the panorama must have the same size, is masked as that was, and its features are
-        found as there.
+        Of home: the panorama must have the same size and is masked as that was.
     mask : Path, optional
         Of home's picture, see `read_mask`.
-    finder : Sift, optional
-        Of the features of home's picture.
 
     Returns
     -------
@@ -235,7 +185,7 @@ def read_view(
     masked = like.mask if like is not None else camera.seen
     if mask is not None:
         masked = read_mask(mask, camera, grey.shape)
-    return panorama, look(panorama, camera, masked, like.finder if like is not None else finder)
+    return panorama, look(panorama, camera, masked)
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:
@@ -243,12 +193,21 @@ def pixel_sigma(size: np.ndarray) -> np.ndarray:
     return 0.14 + 0.04 * size
 
 
-def _detect(image: np.ndarray, times: int, finder: Sift) -> tuple[np.ndarray, ...]:
+def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
     """Return columns, rows, sizes [px], angles and descriptors; the panorama is closed."""
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 32)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
-    rows, found = finder.find(enlarged(padded, times))
+    # Without the precise upscale every keypoint has an error of a quarter of a pixel.
+    sift = cv2.SIFT_create(
+        nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
+    )
+    points, found = sift.detectAndCompute(enlarged(padded, times), None)
+    if not points:
+        return *np.zeros((4, 0)), np.zeros((0, 128), np.float32)
+    # Arandjelovic and Zisserman, "Three things everyone should know ...", CVPR 2012.
+    found = np.sqrt(found / np.maximum(found.sum(axis=1, keepdims=True), 1e-9))
+    rows = np.array([(*p.pt, p.size, p.angle) for p in points])
     rows[:, :2], inside = _on_panorama(rows[:, :2], times, pad, width)
     rows[:, 2] /= times
     column, row, size, degrees = rows[inside].T

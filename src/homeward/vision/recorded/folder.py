@@ -19,7 +19,7 @@ from homeward.drives.folder import (
     read_odometry,
     read_truth,
 )
-from homeward.drives.images import IMAGES, Images, file_within, read_images
+from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.text.files import is_there, require_folder
 from homeward.errors import InputError, speaking_of
@@ -32,7 +32,6 @@ from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import read_view
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.moved_landmark_filter import LASTING
-from homeward.vision.recorded.cache import Found, cache_key, cached
 from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.settings import ImageSettings, read_image_settings
 
@@ -93,7 +92,7 @@ def see_folder(
     blind = drive_beside(folder, images.t, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
-    picture, home = read_view(place, camera, mask=settings.mask, finder=settings.finder)
+    picture, home = read_view(place, camera, mask=settings.mask)
     if camera.seen is None and not (force or settings.force):
         with speaking_of(folder):
             some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
@@ -102,15 +101,17 @@ def see_folder(
         ready()
     front_end = FrontEnd(home, camera, settings.landmarks)
     headings = dead_reckoning(blind.odometry, images.t).heading
-    found = cached(
-        lambda: cache_key([place, *images.files], settings, images.t, headings),
-        lambda: _found(picture, front_end, images, headings, progress),
-    )
-    if progress is not None:
-        progress(1.0)
-    pictures = tuple(zip(images.t.tolist(), found.pictures, strict=True))
-    seen = {"sightings": found.sightings, "home": found.home, "pictures": pictures}
-    return ImageDrive(**{**vars(blind), **seen, "remarks": remarks | found.remarks})
+    glances, along = _look_at_all(front_end, images.files, headings, progress)
+    if unlike := sum(not glance.bearings for glance in glances):
+        remarks[UNLIKE] = unlike
+    if along is not None:
+        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
+    sightings = _sightings(images.t, glances, remarks)
+    compared = [glance.home for glance in glances]
+    remarks |= _check_camera_settings(picture, front_end, images.files, compared)
+    pictures = tuple(zip(images.t.tolist(), compared, strict=True))
+    seen = {"sightings": sightings, "home": front_end.home_bearings, "pictures": pictures}
+    return ImageDrive(**{**vars(blind), **seen, "remarks": remarks})
 
 
 def drive_beside(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
@@ -183,34 +184,11 @@ def _evenly(things: Sequence[object], number: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, len(things) - 1, number).astype(int))]
 
 
-def _found(
-    home: np.ndarray,
-    front_end: FrontEnd,
-    images: Images,
-    headings: np.ndarray,
-    progress: Callable[[float], None] | None,
-) -> Found:
-    """Look at all images, and return what they showed; headings are by odometry.
-
-    `home` is home's panorama.
-    """
-    glances, along = _look_at_all(front_end, images.files, headings, progress)
-    remarks: dict[str, int] = {}
-    if unlike := sum(not glance.bearings for glance in glances):
-        remarks[UNLIKE] = unlike
-    if along is not None:
-        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
-    sightings = _sightings(images.t, glances, remarks)
-    compared = tuple(glance.home for glance in glances)
-    remarks |= _check_camera_settings(home, front_end, images.files, compared)
-    return Found(sightings, front_end.home_bearings, compared, remarks)
-
-
 def _check_camera_settings(
     home: np.ndarray,
     front_end: FrontEnd,
     files: list[Path],
-    compared: tuple[Comparison | None, ...],
+    compared: Sequence[Comparison | None],
 ) -> dict[str, int]:
     """Return a remark where another setting suits home and the first picture like it far better.
 

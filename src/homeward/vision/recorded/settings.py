@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -16,8 +16,6 @@ from homeward.drives.text.settings import read_settings
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.partial import PartialPanorama
 from homeward.vision.cameras.ring import Ring
-from homeward.vision.features.detection import SIFT, Sift
-from homeward.vision.features.learned import Learned
 
 
 class Calibrated(Camera):
@@ -31,24 +29,7 @@ class Calibrated(Camera):
 AnyCamera = Annotated[
     Equirectangular | Cylindrical | Ring | Lens | Calibrated, Field(discriminator="model")
 ]
-Side = Annotated[int, Field(ge=16, le=8192)]
 MostLandmarks = Annotated[int, Field(ge=4, le=500)]
-
-
-class Features(Strict):
-    """Models of the user's own that find features in the place of SIFT: see `Learned`."""
-
-    model: Path
-    """An ONNX file as OpenCV's ALIKED takes it, beside images.yaml."""
-    matcher: Path | None = None
-    """One as its LightGlue takes it; None: each other's nearest count."""
-    size: tuple[Side, Side] = (640, 640)
-    """Width and height that the model takes [px]; pictures are scaled to them."""
-
-    @property
-    def files(self) -> list[Path]:
-        """The models there are."""
-        return [self.model] if self.matcher is None else [self.model, self.matcher]
 
 
 class ImageSettings(Strict):
@@ -64,8 +45,6 @@ class ImageSettings(Strict):
     """How many landmarks at most are passed on from one image."""
     tags: str | None = None
     """Family of the tags that are looked for, such as 36h11; None: no tags, but what rooms have."""
-    features: Features | None = None
-    """Models that find features; None: SIFT. Their files lie in the folder, as the mask does."""
     force: bool = False
     """Whether pictures are taken that look like no panoramas."""
 
@@ -82,24 +61,6 @@ class ImageSettings(Strict):
             return self.camera
         assert isinstance(self.camera, Lens)
         return PartialPanorama.through(self.camera)
-
-    @property
-    def finder(self) -> Sift:
-        """What finds features.
-
-        Raises
-        ------
-        InputError
-            When a file is no such model.
-        """
-        told = self.features
-        return SIFT if told is None else Learned(told.model, told.matcher, told.size)
-
-    @model_validator(mode="after")
-    def _one_of_them(self) -> Self:
-        if self.tags is not None and self.features is not None:
-            raise ValueError("tags or features, not both")
-        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -127,11 +88,7 @@ def read_image_settings(path: Path | None) -> ImageSettings:
         lens = read_calibration(path.parent, camera.file).model_copy(update=tilt)
         settings = settings.model_copy(update={"camera": lens})
 
-    def within(told: Strict, *keys: str) -> dict[str, Path]:
-        files = {key: file for key in keys if (file := getattr(told, key)) is not None}
-        return {key: file_within(path.parent, file, key, path) for key, file in files.items()}
-
-    changes: dict[str, Any] = within(settings, "mask")
-    if (own := settings.features) is not None:
-        changes["features"] = own.model_copy(update=within(own, "model", "matcher"))
-    return settings.model_copy(update=changes)
+    if settings.mask is not None:
+        mask = file_within(path.parent, settings.mask, "mask", path)
+        settings = settings.model_copy(update={"mask": mask})
+    return settings
