@@ -199,7 +199,7 @@ def test_one_known_distance_fixes_the_scale_within_its_sigma():
         index = mapped.landmarks.index([mapped.landmarks.mapped[n] for n in ("L0", "L5")])
         found, along = distance_and_jacobian(mapped.smoother.state.positions[index])
         here = 3 + columns(index)
-        deviation = math.sqrt(along @ mapped.state.covariance[np.ix_(here, here)] @ along)
+        deviation = math.sqrt(along @ mapped.smoother.state.covariance[np.ix_(here, here)] @ along)
         assert deviation < 1.01 * SIGMA
         apart.append((found - rig.apart("L0", "L5")) / deviation)
         nees.append(np.median(rig.nees()))
