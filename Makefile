@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test test-interpreter test-mcu test-ros wheel test-wheel lint docs paper bench clean
+.PHONY: install demo plan test test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -35,8 +35,12 @@ test-mcu: install
 	$(BIN)/python -m benchmarks.mcu
 
 # Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.
-test-ros: install
-	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 0 -rs -s tests/ros
+ros-environments: install
+	HOMEWARD_ROS=.venv-ros $(BIN)/python tests/ros/environments.py
+
+# The tests mostly wait for a robot that drives in real time, so two run at once.
+test-ros: ros-environments
+	HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -n 2 -rs -s tests/ros
 
 # For machines without a compiler, in out/wheel: with the C of vision and of rendered rooms compiled
 # (pure where this one has none, either). TARGET=aarch64: for Raspberry Pis and Jetsons, by Zig's.

@@ -1,7 +1,8 @@
 """Each test of the node runs by the wheels of each distribution."""
 
 import pytest
-from ros.stage import DISTRIBUTIONS, Stage, environment
+from ros.environments import DISTRIBUTIONS, environment
+from ros.stage import Stage
 
 
 @pytest.fixture(scope="session", params=DISTRIBUTIONS)

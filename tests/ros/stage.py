@@ -1,19 +1,13 @@
-"""Real nodes of ROS 2 in other processes, by the rclpy wheels from PyPI.
-
-They need environments of their own, which `make test-ros` lets this make.
-"""
+"""Real nodes of ROS 2 in other processes, by the rclpy wheels from PyPI."""
 
 import json
 import os
-import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
-import pytest
 from live_rig import SCENARIO
 
 from homeward.simulation.files import load_scenario
@@ -21,85 +15,8 @@ from homeward.simulation.live_robot import LiveRobot
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).parent
-DISTRIBUTIONS = {"jazzy": "7.1.6", "kilted": "9.1.2"}
-"""With their rclpy; the other packages follow from it."""
-CYCLONE = "11.0.1"
-MESSAGES = ("nav", "sensor", "geometry", "visualization", "diagnostic", "std", "lifecycle")
 DOMAIN = os.getpid() % 90 + 1
 """Of DDS: runs beside each other do not hear each other."""
-PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
-GENERATORS = {
-    "jazzy": (
-        *("ament-cmake-ros", "ament-cmake-gmock", "ament-cmake-gtest", "ament-cmake-pytest"),
-        "python-cmake-module",
-    ),
-    "kilted": ("ament-cmake-ros-core",),
-}
-MAKERS = (
-    *("ament-cmake", "ament-package", "ament-cmake-include-directories"),
-    *("rosidl-default-generators", "rosidl-core-generators"),
-)
-"""What makes a message type; tf2_msgs has no wheel, so it is made of its one line."""
-
-
-def environment(distribution):
-    """The Python of an environment with rclpy and homeward, made when first asked for."""
-    if "HOMEWARD_ROS" not in os.environ:
-        pytest.skip("real nodes of ROS 2: make test-ros")
-    place = Path(f"{os.environ['HOMEWARD_ROS']}-{distribution}").resolve()
-    python = place / "bin" / "python"
-    if not (place / "installed").exists():
-        subprocess.run([sys.executable, "-m", "venv", str(place)], check=True)
-        wheels = [f"ros-rclpy[fastrtps]=={DISTRIBUTIONS[distribution]}", "ros-std-srvs"]
-        wheels += [f"ros-{name}-msgs" for name in MESSAGES]
-        wheels += [f"ros-{name}" for name in (*MAKERS, *GENERATORS[distribution])]
-        pip = [str(python), *PIP]
-        installed(*pip, *wheels, "catkin_pkg")
-        installed(*pip, "-c", "constraints.txt", "-e", ".[vision]")
-        make_tf2_msgs(place, python)
-        (place / "installed").touch()
-    return str(python)
-
-
-def cyclone():
-    """Where another vendor's DDS is: it knows nothing of ROS, so this very Python speaks it."""
-    if "HOMEWARD_ROS" not in os.environ:
-        pytest.skip("real nodes of ROS 2: make test-ros")
-    place = Path(f"{os.environ['HOMEWARD_ROS']}-cyclone").resolve()
-    if not place.exists():
-        installed(sys.executable, *PIP, "--target", str(place), f"cyclonedds=={CYCLONE}")
-    return place
-
-
-def installed(*command):
-    """Install, or skip the test."""
-    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    if made.returncode:
-        pytest.skip(f"cannot be installed here: {made.stderr.splitlines()[-1]}")
-
-
-def make_tf2_msgs(place, python):
-    """Make tf2_msgs, with the very type hash of real robots; where that fails, do without."""
-    if shutil.which("cmake") is None:
-        return
-    environment = os.environ | {
-        "PATH": f"{place / 'bin'}{os.pathsep}{os.environ['PATH']}",
-        "AMENT_PREFIX_PATH": str(place),
-    }
-    build = place / "tf2_msgs"
-    options = {
-        "CMAKE_INSTALL_PREFIX": place,
-        "CMAKE_PREFIX_PATH": place,
-        "Python3_EXECUTABLE": python,
-        "BUILD_TESTING": "OFF",
-    }
-    told = [f"-D{key}={value}" for key, value in options.items()]
-    # It complains of folders of the machine that built the wheels, and is done all the same.
-    for command in (
-        ["cmake", "-S", str(HERE / "tf2_msgs"), "-B", str(build), *told],
-        ["make", "-C", str(build), "install"],
-    ):
-        subprocess.run(command, env=environment, capture_output=True)
 
 
 def has_tf(python):

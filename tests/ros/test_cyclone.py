@@ -3,7 +3,8 @@
 import json
 import sys
 
-from ros.stage import DOMAIN, HERE, Running, cyclone, environment
+from ros.environments import cyclone, environment
+from ros.stage import DOMAIN, HERE, Running
 
 LOOPBACK = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
