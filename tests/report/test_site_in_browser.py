@@ -1,5 +1,6 @@
 """The site as a reader meets it: built without a complaint, and opened as files in Chromium."""
 
+import os
 import re
 import subprocess
 import sys
@@ -37,6 +38,8 @@ found.fetched = performance.getEntriesByType("resource").map((e) => e.name);
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     pytest.importorskip("mkdocs", reason="the site needs the extra `docs`")
+    if "HOMEWARD_SITE" in os.environ:  # built before, by `make docs`
+        return Path(os.environ["HOMEWARD_SITE"]).resolve()
     folder = tmp_path_factory.mktemp("site")
     # Not --quiet: it hides warnings from what makes them fail.
     words = [sys.executable, "-m", "mkdocs", "build", "--site-dir", folder]
