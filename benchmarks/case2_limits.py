@@ -50,7 +50,7 @@ def limits(title: str, changes: dict[str, object], seeds: int) -> None:
         squares.append(error[:2] @ np.linalg.solve(bound(run)[:2, :2], error[:2]) / 2)
         errors.append(error[:2] @ error[:2])
         failures += bool(error @ np.linalg.solve(covariance, error) > FAILURE**2)
-        sigmas = localizer.home_bearing_sigmas()
+        sigmas = localizer.chart.home.bearing_sigmas()
         for name in run.world.moved:
             if name in sigmas:
                 fault = run.world.fault[run.world.ids.index(name)]

@@ -6,7 +6,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
 from homeward.places.place import Event, Place, StoredHome, Visit
-from homeward.places.telling import Told
+from homeward.places.telling import VisitData
 
 SIGMA, SCALE_SIGMA = 0.01, 0.02
 
@@ -42,4 +42,4 @@ def new_place(places, rng, when=0.0, name="hall"):
 
 def told(places, rng, when=1.0, pose=(1.0, -2.0, 2.5), **more):
     """What a drive tells that began elsewhere."""
-    return Told("a drive", rng.bytes(8).hex(), when, mapped(places, rng, pose), **more)
+    return VisitData("a drive", rng.bytes(8).hex(), when, mapped(places, rng, pose), **more)

@@ -38,7 +38,7 @@ from homeward.places.files import (
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
 from homeward.places.route import Route, route_of, seen_along, taught_along
-from homeward.places.telling import Told, require_name, told_along
+from homeward.places.telling import VisitData, require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
 from homeward.report.place.words import visit_words
@@ -261,7 +261,7 @@ class Visiting:
         self._after, self.saved = after, True
         return visit_words(after) + "".join(lost)
 
-    def _save(self, localizer: Localizer, told: Told, home: str) -> Place:
+    def _save(self, localizer: Localizer, told: VisitData, home: str) -> Place:
         """Merge the measurements of the visit into the place, write it, and return it."""
 
         def with_visit(known: Place) -> Place:

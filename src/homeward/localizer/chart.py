@@ -98,10 +98,10 @@ class Chart:
         if self.home.observation.has_start:
             self._find_home(t)
 
-    def keep_closed(self) -> None:
-        """Keep marginalised keyframes for `conclude`; memory then grows with the drive."""
+    def retain_marginalised(self) -> None:
+        """Keep marginalised keyframes for `finalise`; memory then grows with the drive."""
         self._keeps = True
-        self.map.smoother.keep_closed()
+        self.map.smoother.retain_marginalised()
 
     def follow(self, t: float) -> None:
         """Integrate the odometry after a twist of `t` [s] has arrived."""
@@ -161,11 +161,15 @@ class Chart:
             return True
         return False
 
-    def conclude(self, whole: Smoother) -> bool:
-        """Find home anew by the solution of a whole drive; see `Localizer.conclude`."""
-        found = self.home.conclude(self.map, whole.state)
+    def finalise(self, whole: Smoother) -> bool:
+        """Find home again by the solution of a whole drive, also for `landmarks`.
+
+        `whole` is the map with all keyframes in its window, solved. Where home is not found,
+        everything stays as it was, and the return value is False.
+        """
+        found = self.home.finalise(self.map, whole.state)
         if found:
-            self.map.adopt(whole)
+            self.map.replace_solution(whole)
             self._integrity.update(self.home.hypotheses, True, self.home.stayed(self.map))
         return found
 
@@ -364,7 +368,7 @@ class Chart:
         self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)
         if self._keeps:
-            self.map.smoother.keep_closed()
+            self.map.smoother.retain_marginalised()
 
     def _reset_map(self, t: float) -> Motion:
         """Reset the map at `t` [s], and return the motion since then: none."""

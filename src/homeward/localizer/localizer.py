@@ -1,7 +1,7 @@
 """The robust localiser: a map in the odometry frame, and home found in it.
 
-When the robot is lost, a second map is begun beside the first (as in a multi-map SLAM), and the
-first that gives a pose answers: the old one by relocalisation, or the new one by finding home.
+When the robot is lost, a second map is begun (as in a multi-map SLAM), and the first of both that
+gives a pose answers: the old one by relocalisation, or the new one by finding home.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -34,9 +34,9 @@ from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import LAGS, SignCheck
-from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.motion.twists import Twists
+from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.one_thread import one_thread
 from homeward.reasons import Reason, Rejection
@@ -46,19 +46,8 @@ NOISY_NOTE = "The bearings are noisier than was given: their deviations were tak
 MAX_IN_VIEW = 100
 """Sightings used of a frame. Its cost grows with their number times the square of that of mapped
 landmarks, and a pose from 500 bearings is 2.2 times as accurate as one from 100 at most."""
-CLEARLY = 20
+SWITCH_MARGIN = 20
 """A map is better if this many more sightings fit it; where both are right, as many fit both."""
-
-
-class OwnMap(NamedTuple):
-    """Landmarks in the frame of the robot's pose at the start."""
-
-    names: tuple[str, ...]
-    """Names of the n landmarks."""
-    positions: np.ndarray
-    """(n, 2) [m]"""
-    covariance: np.ndarray
-    """(2 n, 2 n): covariance of their coordinates in order [m^2]."""
 
 
 class Localizer:
@@ -97,9 +86,9 @@ class Localizer:
         self._home, self._robot = known_home(home), known_robot(robot)
         self._twists, self._known = Twists(), known_landmarks(known)
         self._chart = self._new_chart(self._robot, self.counts)
-        self._beside: Chart | None = None
-        """A second chart, begun when the robot was lost in the first."""
-        self._lead = 0
+        self._candidate_chart: Chart | None = None
+        """The second chart, begun when the robot was lost in the first."""
+        self._candidate_lead = 0
         """How many more sightings fit the second, since it began or was last the worse one."""
         self._keeps = False
         self._blind: list[tuple[float, float]] = []
@@ -222,40 +211,29 @@ class Localizer:
     @property
     def chart(self) -> Chart:
         """The chart that answers: the second one where it alone has a pose."""
-        if self._beside is not None and self._beside.has_pose and not self._chart.has_pose:
-            return self._beside
+        candidate = self._candidate_chart
+        if candidate is not None and candidate.has_pose and not self._chart.has_pose:
+            return candidate
         return self._chart
 
     @property
     def charts(self) -> tuple[Chart, ...]:
         """All charts, the older one first."""
-        return (self._chart,) if self._beside is None else (self._chart, self._beside)
+        candidate = self._candidate_chart
+        return (self._chart,) if candidate is None else (self._chart, candidate)
 
-    def keep_closed(self) -> None:
-        """Keep all keyframes for `conclude`; memory then grows with the drive."""
+    def retain_marginalised(self) -> None:
+        """Keep all keyframes, for smoothing; memory then grows with the drive."""
         self._keeps = True
-        self._chart.keep_closed()
-
-    @property
-    def spells_lost(self) -> list[tuple[float, float]]:
-        """Intervals in which the robot is unknown in the map in which home is found [s]."""
-        return [(-math.inf, self.chart.map.begun), *self.chart.monitor.spells_lost]
+        self._chart.retain_marginalised()
 
     @property
     def spells_blind(self) -> list[tuple[float, float]]:
         """Intervals without an accepted bearing, after each of which a new map replaced one [s]."""
         return self._blind
 
-    @property
-    def found_home(self) -> np.ndarray | None:
-        """(3,): home's pose in the frame of `own_map`; None unless found by home bearings."""
-        found = self.chart.home.hypotheses
-        if found is None or not self.chart.has_pose or self.chart.map.registration.knows_home:
-            return None
-        return found.best.home
-
-    def own_map(self) -> OwnMap:
-        """Return the present landmarks, by the measurements of this drive alone.
+    def map_snapshot(self) -> MapSnapshot:
+        """Return the present map by the measurements of this drive alone, and home in it.
 
         Raises
         ------
@@ -271,26 +249,16 @@ class Localizer:
             given = self._robot.odometry.speed_scale_sigma
             sigma = self.settings.odometry.speed_scale if given is None else given
             covariance = covariance + sigma**2 * np.outer(mean, mean)
-        return OwnMap(tuple(mapped), mean, covariance)
-
-    def home_bearing_sigmas(self) -> dict[str, float]:
-        """Return the standard deviation of each home bearing predicted by the others [rad]."""
-        return self.chart.home.bearing_sigmas()
-
-    def conclude(self, whole: Smoother) -> bool:
-        """Find home anew by the solution of a whole drive, also for `landmarks`.
-
-        Parameters
-        ----------
-        whole : Smoother
-            The map with all keyframes in its window, solved.
-
-        Returns
-        -------
-        bool
-            Whether home is found; where it is not, everything stays as it was.
-        """
-        return self.chart.conclude(whole)
+        found, observed = chart.home.hypotheses, chart.home.observation
+        known = found is not None and chart.has_pose and not chart.map.registration.knows_home
+        return MapSnapshot(
+            tuple(mapped),
+            mean,
+            covariance,
+            found.best.home if known and found is not None else None,
+            observed.with_noise(chart.noise),
+            Pose(*observed.mount.tolist()),
+        )
 
     def _most_useful(self, sightings: dict[str, float]) -> dict[str, float]:
         """Return `MAX_IN_VIEW` sightings: of mapped landmarks first, then of those seen at home."""
@@ -337,20 +305,20 @@ class Localizer:
         if reckoned is not None:
             self._sign_check.bearings(frame.t, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, self._t)
-        if self._beside is not None:
-            return self._update_beside(self._beside, frame, innovations)
+        if self._candidate_chart is not None:
+            return self._update_candidate(self._candidate_chart, frame, innovations)
         if self._chart.monitor.fits_badly:
-            self._begin_beside(frame.t)
+            self._begin_candidate(frame.t)
         return innovations
 
-    def _update_beside(
-        self, beside: Chart, frame: BearingFrame, before: list[Innovation]
+    def _update_candidate(
+        self, candidate: Chart, frame: BearingFrame, before: list[Innovation]
     ) -> list[Innovation]:
         """Process a frame in the second chart; drop one chart once the other is proven.
 
         Parameters
         ----------
-        beside : Chart
+        candidate : Chart
             The second chart.
         frame : BearingFrame
             The frame.
@@ -362,31 +330,31 @@ class Localizer:
         list of Innovation
             Those in the chart that answers.
         """
-        innovations = beside.add_bearings(frame, self._t)
+        innovations = candidate.add_bearings(frame, self._t)
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
-        self._lead = max(0, self._lead + gained)
-        if self._lead >= CLEARLY and self._is_sure(beside):
-            self._blind.append((self._chart.last_accepted, beside.map.begun))
-            self._chart, self.counts, self._beside = beside, beside.counts, None
-            beside.slipped_at = frame.t
+        self._candidate_lead = max(0, self._candidate_lead + gained)
+        if self._candidate_lead >= SWITCH_MARGIN and self._is_sure(candidate):
+            self._blind.append((self._chart.last_accepted, candidate.map.begun))
+            self._chart, self.counts, self._candidate_chart = candidate, candidate.counts, None
+            candidate.slipped_at = frame.t
         elif self._chart.monitor.fits_well and self._is_sure(self._chart):
-            self._beside = None
-        elif beside.monitor.is_lost:
-            self._begin_beside(frame.t)
-        return innovations if self.chart is beside else before
+            self._candidate_chart = None
+        elif candidate.monitor.is_lost:
+            self._begin_candidate(frame.t)
+        return innovations if self.chart is candidate else before
 
     def _is_sure(self, chart: Chart) -> bool:
         """Return whether a chart has a pose to rely on."""
         return chart.estimate(self._t).status is Status.LOCALISED
 
-    def _begin_beside(self, t: float) -> None:
+    def _begin_candidate(self, t: float) -> None:
         """Begin a second chart at the robot, at `t` [s]."""
         anywhere = self._robot.model_copy(update={"start": None})
-        self._beside = self._new_chart(anywhere, copy.deepcopy(self.counts))
-        self._lead = 0
+        self._candidate_chart = self._new_chart(anywhere, copy.deepcopy(self.counts))
+        self._candidate_lead = 0
         if self._keeps:
-            self._beside.keep_closed()
-        self._beside.begin(t)
+            self._candidate_chart.retain_marginalised()
+        self._candidate_chart.begin(t)
 
     def _new_chart(self, robot: DriveSettings, counts: Counts) -> Chart:
         """Return a new chart."""

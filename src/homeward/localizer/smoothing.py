@@ -64,22 +64,24 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
-    localizer.keep_closed()
+    localizer.retain_marginalised()
     track = run(drive, localizer)
     if localizer.is_convention_wrong:
         return track
-    localizer.chart.learn(float(track.t[-1]))
-    whole = localizer.chart.map.smoother.whole()
+    chart = localizer.chart
+    chart.learn(float(track.t[-1]))
+    whole = chart.map.smoother.whole()
     _solve(whole)
-    if restore(_contradicted(drive, localizer.chart, whole), localizer.chart.map, whole):
+    if restore(_contradicted(drive, chart, whole), chart.map, whole):
         _solve(whole)
-    lost = {seen.keyframe for seen in _contradicted(drive, localizer.chart, whole)}
-    hypotheses = _at_keyframes(localizer.chart, whole) if localizer.conclude(whole) else None
+    lost = {seen.keyframe for seen in _contradicted(drive, chart, whole)}
+    hypotheses = _at_keyframes(chart, whole) if chart.finalise(whole) else None
     if hypotheses is None:
         return track
-    stayed = localizer.chart.home.stayed(localizer.chart.map)
+    stayed = chart.home.stayed(chart.map)
     rows = _rows(track.t, hypotheses, stayed, whole, drive, localizer)
-    for i in np.flatnonzero(_within(localizer.spells_lost, track.t)).tolist():
+    spells_lost = [(-math.inf, chart.map.begun), *chart.monitor.spells_lost]
+    for i in np.flatnonzero(_within(spells_lost, track.t)).tolist():
         rows[i] = _row(track, i)
     gaps = [*localizer.spells_blind, *_gaps(lost, hypotheses, whole, drive, localizer)]
     for i in np.flatnonzero(_within(gaps, track.t)).tolist():

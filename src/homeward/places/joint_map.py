@@ -16,7 +16,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose, position_sigma
 from homeward.localizer.geometry import between, compose, lever, rotation, sight
-from homeward.localizer.map.survey.factors import align, rotated
+from homeward.localizer.output.map_snapshot import align, rotated
 
 DATUM = 3
 """Unknowns of a rigid motion."""

@@ -60,8 +60,8 @@ class Looks:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a drive tells of a place."""
+class VisitData:
+    """Data of one visit to a place: the own map of a drive, and what it stored on the way."""
 
     drive: str
     evidence: str
@@ -79,7 +79,7 @@ class Told:
     routes: dict[str, tuple[Route, JointMap]] = field(default_factory=dict)
     """Taught by it, with where landmarks are in the same frame."""
 
-    def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> Told:
+    def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
         """Return it with a home where an answer has a pose, and what the camera saw there.
 
         Raises
@@ -93,7 +93,7 @@ class Told:
         stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
         return replace(self, homes={**self.homes, name: (stored, answer)})
 
-    def store_route(self, name: str, track: Track) -> Told:
+    def store_route(self, name: str, track: Track) -> VisitData:
         """Return it with a route, the way of a track of the same drive, best a smoothed one.
 
         Raises
@@ -134,7 +134,7 @@ def last_look(
 
 def told_by(
     localizer: Localizer, drive: Drive, track: Track, when: float, home: str | None = None
-) -> Told:
+) -> VisitData:
     """Return what a drive tells after its run.
 
     Parameters
@@ -157,7 +157,7 @@ def told_by(
 
 def told_along(
     localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
-) -> Told:
+) -> VisitData:
     """Return what a drive tells, by its answers; parameters as of `told_by`.
 
     Parameters
@@ -173,13 +173,13 @@ def told_along(
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
     looks = Looks(cameras, known, drive.settings.sensor.field_of_view)
-    return Told(drive.name, fingerprint(drive), when, own_map(localizer), looks, home)
+    return VisitData(drive.name, fingerprint(drive), when, own_map(localizer), looks, home)
 
 
 def own_map(localizer: Localizer) -> JointMap:
     """Return what a robot mapped by itself; `HomewardError` where that is nothing."""
     try:
-        own = localizer.own_map()
+        own = localizer.map_snapshot()
     except np.linalg.LinAlgError:
         raise HomewardError("the map of this drive is too vague to be kept") from None
     return JointMap(own.names, (), own.positions.ravel(), own.covariance)

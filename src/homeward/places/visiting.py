@@ -12,14 +12,12 @@ from homeward.errors import HomewardError
 from homeward.frames import Pose
 from homeward.localizer.geometry import compose, rotation
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
-from homeward.localizer.map.survey.factors import SurveyFactors
+from homeward.localizer.output.map_snapshot import MAX_TESTED, moved_probabilities
 from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import FORGOTTEN, GONE, Standing, missed_probability, tally
 from homeward.places.place import Event, Place, StoredHome, Visit
-from homeward.places.telling import Told, require_name
+from homeward.places.telling import VisitData, require_name
 
 LEAST_AGREEING = 0.5
 """A visit of which less than this share of what should have stayed did is of another place, or most
@@ -30,7 +28,7 @@ FIRST_HOME = "home"
 """So the home of a place's first drive is called."""
 
 
-def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_HOME) -> Place:
+def first_place(name: str, localizer: Localizer, told: VisitData, home: str = FIRST_HOME) -> Place:
     """Return the place that a first drive makes; its frame is that of the drive's home.
 
     Raises
@@ -39,14 +37,13 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
         When home was not found in the map, or too few landmarks are placed well for any later
         drive to prove that it is of this place.
     """
-    found = localizer.found_home
+    own = localizer.map_snapshot()
+    found, observed, mount = own.home, own.home_bearings, own.home_mount
     if found is None:
         raise HomewardError("home was not found on this drive, so there is no place to keep")
-    observed = localizer.chart.home.observation.with_noise(localizer.chart.noise)
     stood = {m.landmark for m in localizer.landmarks() if m.moved is False}
     right = {n: b for n, b in observed.items() if n in stood and n in told.map.names}
     vague = np.diag([told.map.size**2, told.map.size**2, np.pi**2])
-    mount = Pose(*localizer.chart.home.observation.mount.tolist())
     there = told.map.with_home(home, right, mount, found, vague).at_home(home)
     there = there.only(_well_placed(there))
     if len(there.names) < VERIFIED:
@@ -63,7 +60,7 @@ def first_place(name: str, localizer: Localizer, told: Told, home: str = FIRST_H
     return _with_stored(replace(place, visits=(visit,), events=events), told)
 
 
-def merged(place: Place, told: Told) -> Place:
+def merged(place: Place, told: VisitData) -> Place:
     """Return a place after a visit: what stayed is fused, what moved follows, what is gone fades.
 
     A visit that contradicts the place leaves it as it is but for a line that says so.
@@ -111,7 +108,7 @@ def merged_places(place: Place, other: Place) -> Place:
     when = max(place.visits[-1].when, other.visits[-1].when)
     theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
     theirs = theirs.only({n for n, stays in other.stays(when).items() if stays >= GONE})
-    judged, stayed = _judged(place, Told(other.name, known, when, theirs))
+    judged, stayed = _judged(place, VisitData(other.name, known, when, theirs))
     differ = HomewardError(
         f"of the {len(judged)} landmarks that both have too few stand alike: "
         "these are two places, or most was rearranged"
@@ -179,7 +176,7 @@ def _visits(before: Place, visit: Visit) -> tuple[Visit, ...]:
 def _followed(
     before: Place,
     place: Place,
-    told: Told,
+    told: VisitData,
     judged: dict[str, float],
     moved: list[str],
     new: list[str],
@@ -239,7 +236,7 @@ def _events(before: Place, place: Place, what: dict[str, str]) -> list[Event]:
     return [Event(before.next_visit, name, word, *at[name]) for name, word in what.items()]
 
 
-def _judged(place: Place, told: Told) -> tuple[dict[str, float], list[str]]:
+def _judged(place: Place, told: VisitData) -> tuple[dict[str, float], list[str]]:
     """Return how probably landmarks of both stand elsewhere than in the place, and who do not."""
     before, stays, found = place.aged(told.when), place.stays(told.when), dict[str, float]()
     common = [n for n in before.names if n in told.map.names]
@@ -249,18 +246,15 @@ def _judged(place: Place, told: Told) -> tuple[dict[str, float], list[str]]:
             continue
         mine, theirs = before.only(some, ()).loose(), told.map.only(some)
         n, order = 2 * len(some), theirs.columns(mine.names)
-        none = np.zeros((0, 2), int), np.zeros(0), np.zeros(0)
-        factors = SurveyFactors(np.arange(n // 2), mine.positions, mine.covariance[:n, :n], *none)
-        covariance = np.zeros((HEAD + n, HEAD + n))
-        covariance[HEAD:, HEAD:] = theirs.covariance[np.ix_(order, order)]
-        free = Marginal(np.concatenate([np.zeros(HEAD), theirs.mean[order]]), covariance)
+        known = mine.positions, mine.covariance[:n, :n]
+        mapped = theirs.mean[order], theirs.covariance[np.ix_(order, order)]
         prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
-        wrong = outlier_probabilities(factors, free, np.arange(n // 2), prior, before.size)
+        wrong = moved_probabilities(known, mapped, prior, before.size)
         found |= dict(zip(mine.names, wrong.tolist(), strict=True))
     return found, [name for name, wrong in found.items() if wrong <= 0.5]
 
 
-def _missed(place: Place, told: Told) -> dict[str, float]:
+def _missed(place: Place, told: VisitData) -> dict[str, float]:
     """Return landmarks in view that were not seen, with how probably that happens if they stand."""
     if told.looks is None:
         return {}
@@ -281,7 +275,7 @@ def _well_placed(some: JointMap) -> set[str]:
     return {n for n, sigma in zip(some.names, some.sigmas.tolist(), strict=True) if sigma < most}
 
 
-def _with_stored(place: Place, told: Told) -> Place:
+def _with_stored(place: Place, told: VisitData) -> Place:
     """Return a place with the homes and routes that were stored on a visit."""
     for name, (route, seen) in told.routes.items():
         require_name("route", name, place.routes)

@@ -106,7 +106,7 @@ class HomeTracker:
             return problem
         return problem.at_origin(known.registration.static_places(state))
 
-    def conclude(self, known: Map, state: Marginal) -> bool:
+    def finalise(self, known: Map, state: Marginal) -> bool:
         """Search for home by the solution of a whole drive; return whether it is found.
 
         If it is not, nothing changes.

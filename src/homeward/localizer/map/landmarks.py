@@ -244,7 +244,7 @@ class Landmarks:
         if seen is not None:
             self.range_mixtures[name] = seen
 
-    def adopt(self, whole: Smoother) -> None:
+    def replace_solution(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive: fit the range mixtures again, in its frame."""
         waiting = {
             name: np.array(self._candidates[name].rows)

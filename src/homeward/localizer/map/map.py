@@ -145,7 +145,7 @@ class Map:
         if self._unlearnt_solution:
             self._unlearnt_solution = False
             self._learner.learn(self.smoother, self.landmarks)
-            if self._learner.frees_extrinsics(self.smoother):
+            if self._learner.enable_extrinsics_calibration(self.smoother):
                 self._solve()
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
@@ -280,10 +280,10 @@ class Map:
         self._pending_rows = []
         self._correct(None)
 
-    def adopt(self, whole: Smoother) -> None:
+    def replace_solution(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive, for the same landmarks."""
         self.smoother = whole
-        self.landmarks.adopt(whole)
+        self.landmarks.replace_solution(whole)
         self._unlearnt_solution = False
 
     def _rows(

@@ -142,12 +142,12 @@ class Smoother:
         """The Gaussian on newest pose, calibration and landmarks."""
         self.solve()
 
-    def keep_closed(self) -> None:
+    def retain_marginalised(self) -> None:
         """Keep marginalised keyframes for `whole`; memory then grows with the drive."""
         self._closed = []
 
     def whole(self) -> Smoother:
-        """Return a smoother with all keyframes since `keep_closed` in its window, unsolved."""
+        """Return a smoother with all keyframes since `retain_marginalised`, unsolved."""
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []

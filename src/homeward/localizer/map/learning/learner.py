@@ -78,7 +78,7 @@ class Learner:
             sums, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*sums, motions, min(since, motions)))
 
-    def frees_extrinsics(self, smoother: Smoother) -> bool:
+    def enable_extrinsics_calibration(self, smoother: Smoother) -> bool:
         """Free the extrinsics if the bearings contradict the assumed ones; return whether so.
 
         That happens once, and requires another solution.
