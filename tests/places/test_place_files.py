@@ -102,12 +102,12 @@ def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):
         save_place(before, folder)
     monkeypatch.undo()
     # A real one leaves what was being written.
-    shutil.copytree(folder / "0002", folder / ".being-written-x")
-    (folder / ".being-written-x" / "covariance.npz").write_bytes(b"")
+    shutil.copytree(folder / "0002", folder / ".writing-x")
+    (folder / ".writing-x" / "covariance.npz").write_bytes(b"")
     same(load_place(folder), before)
     save_place(before, folder)  # it may be another robot's, who writes at this moment
-    assert (folder / ".being-written-x").exists()
-    os.utime(folder / ".being-written-x", (0.0, 0.0))
+    assert (folder / ".writing-x").exists()
+    os.utime(folder / ".writing-x", (0.0, 0.0))
     save_place(before, folder)
     assert sorted(p.name for p in folder.iterdir()) == ["0001", "0002", "0003", "0004"]
 

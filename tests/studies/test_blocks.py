@@ -36,7 +36,7 @@ def test_a_block_comes_back_as_it_was_kept(tmp_path):
     assert found.keys() == kept.keys()
     np.testing.assert_array_equal(found["a"], kept["a"])
     assert found["words"].tolist() == ["", "it failed"]
-    assert not list((tmp_path / "new" / "blocks").glob("*.writing"))
+    assert not list((tmp_path / "new" / "blocks").glob(".writing-*"))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +35,7 @@ from homeward.drives.text.table import (
     write_csv,
 )
 from homeward.errors import InputError
+from homeward.io.files import whole_folder
 from homeward.naming import listing, natural
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
@@ -150,9 +150,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
 def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
     """Write a drive folder that `read_folder` reads back to the last bit.
 
-    The files are written beside it and moved into place when all are whole: a new folder appears
-    at once, and in an existing one only the files of a drive are replaced or, when this drive has
-    none, taken away.
+    The files enter together when all are written. In an existing folder only the files of a drive
+    are replaced or, when this drive has none, deleted.
 
     Parameters
     ----------
@@ -168,14 +167,9 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
         that are not finite, ids with white space around them or unprintable characters.
     """
     folder = Path(path)
-    with naming(folder, "cannot be written"):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        # A folder inside the temporary one, since that one is for its owner's eyes only.
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as scratch:
-            staging = Path(scratch) / "drive"
-            staging.mkdir()
-            _write_files(drive, staging, folder)
-            _move_into_place(staging, folder)
+    owned = (*REQUIRED, *OPTIONAL)
+    with naming(folder, "cannot be written"), whole_folder(folder, owned=owned) as scratch:
+        _write_files(drive, scratch, folder)
 
 
 def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
@@ -336,8 +330,8 @@ def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
     return Truth(table["t"], table["x"], table["y"], table["heading"])
 
 
-def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
-    """Write all files of a drive into `staging`; errors speak of `folder`."""
+def _write_files(drive: Drive, scratch: Path, folder: Path) -> None:
+    """Write all files of a drive into `scratch`; errors name files of `folder`."""
     if not drive.odometry.t.size:
         raise InputError("no rows", folder / ODOMETRY)
     may_lack = {"sigma"}
@@ -348,10 +342,10 @@ def _write_files(drive: Drive, staging: Path, folder: Path) -> None:
             _cells(column, values, folder / name, column in may_lack)
             for column, values in columns.items()
         ]
-        write_csv(staging / name, columns, zip(*cells, strict=True))
+        write_csv(scratch / name, columns, zip(*cells, strict=True))
     for name, model in ((SETTINGS, drive.settings), (KNOWN, drive.known)):
         if text := settings_yaml(model):
-            (staging / name).write_text(text, encoding="utf-8")
+            (scratch / name).write_text(text, encoding="utf-8")
 
 
 def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
@@ -391,15 +385,3 @@ def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[
         raise InputError(f"{column} holds a number that is not finite", file)
     pairs = zip(values.tolist(), missing.tolist(), strict=True)
     return ["" if is_missing else repr(float(value)) for value, is_missing in pairs]
-
-
-def _move_into_place(staging: Path, folder: Path) -> None:
-    """Make the staged files the drive in `folder`."""
-    if not folder.exists():
-        staging.rename(folder)
-        return
-    for name in (*REQUIRED, *OPTIONAL):
-        if (staging / name).exists():
-            (staging / name).replace(folder / name)
-        else:
-            (folder / name).unlink(missing_ok=True)

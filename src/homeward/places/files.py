@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import secrets
 import shutil
 import time
 from collections.abc import Callable
@@ -17,12 +16,12 @@ from pathlib import Path
 
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.errors import InputError
+from homeward.io.files import SCRATCH, scratch_folder, sync
 from homeward.places.place import Place
 from homeward.places.version import SETTINGS, read_version, write_version
 
 KEPT = 10
 """So many versions are kept."""
-SCRATCH = ".being-written-"
 CUT_SHORT_S = 3600.0
 """What was begun so long ago nobody writes any more; till then it may be another robot's [s]."""
 
@@ -109,21 +108,17 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
         number = max(found, default=0) + 1
         if after is not None and number != after + 1:
             raise PlaceChangedError(f"was changed meanwhile: version {number - 1} is newer", path)
-        scratch = _new_scratch(path)
-        try:
+        with scratch_folder(path) as scratch:
             write_version(place, scratch)
             for file in (*scratch.iterdir(), scratch):
-                _sync(file)
+                sync(file)
             while not _enters(scratch, path / _name(number)):
                 if after is not None:
                     raise PlaceChangedError(
                         f"was changed meanwhile: version {number} is newer", path
                     )
                 number += 1
-        except BaseException:
-            shutil.rmtree(scratch, ignore_errors=True)
-            raise
-        _sync(path)
+        sync(path)
         for old in sorted(found)[: max(0, len(found) + 1 - KEPT)]:
             _remove(path / _name(old))
         for half_deleted in (p for p in path.iterdir() if _is_half_deleted(p)):
@@ -182,19 +177,11 @@ def undo(folder: str | os.PathLike[str]) -> int:
     return found[-2]
 
 
-def _new_scratch(path: Path) -> Path:
-    """Return a new folder in `path`, with the permissions that the user's umask gives."""
-    scratch = path / f"{SCRATCH}{secrets.token_hex(8)}"
-    scratch.mkdir()
-    return scratch
-
-
 def _remove(version: Path) -> None:
     """Delete a version: out of the way by one rename first, so that it is whole or gone."""
-    scratch = _new_scratch(version.parent)
-    version.rename(scratch / version.name)
-    _sync(version.parent)
-    shutil.rmtree(scratch, ignore_errors=True)
+    with scratch_folder(version.parent) as scratch:
+        version.rename(scratch / version.name)
+        sync(version.parent)
 
 
 def _is_half_deleted(entry: Path) -> bool:
@@ -232,12 +219,3 @@ def _required(path: Path) -> list[int]:
     if not found:
         raise InputError("holds no place", path)
     return found
-
-
-def _sync(path: Path) -> None:
-    """Wait until a file or folder has reached the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

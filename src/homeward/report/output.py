@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from homeward.drives.text.files import is_there, naming
 from homeward.errors import InputError
-from homeward.studies.blocks.store import SCRATCH
+from homeward.io import files as io
 
 
 def check_output(directory: Path, marker: str) -> None:
@@ -32,7 +30,7 @@ def check_output(directory: Path, marker: str) -> None:
         raise InputError("may not be written into; choose another output folder", there)
     if there != directory:
         return
-    names = {p.name for p in directory.iterdir() if not p.name.startswith(SCRATCH)}
+    names = {p.name for p in directory.iterdir() if not p.name.startswith(io.SCRATCH)}
     if names and marker not in names:
         raise InputError(
             f"holds files but no {marker}, so they are not ours to replace; "
@@ -64,22 +62,5 @@ def whole_folder(directory: Path, marker: str, merge: bool = False) -> Iterator[
     """
     with naming(directory, "cannot be written"):
         check_output(directory, marker)
-        new = not is_there(directory)
-        directory.mkdir(parents=True, exist_ok=True)
-        try:
-            # Inside, not beside: beside may be another file system, where a move is a copy.
-            with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=directory) as scratch:
-                yield Path(scratch)
-                for entry in sorted(Path(scratch).iterdir(), key=lambda f: f.name == marker):
-                    place = directory / entry.name
-                    if merge and entry.is_dir():
-                        shutil.copytree(entry, place, copy_function=os.replace, dirs_exist_ok=True)
-                        continue
-                    if place.is_dir() and not place.is_symlink():
-                        shutil.rmtree(place)
-                    os.replace(entry, place)
-        except BaseException:
-            if new:
-                with suppress(OSError):
-                    directory.rmdir()
-            raise
+        with io.whole_folder(directory, last=marker, merge=merge) as scratch:
+            yield scratch

@@ -77,7 +77,7 @@ def test_processes_that_compile_at_once_agree(cache, tmp_path):
     answers = {p.communicate(timeout=100)[0] for p in several}
     assert [float(a) for a in answers] == [pytest.approx(5 * np.sin(0.5), abs=1e-15)]
     assert all(Cache(cache).find(f.stem.split("-")[0]) for f in cache.glob("*.so"))
-    assert not list(cache.glob("compiling-*"))
+    assert not list(cache.glob(".writing-*"))
 
 
 def test_the_cache_folder_follows_the_platform(monkeypatch, tmp_path):

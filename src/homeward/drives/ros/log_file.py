@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +17,7 @@ from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.text.files import is_there, naming
 from homeward.errors import InputError
+from homeward.io.files import whole_file
 
 _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 
@@ -84,21 +84,19 @@ def writing(path: Path) -> Iterator[LogFile]:
         raise InputError("exists already; choose another name", path)
     with naming(path, "cannot be written"):
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            # Beside it, so that moving it into place is no copy.
-            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as scratch:
-                made = Path(scratch) / "log"
+            with whole_file(path) as made:
+                log = made.with_name("log")
                 if path.suffix == ".bag":
-                    with rosbag1.Writer(made) as old:
+                    with rosbag1.Writer(log) as old:
                         yield LogFile(old, ros1=True)
                 else:
                     storage = _STORAGE[path.suffix]
-                    writer = rosbag2.Writer(made, version=9, storage_plugin=storage)
+                    writer = rosbag2.Writer(log, version=9, storage_plugin=storage)
                     if storage is StoragePlugin.MCAP:
                         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
                     with writer as new:
                         yield LogFile(new, ros1=False)
-                    (made,) = made.glob(f"*{path.suffix}")
-                made.rename(path)
+                    (log,) = log.glob(f"*{path.suffix}")
+                log.rename(made)
         except sqlite3.Error as error:  # no OSError where the disk is full
             raise InputError(f"cannot be written: {error}", path) from error

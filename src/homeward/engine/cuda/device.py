@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from homeward.engine.native.cache import Cache, default_folder, key_of
 from homeward.errors import HomewardError, needs_extra
+from homeward.io.files import scratch_folder
 
 FLOATS = ("--ftz=true", "--prec-div=false", "--prec-sqrt=false")
 """How floats are computed; doubles are not concerned."""
@@ -70,8 +70,8 @@ def compiled(text: str, architecture: str) -> bytes:
     finally:
         nvrtc.nvrtcDestroyProgram(program)
     if trusted:
-        with cache.workshop() as workshop:
-            file = Path(workshop) / "code.cubin"
+        with scratch_folder(cache.folder) as workshop:
+            file = workshop / "code.cubin"
             file.write_bytes(code)
             cache.keep(key, file)
     return bytes(code)

@@ -10,7 +10,6 @@ import hashlib
 import os
 import stat
 import sys
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -60,10 +59,6 @@ class Cache:
         place = self.folder / f"{key}-{_checksum(file)}{self._suffix}"
         os.replace(file, place)
         return place
-
-    def workshop(self) -> tempfile.TemporaryDirectory[str]:
-        """Return a folder to work in, of this process alone, which goes when it is left."""
-        return tempfile.TemporaryDirectory(prefix="compiling-", dir=self.folder)
 
 
 def default_folder() -> Path:

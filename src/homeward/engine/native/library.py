@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from homeward.engine.native.cache import Cache, default_folder, key_of
 from homeward.engine.native.compiler import PORTABLE_FLAGS, Compiler, NativeError, find_compiler
+from homeward.io.files import scratch_folder
 
 PROOF_S = 60.0
 """A fresh library must load and answer in a process of its own within this time [s]."""
@@ -102,8 +103,8 @@ def _load(source: str, compiler: Compiler, folder: Path) -> Library:
         return _unkept(source, compiler, problem)
     try:
         if (found := cache.find(key)) is None:
-            with cache.workshop() as workshop:
-                found = cache.keep(key, _compiled(source, compiler, Path(workshop)))
+            with scratch_folder(folder) as workshop:
+                found = cache.keep(key, _compiled(source, compiler, workshop))
     except OSError as error:
         return _unkept(source, compiler, f"{folder}: {error.strerror}")
     return _opened(found, ())

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -21,14 +20,13 @@ import yaml
 
 from homeward.drives.text.files import is_there, naming, opened, read_small
 from homeward.errors import InputError
+from homeward.io.files import whole_file
 
 Arrays = dict[str, np.ndarray]
 """What a block leaves: names to arrays, text as ``str`` arrays."""
 
 LARGEST_MANIFEST = 2**26
 """[byte]; settings as JSON are a few times as long as in YAML."""
-SCRATCH = ".writing-"
-"""Begins the names of what is not whole yet; an output folder may hold it and still be new."""
 _KEY = "__study__"
 
 
@@ -67,17 +65,9 @@ class BlockStore:
     def save(self, name: str, arrays: Arrays) -> None:
         """Keep a finished block; it appears whole, whatever happens meanwhile."""
         path = self._path(name)
-        with naming(path, "cannot be written"):
-            scratch = path.with_suffix(f".{os.getpid()}.writing")
-            try:
-                with scratch.open("wb") as stream:
-                    # mypy: a mapping may not hold allow_pickle, which is another argument
-                    np.savez_compressed(stream, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                os.replace(scratch, path)
-            finally:
-                scratch.unlink(missing_ok=True)
+        with naming(path, "cannot be written"), whole_file(path) as scratch:
+            # mypy: a mapping may not hold allow_pickle, which is another argument
+            np.savez_compressed(scratch, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
 
     def load(self, name: str) -> Arrays:
         """Return a finished block.
@@ -117,9 +107,9 @@ class BlockStore:
             self.folder.mkdir(parents=True, exist_ok=True)
             # First of all: what happens now, the folder is known to be ours.
             words = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-            _write(self.folder / marker, words)
+            _write_text(self.folder / marker, words)
             self._blocks.mkdir(exist_ok=True)
-            _write(manifest, json.dumps(tree, indent=1))
+            _write_text(manifest, json.dumps(tree, indent=1))
         except BaseException:
             if new:  # a full disk leaves nothing behind
                 shutil.rmtree(self.folder, ignore_errors=True)
@@ -147,13 +137,9 @@ def our_version() -> str:
         return "not installed"
 
 
-def _write(path: Path, text: str) -> None:
-    scratch = path.with_name(f"{SCRATCH}{os.getpid()}-{path.name}")
-    try:
+def _write_text(path: Path, text: str) -> None:
+    with whole_file(path) as scratch:
         scratch.write_text(text, encoding="utf-8")
-        os.replace(scratch, path)
-    finally:
-        scratch.unlink(missing_ok=True)
 
 
 def _first_change(before: Any, now: Any, key: str = "") -> str | None:

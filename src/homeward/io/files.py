@@ -1,0 +1,93 @@
+"""Files and folders that appear whole or not at all.
+
+They are written under a name that begins with `SCRATCH`, on the file system of their destination,
+and enter by a rename. A process that is killed leaves at most such a scratch folder behind.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+SCRATCH = ".writing-"
+"""First characters of the names of scratch folders."""
+
+
+@contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """Make a folder in `parent`, which is made too; delete it at the end unless it was renamed.
+
+    Its permissions are those that the umask gives.
+    """
+    parent.mkdir(parents=True, exist_ok=True)
+    scratch = parent / f"{SCRATCH}{secrets.token_hex(8)}"
+    scratch.mkdir()
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Lend the path of a new file that replaces `path` when the block ends without an error.
+
+    The file is on the disk before it replaces the old one.
+    """
+    with scratch_folder(path.parent) as scratch:
+        yield (made := scratch / path.name)
+        sync(made)
+        os.replace(made, path)
+
+
+@contextmanager
+def whole_folder(
+    folder: Path, last: str | None = None, merge: bool = False, owned: Collection[str] = ()
+) -> Iterator[Path]:
+    """Lend a scratch folder whose entries enter `folder` when the block ends without an error.
+
+    A new folder appears by one rename. In an existing one, entries of the same names are replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Destination; parents are made.
+    last : str, optional
+        Entry that enters last: a folder that contains it is whole.
+    merge : bool
+        Whether other files in the subfolders of an existing folder stay; by default a new subfolder
+        replaces the old one.
+    owned : collection of str
+        Files of an existing folder that are deleted where the new entries do not replace them.
+    """
+    new = not os.path.lexists(folder)
+    # In an existing folder, since its parent may be on another file system.
+    with scratch_folder(folder.parent if new else folder) as scratch:
+        yield scratch
+        if new:
+            scratch.rename(folder)
+            return
+        entries = sorted(scratch.iterdir(), key=lambda entry: entry.name == last)
+        for entry in entries:
+            place = folder / entry.name
+            if merge and entry.is_dir():
+                shutil.copytree(entry, place, copy_function=os.replace, dirs_exist_ok=True)
+                continue
+            if place.is_dir() and not place.is_symlink():
+                shutil.rmtree(place)
+            os.replace(entry, place)
+        for name in set(owned) - {entry.name for entry in entries}:
+            (folder / name).unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the entries of a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
