@@ -18,7 +18,7 @@ from homeward.registry import make_estimator
 from homeward.simulation.files import PAPER_HOMING
 from homeward.simulation.scenario import Moved, Scenario
 from homeward.simulation.simulate import Simulation, simulate
-from homeward.studies.study.trial import simulation_bound
+from homeward.studies.study.trial import simulated_trial
 
 
 def scenario(seed: int, moved: int) -> Scenario:
@@ -28,9 +28,7 @@ def scenario(seed: int, moved: int) -> Scenario:
 
 def bound(simulation: Simulation) -> np.ndarray:
     """Return the bound at the last bearing stamp of a run, shape (3, 3)."""
-    known = simulation_bound(simulation)
-    assert known is not None  # all its bearings have noise
-    return known[1][-1]
+    return simulated_trial(simulation).bound[-1]
 
 
 def final_error(drive: Drive, estimator: Estimator) -> tuple[np.ndarray, np.ndarray]:

@@ -1,27 +1,26 @@
 """Is the localiser as good, and as honest, as it was? Exit code 1 where it is not.
 
-`python -m benchmarks.consistency [--quick] [--scenario NAME ...] [--seeds 50] [--jobs 2]` runs it
-through simulated drives of which everything is known, and holds their figures between the bands of
-baseline.json. `--sabotage` shows on the same drives that estimators which are wrong are caught.
+`python -m benchmarks.consistency [--quick] [--scenario NAME ...] [--seeds 50] [--keep FOLDER]` runs
+the localiser on simulated drives, and compares their figures with the bands of baseline.json.
+`--sabotage` shows on the same drives that wrong estimators are caught.
 `--save FILE` keeps the figures of each run, and `--against FILE` prints how many times as large
 they are as those that were kept. `--update-baseline` makes the baseline anew.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from benchmarks import monte_carlo
 from benchmarks.consistency import bands
 from benchmarks.consistency.measures import FIGURES, Figures, together
 from benchmarks.consistency.runs import AS_IT_IS, Results, every
 from benchmarks.consistency.sabotage import SABOTAGES, shows_in
 from benchmarks.consistency.scenarios import SCENARIOS
-from homeward.engine.batch.execution import available_threads
 
 QUICK_SEEDS = 2
 
@@ -90,22 +89,13 @@ def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
         print(f"{scenario:18}{row}")
 
 
-def tell(done: int, of: int) -> None:
-    """Tell on a terminal how many runs are done."""
-    if sys.stderr.isatty():
-        print(f"\r{done} of {of} runs", end="\n" if done == of else "", file=sys.stderr, flush=True)
-
-
 def main() -> int:
     """Run, print, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = monte_carlo.parser(__doc__, keep=True)
     parser.add_argument("--scenario", nargs="*", choices=SCENARIOS, default=list(SCENARIOS))
     parser.add_argument("--seeds", type=int, default=50, help="drives of each scenario")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} drives of each")
     parser.add_argument("--sabotage", action="store_true", help="and show what is caught")
-    parser.add_argument("--jobs", type=int, default=available_threads(), help="processes")
     parser.add_argument("--save", type=Path, metavar="FILE", help="for figures of each run, JSON")
     parser.add_argument("--against", type=Path, metavar="FILE", help="that was saved before")
     parser.add_argument("--update-baseline", action="store_true", help="of these scenarios")
@@ -116,7 +106,7 @@ def main() -> int:
     if options.update_baseline and seeds < bands.FEWEST:
         parser.error(f"a baseline needs at least {bands.FEWEST} drives of each scenario")
     sabotages = list(SABOTAGES) if options.sabotage else []
-    results = every(options.scenario, seeds, sabotages, options.jobs, tell)
+    results = every(options.scenario, seeds, sabotages, options.jobs, options.keep)
     good = results[AS_IT_IS]
     baseline = dict(bands.read())
     if not options.update_baseline and (new := [s for s in good if s not in baseline]):

@@ -1,13 +1,15 @@
-"""The runs of the gate, in processes of their own."""
+"""The runs of the gate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 
-from benchmarks.consistency.measures import Figures, figures
+from benchmarks.consistency.measures import FIGURES, Figures, figures
 from benchmarks.consistency.sabotage import SABOTAGES
 from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.monte_carlo import Run, grid, run_all
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 
@@ -26,36 +28,29 @@ def one(scenario: str, seed: int, sabotages: Sequence[str] = ()) -> dict[str, Fi
     return {name: figures(t, trial) for name, t in {AS_IT_IS: track, **spoilt}.items()}
 
 
+def _measured(sabotages: Sequence[str], run: Run) -> dict[str, float | None]:
+    found = one(run.scenario, run.seed, sabotages)
+    return {f"{which} {name}": v for which, all_ in found.items() for name, v in all_.items()}
+
+
 def every(
     scenarios: Sequence[str],
     seeds: int,
     sabotages: Sequence[str] = (),
     jobs: int = 1,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    keep: Path | None = None,
 ) -> Results:
-    """Run each scenario so often.
-
-    Parameters
-    ----------
-    scenarios : sequence of str
-        Their names.
-    seeds : int
-        Drives of each.
-    sabotages : sequence of str
-        To be measured on the same drives.
-    jobs : int
-        Processes.
-    progress : callable
-        Told how many runs are done, and of how many.
-    """
-    work = [(scenario, seed) for seed in range(seeds) for scenario in scenarios]
-    found: dict[tuple[str, int], dict[str, Figures]] = {}
-    with ProcessPoolExecutor(jobs) as pool:
-        running = {pool.submit(one, *job, sabotages): job for job in work}
-        for future in as_completed(running):
-            found[running[future]] = future.result()
-            progress(len(found), len(work))
+    """Run each scenario with `seeds` seeds; arguments as for `run_all`."""
+    runs = grid(scenarios, ["robust"], range(seeds))
+    found = run_all(partial(_measured, sabotages), runs, jobs, keep, sabotages=list(sabotages))
     return {
-        sabotage: {s: [found[s, k][sabotage] for k in range(seeds)] for s in scenarios}
-        for sabotage in (AS_IT_IS, *sabotages)
+        which: {
+            s: [
+                {name: one[f"{which} {name}"] for name in FIGURES}
+                for run, one in found.items()
+                if run.scenario == s
+            ]
+            for s in scenarios
+        }
+        for which in (AS_IT_IS, *sabotages)
     }

@@ -1,7 +1,6 @@
-"""One simulated drive and how well anybody could know the pose on it.
+"""One simulated drive, of one leg or several, and its bound.
 
-The project's simulator drives. A drive may have legs, between which the world changes or the robot
-is carried; they are joined here.
+Between two legs of a drive the world changes, or the robot is carried.
 """
 
 from __future__ import annotations
@@ -11,14 +10,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive, Odometry, OdometryNoise, Sensor, Sightings, Truth
-from homeward.frames import Pose, bearing, compose
 from homeward.simulation.simulate import Simulation
+from homeward.studies.study.trial import Trial, drive_bound
 
-RIGHT = 5.0
-"""A sighting that is off by more is not of the landmark whose id it carries [sigmas]."""
 SAME_PLACE_M = 1e-6
 """A landmark that stands so near to where it stood has not moved [m]."""
 
@@ -32,21 +27,6 @@ class Leg:
     """[s]"""
     carried: bool = False
     """Whether the robot was carried to where it begins."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A drive, and what an estimator could know on it at best."""
-
-    drive: Drive
-    """With truth."""
-    moved: frozenset[str]
-    """Landmarks that do not stand where home saw them, at the end."""
-    stamps: np.ndarray
-    """(n,) of the bearings [s]."""
-    bound: np.ndarray
-    """(n, 3, 3): posterior Cramer-Rao bound of (x, y, heading), given everything up to then by one
-    who is told the camera's place, the noise, what moved, and which sightings are wrong."""
 
 
 def random_way(
@@ -79,36 +59,12 @@ def trial(*legs: Leg) -> Trial:
     told = np.zeros(len(marks), bool)
     told[: len(ids)] = [i in drive.home and i not in first.world.moved for i in ids]
 
-    seen, stamps = drive.sightings, np.unique(drive.sightings.t)
-    assert drive.truth is not None
-    poses = np.stack(drive.truth.at(stamps), axis=1)
+    stamps = np.unique(drive.sightings.t)
     leg_of = np.searchsorted([leg.begins for leg in legs], stamps, side="right") - 1
-    row = np.searchsorted(stamps, seen.t)
-    column = number[leg_of[row], [ids.index(n) for n in seen.landmark]]
-    camera = compose(Pose(*poses[row].T), case.sensor.pose)
-    off = wrap(seen.bearing - bearing(camera, *marks[column].T))
-    right = np.abs(off) < RIGHT * case.noise.bearing_sigma
-    visible = np.zeros((stamps.size, len(marks)), bool)
-    visible[row[right], column[right]] = True
-
-    dt, step = np.diff(stamps), np.diff(poses, axis=0)
-    turn = wrap(step[:, 2])
-    arc = np.hypot(step[:, 0], step[:, 1]) / np.sinc(turn / 2 / np.pi)
+    row = np.searchsorted(stamps, drive.sightings.t)
+    column = number[leg_of[row], [ids.index(n) for n in drive.sightings.landmark]]
     carried = np.array([leg.carried for leg in legs])[leg_of[1:]] & (np.diff(leg_of) > 0)
-    bound = posterior_bound(
-        poses,
-        np.stack([arc / dt, turn / dt], axis=1),
-        dt,
-        marks,
-        visible,
-        bearing_sigma=case.noise.bearing_sigma,
-        home_sigma=case.noise.home_sigma,
-        speed_sigma=case.odometry.speed_sigma,
-        turn_sigma=case.odometry.turn_sigma,
-        moved=~told,
-        mount=case.sensor.pose,
-        carried=carried,
-    )
+    _, bound = drive_bound(drive, case, marks, column, ~told, carried=carried)
     shifted = {n for n, new in zip(ids, fresh[1:].any(axis=0), strict=True) if new}
     return Trial(drive, frozenset(shifted | set(first.world.moved)), stamps, bound)
 

@@ -1,7 +1,7 @@
 """All estimators on the same drives, simulated and real; writes docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
-...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FILE] [--out FILE]` runs each
+...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each
 estimator on the drives of the families of the consistency gate, and on MRCLAM set 6 where it is (in
 HOMEWARD_DATA, else in ../shared/data). The first estimator is the one that the others are compared
 with. With `--keep` it may be stopped and goes on, also with further estimators.
@@ -9,39 +9,28 @@ with. With `--keep` it may be stopped and goes on, also with further estimators.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
+from benchmarks import monte_carlo
 from benchmarks.leaderboard.board import page
 from benchmarks.leaderboard.families import real, simulated
 from benchmarks.leaderboard.runs import begin, every, everybody
-from homeward.engine.batch.execution import available_threads
 from homeward.registry import settings_model
 
 DOCS = Path(__file__).parents[2] / "docs" / "understand" / "leaderboard.md"
 QUICK_SEEDS = 1
 
 
-def tell(done: int, of: int) -> None:
-    """Tell how many drives are done."""
-    if sys.stderr.isatty() or done % 20 == 0:
-        print(f"{done} of {of} drives", file=sys.stderr, flush=True)
-
-
 def main() -> None:
     """Run, and write the page."""
     families = simulated() | real()
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = monte_carlo.parser(__doc__, keep=True)
     parser.add_argument("--estimator", help="several with commas [all]")
     parser.add_argument("--family", nargs="*", choices=families, default=list(families))
     parser.add_argument("--seeds", type=int, default=10, help="drives of a simulated family")
     parser.add_argument("--real-seeds", type=int, default=2, help="of each real drive")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seed of each")
-    parser.add_argument("--jobs", type=int, default=available_threads(), help="processes")
-    parser.add_argument("--keep", type=Path, metavar="FILE", help="JSON lines, to go on from")
     parser.add_argument("--out", type=Path, default=DOCS, help="the page")
     options = parser.parse_args()
     begin()
@@ -57,7 +46,7 @@ def main() -> None:
         for number in range(families[name].copies * seeds[families[name].real])
     ]
     work.sort(key=lambda drive: drive[1])  # stopped early, all families have some
-    rows = every(work, names, options.jobs, options.keep, tell)
+    rows = every(work, names, options.jobs, options.keep)
     words = [w for w in sys.argv[1:] if w != "--quick"]
     kept = [w for i, w in enumerate(words) if not _of_this_machine(words, i)]
     command = " ".join(["python -m benchmarks.leaderboard", *["--quick"] * options.quick, *kept])

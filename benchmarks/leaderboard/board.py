@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.leaderboard.families import Family
 from benchmarks.leaderboard.runs import Row
+from benchmarks.monte_carlo import column, geometric_mean, known
 from homeward.report.tables import markdown
 from homeward.studies.study.statistics import Interval, adjusted, interval, paired
 from homeward.studies.study.summary import number, share
@@ -29,7 +30,7 @@ class Entry:
 
     def column(self, key: str) -> np.ndarray:
         """Return a figure of each drive, NaN where there is none."""
-        return np.array([_number(row.get(key)) for row in self.rows])
+        return column(self.rows, key)
 
     @property
     def failed(self) -> np.ndarray:
@@ -42,10 +43,6 @@ class Entry:
     def rmse(self) -> np.ndarray:
         """RMSE of each drive [m]; NaN where it failed."""
         return np.where(self.failed, np.nan, self.column("rmse"))
-
-
-def _number(value: float | bool | None) -> float:
-    return np.nan if value is None else float(value)
 
 
 def entries(rows: Sequence[Row], names: Sequence[str], families: Sequence[str]) -> list[Entry]:
@@ -68,13 +65,13 @@ def overall(found: Sequence[Entry]) -> list[list[str]]:
             e.name,
             f"{share(float(e.failed.mean()))} of {e.failed.size}",
             share(1.0 - float(np.nan_to_num(e.column("pose")).mean())),
-            share(_mean(e.column("wrong"))),
+            share(known(e.column("wrong"), np.mean)),
             "" if e is first else with_interval(ratio(e.rmse, first.rmse)),
             probability(value),
-            number(_geometric(e.column("to_bound"))),
-            number(_median(e.column("nees"))),
-            share(_mean(e.column("named"))),
-            number(_median(e.column("seconds"))),
+            number(known(e.column("to_bound"), geometric_mean)),
+            number(known(e.column("nees"), np.median)),
+            share(known(e.column("named"), np.mean)),
+            number(known(e.column("seconds"), np.median)),
         ]
         for e, value in zip(found, p, strict=True)
     ]
@@ -95,7 +92,7 @@ def by_family(
     for family in families:
         cells = []
         for entry in entries(rows, names, [family]):
-            told = number(_median(entry.rmse))
+            told = number(known(entry.rmse, np.median))
             failed = share(float(entry.failed.mean())) if entry.failed.any() else ""
             cells.append(f"{told} ({failed})" if told and failed else told or failed)
         table.append([family, *cells])
@@ -107,20 +104,6 @@ def ratio(rmse: np.ndarray, other: np.ndarray) -> Interval:
     logarithms = np.log(rmse) - np.log(other)
     logarithms = logarithms[np.isfinite(logarithms)]
     return interval(lambda values, axis=-1: np.exp(np.mean(values, axis=axis)), logarithms)
-
-
-def _known(statistic: Callable[[np.ndarray], float]) -> Callable[[np.ndarray], float]:
-    """Return a statistic of what is known; NaN where nothing is."""
-
-    def of(values: np.ndarray) -> float:
-        known = values[~np.isnan(values)]
-        return float(statistic(known)) if known.size else np.nan
-
-    return of
-
-
-_mean, _median = _known(np.mean), _known(np.median)
-_geometric = _known(lambda values: np.exp(np.mean(np.log(values))))
 
 
 def page(
@@ -170,7 +153,7 @@ runs over the same drives, each with its default settings.
 `robust` finds home by itself. What needs a start prior is told the true start (with sigmas of 5 cm
 and 0.05 rad), since no drive here has a prior: a kind start, from which odometry alone
 (`dead_reckoning:make`, the [template](../do/estimators.md)) goes far on drives of a minute or two.
-An estimator of your own takes part by `--estimator robust,package.module:make`; with `--keep FILE`
-what is done is kept, and further estimators are added to it.
+`--estimator robust,package.module:make` adds an estimator of your own; `--keep FOLDER` keeps
+finished runs, and a later command continues from them, also with further estimators.
 """
 FAMILIES = "Median RMSE [m] over the drives that did not fail; in brackets the share that did:\n"

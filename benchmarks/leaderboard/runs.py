@@ -1,23 +1,23 @@
-"""Every estimator on one drive after the other; what is finished is kept."""
+"""The runs of the leaderboard: any estimator on any drive."""
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from benchmarks.consistency.measures import figures
-from benchmarks.consistency.trial import Trial
 from benchmarks.leaderboard.families import real, simulated
+from benchmarks.monte_carlo import Run, run_all
 from homeward.registry import estimator_names, make_estimator
 from homeward.scoring import errors, score
 from homeward.studies.single_run import with_start
-from homeward.track import run
+from homeward.studies.study.trial import Trial
+from homeward.track import run as follow
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "do" / "estimator"
 BASELINE = "dead_reckoning:make"
@@ -38,19 +38,19 @@ def begin() -> None:
         sys.path.append(str(TEMPLATE))
 
 
-def one(family: str, number: int, estimators: Sequence[str]) -> list[Row]:
-    """Run estimators over one drive."""
-    trial = (simulated() | real())[family].make(number)
-    where = {"family": family, "number": number}
-    return [where | {"estimator": name} | _measured(trial, name) for name in estimators]
+@lru_cache(maxsize=2)
+def _trial(family: str, number: int) -> Trial:
+    return (simulated() | real())[family].make(number)
 
 
-def _measured(trial: Trial, name: str) -> Row:
-    """Return the figures of one run, or why there are none."""
+def one(run: Run) -> Row:
+    """Return the figures of one run, or the reason why there are none."""
+    begin()
+    trial = _trial(run.scenario, run.seed)
     began = time.process_time()
     try:
-        _, drive = with_start(trial.drive, name)
-        track = run(drive, make_estimator(name, drive))
+        _, drive = with_start(trial.drive, run.estimator)
+        track = follow(drive, make_estimator(run.estimator, drive))
     except Exception as error:  # of one in a thousand runs; the others go on
         return {"error": f"{type(error).__name__}: {error}"}
     seconds = time.process_time() - began
@@ -69,51 +69,19 @@ def _measured(trial: Trial, name: str) -> Row:
         "named": named == trial.moved if judged else None,
         "seconds": seconds,
     }
-    # JSON has no infinity; what has diverged so far is known by its share of wrong poses.
+    # A track that diverged to infinity is counted by its share of wrong poses.
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
 def every(
-    work: Sequence[tuple[str, int]],
+    drives: Iterable[tuple[str, int]],
     estimators: Sequence[str],
-    jobs: int,
-    kept: Path | None,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    jobs: int | None = None,
+    keep: Path | None = None,
 ) -> list[Row]:
-    """Run every estimator on every drive (family, number).
-
-    Parameters
-    ----------
-    work : sequence of (str, int)
-        The drives.
-    estimators : sequence of str
-        As `make_estimator` takes them.
-    jobs : int
-        Processes.
-    kept : Path, optional
-        JSON lines: what is in it is not done again, what is done is added.
-    progress : callable
-        Told how many drives are done, and of how many.
-    """
-    rows = list(_read(kept))
-    known = {(row["family"], row["number"], row["estimator"]) for row in rows}
-    missing = {
-        drive: left
-        for drive in work
-        if (left := [name for name in estimators if (*drive, name) not in known])
-    }
-    with ProcessPoolExecutor(jobs, initializer=begin) as pool:
-        running = [pool.submit(one, *drive, left) for drive, left in missing.items()]
-        for done, future in enumerate(as_completed(running), start=1):
-            rows += future.result()
-            if kept is not None:
-                with kept.open("a") as file:
-                    file.writelines(json.dumps(row) + "\n" for row in future.result())
-            progress(done, len(running))
-    wanted = {(*drive, name) for drive in work for name in estimators}
-    return [row for row in rows if (row["family"], row["number"], row["estimator"]) in wanted]
-
-
-def _read(kept: Path | None) -> Iterator[Row]:
-    if kept is not None and kept.exists():
-        yield from map(json.loads, kept.read_text().splitlines())
+    """Run every estimator on every drive (family, number); arguments as for `run_all`."""
+    runs = [Run(family, name, k) for family, k in drives for name in estimators]
+    return [
+        {"family": run.scenario, "number": run.seed, "estimator": run.estimator} | row
+        for run, row in run_all(one, runs, jobs, keep).items()
+    ]

@@ -1,45 +1,38 @@
 """What does each number in the localiser do? Each is halved and doubled, alone.
 
-`python -m benchmarks.sensitivity FILE.csv [--only NAME ...] [--seeds 1] [--robots 1 2 3 4 5]`
-runs the scenarios of `benchmarks.consistency` and the real drives (MRCLAM set 6, where it is) with
-each number of the source and the settings halved, then doubled, and adds a row for each drive to
-the file. What the file holds already is not run again, so it may be stopped at any time. `--report`
-only prints what it says so far: what changes nothing to the last bit, and what changes much.
+`python -m benchmarks.sensitivity FOLDER [--only NAME ...] [--seeds 1] [--robots 1 2 3 4 5]` runs
+the scenarios of `benchmarks.consistency` and real drives (MRCLAM set 6, where it is) with each
+number of the source and the settings halved, then doubled. The folder keeps what was found, and the
+same command continues from it. `--report` only prints what the folder holds: what changes nothing
+to the last bit, and what changes much.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import hashlib
 import math
 import pickle
-import sys
 import tempfile
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
+from benchmarks import monte_carlo
 from benchmarks.consistency.measures import FIGURES
 from benchmarks.consistency.scenarios import SCENARIOS
-from benchmarks.consistency.trial import Trial
+from benchmarks.monte_carlo import Figures, Run
 from benchmarks.mrclam import HOME, data
-from benchmarks.sensitivity.tunables import PACKAGE, Tunable, constants, fields
-from benchmarks.sensitivity.variant import SMOOTHED, Job, Outcome
+from benchmarks.sensitivity.tunables import Tunable, constants, fields
+from benchmarks.sensitivity.variant import AS_IT_IS, SMOOTHED, variant
 from homeward.drives.mrclam import read_mrclam
 from homeward.localizer.settings import LocalizerSettings
+from homeward.studies.study.trial import Trial, unknown_bound
 
 FACTORS = (0.5, 2.0)
 MUCH = 0.1
 """A figure that changes by more than this share, or a share of the time by so much, does much."""
 SHARES = ("pose", "sure", "wrong", "precision", "recall")
-DRIVES = ("benchmarks.consistency.scenarios", "benchmarks.consistency.trial")
-"""What makes the simulated drives."""
-COLUMNS = ("code", "tunable", "factor", "drive", "digest", "seconds", *FIGURES)
-Rows = Mapping[tuple[str, float], Mapping[str, Mapping[str, str]]]
-"""Rows of the file by tunable and factor, then by drive; "" and 1 is all as it is."""
+Rows = Mapping[tuple[str, float], Mapping[str, Figures]]
+"""Figures by tunable and factor, then by drive."""
 
 
 def drives(seeds: int, robots: Sequence[int]) -> dict[str, Trial]:
@@ -53,58 +46,32 @@ def drives(seeds: int, robots: Sequence[int]) -> dict[str, Trial]:
     folder = data() / "MRCLAM_Dataset6"
     for robot in robots if folder.is_dir() else ():
         drive = read_mrclam(folder, robot, HOME, math.radians(0.5), 0)
-        stamps = np.unique(drive.sightings.t)
-        unknown = np.full((stamps.size, 3, 3), np.inf)
-        found[f"MRCLAM {robot}"] = Trial(drive, frozenset(), stamps, unknown)
+        found[f"MRCLAM {robot}"] = Trial(drive, frozenset(), *unknown_bound(drive))
     return found
 
 
-def code() -> str:
-    """Return a digest of the source of localiser and drives: rows of other ones do not count."""
-    makes_drives = [Path(sys.modules[m].__file__ or "") for m in DRIVES]
-    localiser = Path(sys.modules[PACKAGE].__path__[0]).rglob("*.py")
-    digest = hashlib.sha256()
-    for file in sorted([*localiser, *makes_drives]):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def read(file: Path) -> Rows:
-    """Return the rows of this code."""
-    rows: dict[tuple[str, float], dict[str, dict[str, str]]] = defaultdict(dict)
-    if file.exists():
-        with file.open(newline="") as lines:
-            for row in csv.DictReader(lines):
-                if row["code"] == code():
-                    rows[row["tunable"], float(row["factor"])][row["drive"]] = row
+def rows_of(found: Mapping[Run, Figures]) -> Rows:
+    """Return the figures of each variant and drive."""
+    rows: dict[tuple[str, float], dict[str, Figures]] = {}
+    for run, figures in found.items():
+        tunable, factor = run.estimator.rsplit(" x ", 1)
+        drives = rows.setdefault((tunable, float(factor)), {})
+        for key, value in figures.items():
+            drive, name = key.split("|")
+            drives.setdefault(drive, {})[name] = value
     return rows
 
 
-def add(file: Path, tunable: str, factor: float, found: Sequence[Outcome]) -> None:
-    """Add rows to the file, all of one variant at once."""
-    fresh = not file.exists()
-    with file.open("a", newline="") as lines:
-        writer = csv.writer(lines)
-        if fresh:
-            writer.writerow(COLUMNS)
-        writer.writerows(
-            [code(), tunable, factor, o.drive, o.digest, f"{o.seconds:.2f}"]
-            + [o.figures.get(name) for name in FIGURES]
-            for o in found
-        )
-
-
-def largest(now: Mapping[str, str], then: Mapping[str, str]) -> tuple[float, str]:
+def largest(now: Figures, then: Figures) -> tuple[float, str]:
     """Return the largest change of a figure of one drive, and in words which."""
     changes = [(0.0, "")]
     for name in FIGURES:
-        a, b = now[name], then[name]
-        if a and b:
-            size = abs(float(a) - float(b))
-            size = size if name in SHARES else size / max(abs(float(b)), 1e-12)
-            changes.append((size, f"{name} {float(b):.3g} -> {float(a):.3g}"))
-        elif a or b:
-            changes.append((1.0, f"{name} {b or 'none'} -> {a or 'none'}"))
+        a, b = now.get(name), then.get(name)
+        if a is not None and b is not None:
+            size = abs(a - b) if name in SHARES else abs(a - b) / max(abs(b), 1e-12)
+            changes.append((size, f"{name} {b:.3g} -> {a:.3g}"))
+        elif a is not b:
+            changes.append((1.0, f"{name} {b} -> {a}"))
     return max(changes)
 
 
@@ -115,10 +82,10 @@ def report(rows: Rows, tunables: Sequence[Tunable], left_out: Sequence[str]) -> 
         effects: list[tuple[float, str]] = []
         for factor in FACTORS:
             for drive, row in rows.get((tunable, factor), {}).items():
-                then = rows["", 1.0].get(drive)
+                then = rows.get((AS_IT_IS, 1.0), {}).get(drive)
                 if then is None or row["digest"] == then["digest"]:
                     effects.append((0.0, ""))
-                elif not row["pose"]:
+                elif row.get("pose") is None:
                     broken.append(f"{tunable} x {factor:g}: {drive}: {row['digest']}")
                 else:
                     size, words = largest(row, then)
@@ -143,11 +110,9 @@ def report(rows: Rows, tunables: Sequence[Tunable], left_out: Sequence[str]) -> 
 
 def main() -> None:
     """Run what is missing, and report."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("file", type=Path, help="CSV that keeps what was found")
-    parser.add_argument("--only", nargs="*", help="tunables whose names hold one of these")
+    parser = monte_carlo.parser(__doc__)
+    parser.add_argument("folder", type=Path, help="for what was found, to continue from")
+    parser.add_argument("--only", nargs="*", help="tunables whose names contain one of these")
     parser.add_argument("--seeds", type=int, default=1, help="drives of each scenario")
     parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
     parser.add_argument("--report", action="store_true", help="run nothing")
@@ -158,21 +123,22 @@ def main() -> None:
         for tunable in (*in_settings[0], *in_source[0])
         if not options.only or any(part in str(tunable) for part in options.only)
     ]
-    if not options.report:
-        with tempfile.TemporaryDirectory() as folder:
-            trials, found = Path(folder) / "trials", drives(options.seeds, options.robots)
-            trials.write_bytes(pickle.dumps(found))
-            every: list[tuple[Tunable | None, float]] = [(None, 1.0)]
-            every += [(tunable, factor) for tunable in tunables for factor in FACTORS]
-            rows = read(options.file)
-            for number, (tunable, factor) in enumerate(every, 1):
-                name = "" if tunable is None else str(tunable)
-                missing = tuple(d for d in found if d not in rows.get((name, factor), {}))
-                if missing:
-                    done = Job(trials, missing, tunable, factor).done_elsewhere()
-                    add(options.file, name, factor, done)
-                print(f"{number} of {len(every)}: {name or 'as it is'} x {factor:g}", flush=True)
-    report(read(options.file), tunables, [*in_settings[1], *in_source[1]])
+    variants = [f"{AS_IT_IS} x 1", *(f"{t} x {factor:g}" for t in tunables for factor in FACTORS)]
+    runs = monte_carlo.grid(["all drives"], variants, [0])
+    with tempfile.TemporaryDirectory() as folder:
+        trials = Path(folder) / "trials"
+        if not options.report:
+            trials.write_bytes(pickle.dumps(drives(options.seeds, options.robots)))
+        found = monte_carlo.run_all(
+            partial(variant, trials, {str(t): t for t in tunables}),
+            runs,
+            options.jobs,
+            options.folder,
+            options.report,
+            seeds=options.seeds,
+            robots=options.robots,
+        )
+    report(rows_of(found), tunables, [*in_settings[1], *in_source[1]])
 
 
 if __name__ == "__main__":

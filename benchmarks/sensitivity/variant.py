@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
 import subprocess
 import sys
-import time
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.consistency.measures import Figures, figures
-from benchmarks.consistency.trial import Trial
+from benchmarks.consistency.measures import figures
+from benchmarks.monte_carlo import Run
 from benchmarks.sensitivity.tunables import Tunable, change, changed
+from homeward.studies.study.trial import Trial
 from homeward.track import Track, run
 
 if TYPE_CHECKING:
@@ -26,79 +25,71 @@ SMOOTHED = " smoothed"
 """Ends the name of a drive whose whole track is corrected at its end."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What came of one drive."""
-
-    drive: str
-    digest: str
-    """Of every number that was answered; words where the run failed."""
-    figures: Figures
-    seconds: float
+AS_IT_IS = "as it is"
+"""The variant without a change."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """What is to be run."""
+def variant(trials: Path, tunables: Mapping[str, Tunable], run: Run) -> dict[str, Any]:
+    """Return the figures of one variant on all drives, by drive and name.
 
-    trials: Path
-    """Pickled dict of drives by name."""
-    drives: tuple[str, ...]
-    """Those of them that are wanted."""
-    tunable: Tunable | None = None
-    """What is changed; None: nothing."""
-    factor: float = 1.0
-    """How many times as large it becomes."""
+    A process of its own runs it, which has not imported the localiser.
 
-    def done_elsewhere(self) -> list[Outcome]:
-        """Run in a process of its own, which has not imported the localiser."""
-        call = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-        done = subprocess.run(
-            call, input=pickle.dumps(self), stdout=subprocess.PIPE, env=environment, check=True
-        )
-        found: list[Outcome] = pickle.loads(done.stdout)
-        return found
-
-    def done(self) -> list[Outcome]:
-        """Run in this process."""
-        if self.tunable is not None and self.tunable.module:
-            change(self.tunable, self.factor)
-        drives: dict[str, Trial] = pickle.loads(self.trials.read_bytes())
-        try:
-            from homeward.localizer.settings import LocalizerSettings
-
-            settings = LocalizerSettings()
-            if self.tunable is not None and not self.tunable.module:
-                settings = changed(settings, self.tunable.name, self.factor)
-        except Exception as error:  # a number that makes no sense may break an import, too
-            return [_failed(name, error, 0.0) for name in self.drives]
-        return [_outcome(name, drives[name], settings) for name in self.drives]
+    Parameters
+    ----------
+    trials : Path
+        Pickled dict of drives by name.
+    tunables : mapping of str to Tunable
+        All of them by name.
+    run : Run
+        Its estimator is the name of a tunable, or `AS_IT_IS`, and the factor.
+    """
+    name, factor = run.estimator.rsplit(" x ", 1)
+    given = trials, tunables.get(name), float(factor)
+    call = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
+    done = subprocess.run(call, input=pickle.dumps(given), stdout=subprocess.PIPE, check=True)
+    found: dict[str, Any] = pickle.loads(done.stdout)
+    return found
 
 
 def serve() -> None:
-    """Do a job from standard input, and write what came of it to standard output."""
-    job = pickle.load(sys.stdin.buffer)
-    sys.stdout.buffer.write(pickle.dumps(job.done()))
+    """Run the variant of standard input, and write its figures to standard output."""
+    sys.stdout.buffer.write(pickle.dumps(_done(*pickle.load(sys.stdin.buffer))))
 
 
-def _outcome(name: str, trial: Trial, settings: LocalizerSettings) -> Outcome:
+def _done(trials: Path, tunable: Tunable | None, factor: float) -> dict[str, Any]:
+    if tunable is not None and tunable.module:
+        change(tunable, factor)
+    drives: dict[str, Trial] = pickle.loads(trials.read_bytes())
+    try:
+        from homeward.localizer.settings import LocalizerSettings
+
+        settings = LocalizerSettings()
+        if tunable is not None and not tunable.module:
+            settings = changed(settings, tunable.name, factor)
+    except Exception as error:  # a number that makes no sense may break an import, too
+        return {f"{name}|digest": _words(error) for name in drives}
+    found = {name: _outcome(name, trial, settings) for name, trial in drives.items()}
+    return {f"{name}|{key}": v for name, one in found.items() for key, v in one.items()}
+
+
+def _outcome(name: str, trial: Trial, settings: LocalizerSettings) -> dict[str, Any]:
+    """Return the figures of one drive and a digest of the track, or why there is none."""
     from homeward.localizer.localizer import Localizer
     from homeward.localizer.smoothing import smooth
 
-    began, drive = time.process_time(), trial.drive
+    drive = trial.drive
     try:
         if name.endswith(SMOOTHED):
             track = smooth(drive, settings)
         else:
             track = run(drive, Localizer(drive.home, settings=settings, **drive.settings.robot))
     except Exception as error:  # whatever a number that makes no sense breaks
-        return _failed(name, error, time.process_time() - began)
-    return Outcome(name, _digest(track), figures(track, trial), time.process_time() - began)
+        return {"digest": _words(error)}
+    return {"digest": _digest(track), **figures(track, trial)}
 
 
-def _failed(name: str, error: Exception, seconds: float) -> Outcome:
-    return Outcome(name, f"{type(error).__name__}: {error}", {}, seconds)
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def _digest(track: Track) -> str:

@@ -200,7 +200,7 @@ def test_the_command_passes_fails_and_compares(tmp_path, monkeypatch, capsys):
     answers = dict.fromkeys((AS_IT_IS, *SABOTAGES), good)
     monkeypatch.setattr(
         "benchmarks.consistency.__main__.every",
-        lambda scenarios, seeds, sabotages, jobs, tell: {
+        lambda scenarios, seeds, sabotages, jobs, keep: {
             name: {s: [answers[name]] * seeds for s in scenarios} for name in (AS_IT_IS, *sabotages)
         },
     )

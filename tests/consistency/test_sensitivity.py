@@ -9,9 +9,10 @@ import pytest
 from pydantic import BaseModel, Field
 
 from benchmarks.consistency.scenarios import SCENARIOS
-from benchmarks.sensitivity.__main__ import add, read, report
+from benchmarks.monte_carlo import Run
+from benchmarks.sensitivity.__main__ import report, rows_of
 from benchmarks.sensitivity.tunables import Tunable, changed, constants, fields, scaled
-from benchmarks.sensitivity.variant import Job, Outcome
+from benchmarks.sensitivity.variant import variant
 
 PLACE = """
 from other import NAMED
@@ -96,32 +97,31 @@ def test_a_changed_constant_reaches_who_imports_it_and_what_is_made_of_it(tmp_pa
 def test_a_variant_differs_and_the_same_one_does_not(tmp_path):
     trials = tmp_path / "trials"
     trials.write_bytes(pickle.dumps({"room": SCENARIOS["room"].make(0)}))
-    gate = Tunable("", "gate", "4.0")
+    tunables = {"settings:gate": Tunable("", "gate", "4.0")}
     once, again, other = (
-        Job(trials, ("room",), tunable, factor).done_elsewhere()[0]
-        for tunable, factor in ((None, 1.0), (gate, 1.0), (gate, 0.5))
+        variant(trials, tunables, Run("all drives", name, 0))
+        for name in ("as it is x 1", "settings:gate x 1", "settings:gate x 0.5")
     )
-    assert once.digest == again.digest
-    assert other.digest != once.digest
-    assert once.figures == again.figures
-    assert other.figures["nis"] < once.figures["nis"]
+    assert once == again
+    assert other["room|digest"] != once["room|digest"]
+    assert other["room|nis"] < once["room|nis"]
 
 
-def test_what_was_found_is_kept_and_told(tmp_path, capsys):
-    file = tmp_path / "found.csv"
-    figures = {"pose": 1.0, "error": 1.0}
+def test_what_was_found_is_reported(capsys):
+    figures = {"room 0|pose": 1.0, "room 0|error": 1.0}
+    found = {
+        "as it is x 1": figures | {"room 0|digest": "a"},
+        "settings:inert x 0.5": figures | {"room 0|digest": "a"},
+        "settings:little x 0.5": figures | {"room 0|digest": "b", "room 0|error": 1.02},
+        "settings:much x 2": figures | {"room 0|digest": "c", "room 0|error": 1.5},
+        "settings:breaks x 2": {"room 0|digest": "ValueError: no"},
+    }
+    rows = rows_of({Run("all drives", name, 0): one for name, one in found.items()})
+    assert ("settings:much", 2.0) in rows
     names = ("inert", "little", "much", "breaks")
-    add(file, "", 1.0, [Outcome("room 0", "a", figures, 1.0)])
-    add(file, "settings:inert", 0.5, [Outcome("room 0", "a", figures, 1.0)])
-    add(file, "settings:little", 0.5, [Outcome("room 0", "b", figures | {"error": 1.02}, 1.0)])
-    add(file, "settings:much", 2.0, [Outcome("room 0", "c", figures | {"error": 1.5}, 1.0)])
-    add(file, "settings:breaks", 2.0, [Outcome("room 0", "ValueError: no", {}, 1.0)])
-    assert ("settings:much", 2.0) in read(file)
-    report(read(file), [Tunable("", name, "1") for name in names], ["x = 1"])
+    report(rows, [Tunable("", name, "1") for name in names], ["x = 1"])
     told = capsys.readouterr().out
     assert "1 change nothing anywhere, to the last bit:\n  settings:inert" in told
     assert "by more than 10 %:\n  settings:little: x 0.5: room 0: error 1 -> 1.02" in told
     assert "settings:much: x 2: room 0: error 1 -> 1.5" in told
     assert "settings:breaks x 2: room 0: ValueError: no" in told
-    file.write_text(file.read_text().replace(file.read_text().split("\n")[1][:12], "other source"))
-    assert not read(file)

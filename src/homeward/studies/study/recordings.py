@@ -15,7 +15,7 @@ from homeward.drives.drive import Drive, HomeBearing
 from homeward.errors import InputError
 from homeward.simulation.scenario import Interval
 from homeward.studies.single_run import DriveChoice, RunSettings, opened
-from homeward.studies.study.trial import Trial
+from homeward.studies.study.trial import Trial, unknown_bound
 
 
 class Recording(DriveChoice):
@@ -85,11 +85,11 @@ def recorded_trial(recording: Recording, seed: int) -> Trial:
     assert drive.truth is not None  # a recording has it
     return Trial(
         drive,
-        moved=frozenset(i for i, b in drive.home.items() if b != right.home[i]),
+        frozenset(i for i, b in drive.home.items() if b != right.home[i]),
+        *unknown_bound(drive),
         none_else=recording.robot is not None,
         true_home=right.home_bearings(),
         final_distance=math.hypot(float(drive.truth.x[-1]), float(drive.truth.y[-1])),
-        bound=None,
     )
 
 

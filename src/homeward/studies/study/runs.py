@@ -205,9 +205,7 @@ def _measure(trial: Trial, estimator: Estimator, track: Track, block: StudyBlock
         "heading_error": _latest(times, e.t, e.heading, longest),
         "nees_over_time": _latest(times, e.t, e.nees, longest),
     }
-    if trial.bound is not None:
-        found |= _bounds(times, trial.bound, longest)
-    return found | _errors(e, metrics.accuracy)
+    return found | _bounds(times, trial, longest) | _errors(e, metrics.accuracy)
 
 
 def _known(value: float | None) -> float:
@@ -234,10 +232,9 @@ def _errors(e: Errors, total: Accuracy | None) -> Found:
     }
 
 
-def _bounds(times: np.ndarray, bound: tuple[np.ndarray, np.ndarray], longest: float) -> Found:
-    stamps, covariances = bound
-    position = covariances[:, 0, 0] + covariances[:, 1, 1]
-    heading = covariances[:, 2, 2]
+def _bounds(times: np.ndarray, trial: Trial, longest: float) -> Found:
+    stamps, bound = trial.stamps, trial.bound
+    position, heading = bound[:, 0, 0] + bound[:, 1, 1], bound[:, 2, 2]
     finite = np.isfinite(position)
     if not finite.any():
         return {}

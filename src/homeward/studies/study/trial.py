@@ -1,68 +1,117 @@
-"""A drive of a study, and what no estimator is told of it: what is wrong, and the bound."""
+"""A drive with ground truth, and what estimators are scored by: moved landmarks and the bound."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from homeward.angles import wrap
 from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive
-from homeward.frames import polar_covariance_to_pose, to_polar
+from homeward.frames import Pose, bearing, compose, polar_covariance_to_pose, to_polar
+from homeward.simulation.scenario import Scenario
 from homeward.simulation.simulate import Simulation
 
-Bound = tuple[np.ndarray, np.ndarray]
-"""Stamps (n,) and covariances (n, 3, 3) of `simulation_bound`."""
+MAX_SIGMAS = 5.0
+"""A sighting with a larger error is not of the landmark whose id it carries."""
 
 
-def simulation_bound(simulation: Simulation) -> Bound | None:
-    """Return the bound at the bearing stamps of a drive, given its own sightings.
+@dataclass(frozen=True)
+class Trial:
+    """A drive with ground truth, and what its estimators are scored by."""
 
-    Which landmarks have moved counts as known, and constant errors of the odometry as zero, so the
-    bound is one from below. None where it is not known: a bearing has no noise, or the camera does
-    not sit at the centre.
+    drive: Drive
+    moved: frozenset[str]
+    """Landmarks that are, at the end, not where home saw them."""
+    stamps: np.ndarray
+    """(n,), of the bearings [s]."""
+    bound: np.ndarray
+    """(n, 3, 3), posterior Cramer-Rao bound of (x [m], y [m], heading [rad]) given the sightings so
+    far; infinite where it is unknown."""
+    none_else: bool = True
+    """Whether `moved` is complete."""
+    true_home: dict[str, float] = field(default_factory=dict)
+    """True home bearings of all landmarks, in the robot's home frame [rad]."""
+    final_distance: float = math.nan
+    """True distance from home at the end [m]."""
 
-    Returns
-    -------
-    stamps : ndarray, shape (n,)
-        [s]
-    bound : ndarray, shape (n, 3, 3)
-        Of (x [m], y [m], heading [rad]); infinite while the pose is not fixed.
-    """
-    drive, case = simulation.drive, simulation.scenario
-    centred = all(mount.x == 0 and mount.y == 0 for mount in (case.sensor, case.home_mount))
-    if not (centred and case.noise.bearing_sigma > 0 and case.noise.home_sigma > 0):
-        return None
+
+def unknown_bound(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bearing stamps of a drive, (n,) [s], and a bound of infinity, (n, 3, 3)."""
     stamps = np.unique(drive.sightings.t)
-    if drive.truth is None or not stamps.size:
-        return stamps, np.empty((0, 3, 3))
-    poses = np.stack(drive.truth.at(stamps), axis=1)
-    ids = list(simulation.world.ids)
-    visible = np.zeros((stamps.size, len(ids)), bool)
-    row = np.searchsorted(stamps, drive.sightings.t)
-    visible[row, [ids.index(n) for n in drive.sightings.landmark]] = True
+    return stamps, np.full((stamps.size, 3, 3), np.inf)
+
+
+def drive_bound(
+    drive: Drive,
+    case: Scenario,
+    marks: np.ndarray,
+    column: np.ndarray,
+    moved: np.ndarray,
+    *,
+    carried: np.ndarray | None = None,
+    start_covariance: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bearing stamps of a simulated drive, (n,) [s], and the bound there, (n, 3, 3).
+
+    The estimator that the bound is for is given the camera extrinsics, the noise, which landmarks
+    moved and which sightings carry a wrong id; constant errors of the odometry count as zero. The
+    bound is infinite where it is unknown: without noise, or with another camera at home.
+
+    Parameters
+    ----------
+    drive : Drive
+        With ground truth.
+    case : Scenario
+        Noise and extrinsics.
+    marks : ndarray, shape (m, 2)
+        True positions in the home frame [m]; a landmark that moves on the way has two rows.
+    column : ndarray, shape (k,)
+        The row of `marks` that each sighting is of.
+    moved : ndarray, shape (m,), bool
+        Which of `marks` home did not see where they are.
+    carried : ndarray, shape (n - 1,), bool, optional
+        Steps between stamps on which the robot was carried.
+    start_covariance : ndarray, shape (3, 3), optional
+        Of the start prior.
+    """
+    noise, seen, truth = case.noise, drive.sightings, drive.truth
+    same_camera = case.home_sensor is None or case.home_sensor == case.sensor
+    if truth is None or not (same_camera and noise.bearing_sigma > 0 and noise.home_sigma > 0):
+        return unknown_bound(drive)
+    stamps = np.unique(seen.t)
+    if not stamps.size:
+        return unknown_bound(drive)
+    poses, row = np.stack(truth.at(stamps), axis=1), np.searchsorted(stamps, seen.t)
+    camera = compose(Pose(*poses[row].T), case.sensor.pose)
+    error = wrap(seen.bearing - bearing(camera, *marks[column].T))
+    right = np.abs(error) < MAX_SIGMAS * noise.bearing_sigma
+    visible = np.zeros((stamps.size, len(marks)), bool)
+    visible[row[right], column[right]] = True
     dt, step = np.diff(stamps), np.diff(poses, axis=0)
-    twists = np.stack([np.hypot(step[:, 0], step[:, 1]) / dt, wrap(step[:, 2]) / dt], axis=1)
+    turn = wrap(step[:, 2])
+    arc = np.hypot(step[:, 0], step[:, 1]) / np.sinc(turn / 2 / np.pi)
     return stamps, posterior_bound(
         poses,
-        twists,
+        np.stack([arc / dt, turn / dt], axis=1),
         dt,
-        simulation.world.in_home_frame,
+        marks,
         visible,
-        bearing_sigma=case.noise.bearing_sigma,
-        home_sigma=case.noise.home_sigma,
+        bearing_sigma=noise.bearing_sigma,
+        home_sigma=noise.home_sigma,
         speed_sigma=case.odometry.speed_sigma,
         turn_sigma=case.odometry.turn_sigma,
-        # Landmarks that home did not see have no home bearing either.
-        moved=(simulation.world.fault != 0) | np.array([i not in drive.home for i in ids]),
-        start_covariance=_start_covariance(simulation),
+        moved=moved,
+        mount=case.sensor.pose,
+        carried=carried,
+        start_covariance=start_covariance,
     )
 
 
-def _start_covariance(simulation: Simulation) -> np.ndarray | None:
+def _start_covariance(case: Scenario) -> np.ndarray | None:
     """Return the covariance of the start prior, (x, y, heading); None where there is none."""
-    case = simulation.scenario
     if not case.start.prior:
         return None
     start = to_polar(case.start.in_home_frame(case.home.pose))
@@ -70,30 +119,15 @@ def _start_covariance(simulation: Simulation) -> np.ndarray | None:
     return polar_covariance_to_pose(start, np.diag(np.square(sigmas)))
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A drive with truth, and by what its estimators are judged."""
-
-    drive: Drive
-    moved: frozenset[str]
-    """Landmarks whose home bearing is wrong."""
-    none_else: bool
-    """Whether it is known that no other's is."""
-    true_home: dict[str, float]
-    """Right home bearings of all landmarks, in the robot's home frame [rad]."""
-    final_distance: float
-    """True distance from home at the end [m]."""
-    bound: Bound | None
-
-
 def simulated_trial(simulation: Simulation) -> Trial:
-    """Return the trial of a simulation: where landmarks stand is known."""
-    world = simulation.world
-    return Trial(
-        simulation.drive,
-        frozenset(world.moved),
-        True,
-        dict(zip(world.ids, np.arctan2(*world.in_home_frame.T[::-1]).tolist(), strict=True)),
-        simulation.final_distance,
-        simulation_bound(simulation),
+    """Return the trial of a simulation."""
+    drive, world, case = simulation.drive, simulation.world, simulation.scenario
+    ids, marks = list(world.ids), world.in_home_frame
+    column = np.array([ids.index(name) for name in drive.sightings.landmark], int)
+    moved = np.array([i in world.moved or i not in drive.home for i in ids])
+    stamps, bound = drive_bound(
+        drive, case, marks, column, moved, start_covariance=_start_covariance(case)
     )
+    true_home = dict(zip(ids, np.arctan2(*marks.T[::-1]).tolist(), strict=True))
+    final = simulation.final_distance
+    return Trial(drive, frozenset(world.moved), stamps, bound, True, true_home, final)

@@ -1,0 +1,142 @@
+"""Monte Carlo harness of the benchmarks: named runs, in processes, resumed, with progress.
+
+A run is a scenario, an estimator and a seed. Each run is a block of `homeward.studies.blocks`, the
+engine of `homeward study`: it survives killed workers and, with a folder, continues where it ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import homeward
+from homeward.engine.batch.execution import available_threads
+from homeward.studies.blocks.finish import Where, Work
+from homeward.studies.blocks.store import Arrays, BlockStore
+
+Figures = dict[str, Any]
+"""Of one run, by name: a number, text or an array; None where a number is unknown."""
+
+
+class Run(NamedTuple):
+    """The name of a run."""
+
+    scenario: str
+    estimator: str
+    seed: int
+
+    @property
+    def file(self) -> str:
+        """The name of its block, with a digest because file systems do not take all characters."""
+        text = f"{self.scenario}-{self.estimator}-{self.seed}"
+        digest = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
+        return f"{re.sub(r'[^A-Za-z0-9.]+', '_', text)[:80]}-{digest}"
+
+
+def parser(
+    doc: str | None, seeds: int | None = None, keep: bool = False
+) -> argparse.ArgumentParser:
+    """Return a parser with the options that Monte Carlo benchmarks share."""
+    made = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    if seeds is not None:
+        made.add_argument("--seeds", type=int, default=seeds, help="runs of each scenario")
+        made.add_argument("--first", type=int, default=0, help="seed of the first run")
+    made.add_argument("--jobs", type=int, default=available_threads(), help="processes")
+    if keep:
+        made.add_argument("--keep", type=Path, metavar="FOLDER", help="for runs, to continue from")
+    return made
+
+
+def run_all(
+    function: Callable[[Run], Mapping[str, Any]],
+    runs: Iterable[Run],
+    jobs: int | None = None,
+    keep: Path | None = None,
+    only_kept: bool = False,
+    **settings: Any,
+) -> dict[Run, Figures]:
+    """Return the figures of each run, in the order of `runs`.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, or a `partial` of one. What it raises ends the benchmark.
+    runs : iterable of Run
+        Without duplicates.
+    jobs : int, optional
+        Processes; default: as many as processors.
+    keep : Path, optional
+        Folder for finished runs, which are not computed again. A folder that other source code or
+        other settings made is refused.
+    only_kept : bool
+        Compute nothing; leave out the runs that `keep` does not hold.
+    **settings
+        What else the figures depend on, as plain values.
+    """
+    files = {run.file: run for run in runs}
+    with ExitStack() as stack:
+        folder = keep or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "runs"
+        store = BlockStore(folder, {"code": source_digest(), **settings}, "runs.yaml")
+        if only_kept:
+            files = {file: run for file, run in files.items() if file in store}
+        else:
+            Work(store, Where(workers=jobs), _report).finish(partial(_block, function), files)
+        return {run: _figures(store.load(file)) for file, run in files.items()}
+
+
+def source_digest() -> str:
+    """Return a digest of the source code of homeward and its benchmarks."""
+    digest = hashlib.sha256()
+    for folder in (Path(__file__).parent, Path(homeward.__file__).parent):
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _block(function: Callable[[Run], Mapping[str, Any]], run: Run) -> Arrays:
+    return {k: np.array(np.nan if v is None else v) for k, v in function(run).items()}
+
+
+def _figures(arrays: Arrays) -> Figures:
+    plain = {k: v if v.ndim else v.item() for k, v in arrays.items()}
+    return {k: None if isinstance(v, float) and v != v else v for k, v in plain.items()}
+
+
+def _report(fraction: float) -> None:
+    if sys.stderr.isatty():
+        end = "\n" if fraction == 1.0 else ""
+        print(f"\r{fraction:.0%} of the runs", end=end, file=sys.stderr, flush=True)
+
+
+def column(figures: Iterable[Mapping[str, Any]], name: str) -> np.ndarray:
+    """Return one figure of several runs, (n,); NaN where it is unknown."""
+    values = (one.get(name) for one in figures)
+    return np.array([np.nan if v is None else v for v in values], float)
+
+
+def known(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> float:
+    """Return a statistic of the values that are known; NaN where none is."""
+    some = values[~np.isnan(values)]
+    return float(statistic(some)) if some.size else np.nan
+
+
+def geometric_mean(values: np.ndarray) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def grid(scenarios: Sequence[str], estimators: Sequence[str], seeds: Iterable[int]) -> list[Run]:
+    """Return all runs of a grid; the first seeds come first, so that all scenarios start early."""
+    return [Run(s, e, seed) for seed in seeds for s in scenarios for e in estimators]
