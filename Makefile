@@ -85,7 +85,7 @@ paper:
 bench: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
-	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2_limits)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2 --limits)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)

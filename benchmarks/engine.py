@@ -26,7 +26,6 @@ from benchmarks.peers.scene import (
     make_scene,
     series,
 )
-from benchmarks.roofline import roofline
 from benchmarks.timing import (
     busy,
     clock,
@@ -77,7 +76,6 @@ def measure(rounds: int, quick: bool) -> dict[str, float]:
     ratios |= large(rounds)
     threads(rounds)
     closed_loops(rounds)
-    roofline(rounds)
     start_up(3)
     return ratios
 
