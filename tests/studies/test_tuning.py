@@ -21,7 +21,7 @@ from homeward.drives.text.settings import parse_settings
 from homeward.errors import HomewardError
 from homeward.scoring import Errors
 from homeward.studies import tuning
-from homeward.studies.held_out import Check, Judged, checks
+from homeward.studies.held_out import Check, EvaluatedRun, checks
 from homeward.studies.tuning import Noise, Tuning, tune
 from homeward.track import Innovations
 
@@ -86,7 +86,9 @@ def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
         nees, zero = 3.0 * off, np.zeros(t.size)
         same = Errors(t, np.ones(t.size), *6 * (off,), nees, off, zero, zero, zero)
         one = np.ones(t.size)
-        return Judged(0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0))
+        return EvaluatedRun(
+            0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0)
+        )
 
     late, soon = checks(judged(5), judged(0))
     assert late == dataclasses.replace(soon, pose_share=late.pose_share)
@@ -149,7 +151,7 @@ def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
     assert facts["held_out"][0]["after"]["rmse_m"] is None
 
 
-def test_what_makes_answers_less_honest_is_said_to_be_left_out(monkeypatch):
+def test_lines_that_make_answers_less_consistent_are_reported(monkeypatch):
     before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
     after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
     found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])

@@ -1,6 +1,7 @@
 """Two runs of a drive side by side: consistency and accuracy where both have answers.
 
-Who has a pose sooner has more of the time in which poses are worst, and must not look worse for it.
+A run that has a pose sooner includes more of the time in which poses are worst, and must not score
+worse for it.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from homeward.localizer.tunables import GATE
 from homeward.scoring import Errors, accuracy, errors
 from homeward.track import Innovations, run
 
-HONEST = {"NIS": 1.0, "NEES": 3.0}
-"""What a mean is of an estimator that is as good as it says."""
+CONSISTENT = {"NIS": 1.0, "NEES": 3.0}
+"""Means of a consistent estimator."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """How a drive goes that nothing was learnt from, where both runs of it have answers."""
+    """Scores of a held-out drive where both runs of it have answers."""
 
     nis: float
-    """Mean normalised innovation squared; 1 is honest."""
+    """Mean normalised innovation squared; 1 when consistent."""
     log_likelihood: float
     """Of an innovation, mean."""
     pose_share: float
@@ -35,37 +36,37 @@ class Check:
     rmse_m: float
     """Of the position; NaN without truth."""
     nees: float
-    """Mean; 3 is honest; NaN without truth."""
+    """Mean; 3 when consistent; NaN without truth."""
 
     @property
-    def dishonesty(self) -> dict[str, float]:
-        """How far NIS and NEES are off what is honest, by logarithm, either way."""
+    def log_inconsistency(self) -> dict[str, float]:
+        """Size of the logarithm of NIS and of NEES over their consistent values."""
         values = {"NIS": self.nis, "NEES": self.nees}
-        return {word: abs(math.log(value / HONEST[word])) for word, value in values.items()}
+        return {word: abs(math.log(value / CONSISTENT[word])) for word, value in values.items()}
 
 
-class Judged(NamedTuple):
-    """A run of a drive."""
+class EvaluatedRun(NamedTuple):
+    """Scores of one run of a drive."""
 
     pose_share: float
     errors: Errors | None
     innovations: Innovations
 
 
-def judged(drive: Drive, estimator: Estimator) -> Judged:
+def evaluated(drive: Drive, estimator: Estimator) -> EvaluatedRun:
     """Run an estimator on a drive."""
     track, truth = run(drive, estimator), drive.truth
     off = None if truth is None else errors(track, truth)
-    return Judged(float(track.has_pose.mean()), off, track.innovations)
+    return EvaluatedRun(float(track.has_pose.mean()), off, track.innovations)
 
 
-def checks(before: Judged, after: Judged) -> tuple[Check, Check]:
-    """Return how two runs of a drive go, by the times and the innovations that both have."""
+def checks(before: EvaluatedRun, after: EvaluatedRun) -> tuple[Check, Check]:
+    """Return the scores of two runs of a drive, at the times and innovations that both have."""
     return _check(before, after), _check(after, before)
 
 
-def _check(one: Judged, other: Judged) -> Check:
-    """Return how a run goes where another one of the drive has answers, too."""
+def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
+    """Return the scores of a run where another run of the drive has answers, too."""
     off = None
     if one.errors is not None and other.errors is not None:
         off = accuracy(_rows(one.errors, np.isin(one.errors.t, other.errors.t)))

@@ -28,7 +28,7 @@ from homeward.drives.drive import (
 from homeward.errors import HomewardError
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE
-from homeward.studies.held_out import HONEST, Check, checks, judged, log_likelihoods, stamps
+from homeward.studies.held_out import CONSISTENT, Check, checks, evaluated, log_likelihoods, stamps
 from homeward.track import run
 
 Table = TypeVar("Table", Odometry, Sightings, Truth)
@@ -79,13 +79,13 @@ class Tuning:
     """By what was learnt."""
 
     @property
-    def less_honest(self) -> list[str]:
+    def less_consistent(self) -> list[str]:
         """Which of NIS and NEES what was learnt made worse, in the mean of the drives."""
 
         def mean(checks: Sequence[Check], word: str) -> float:
-            return float(np.mean([check.dishonesty[word] for check in checks]))
+            return float(np.mean([check.log_inconsistency[word] for check in checks]))
 
-        return [word for word in HONEST if mean(self.after, word) > mean(self.before, word)]
+        return [word for word in CONSISTENT if mean(self.after, word) > mean(self.before, word)]
 
     @property
     def settings(self) -> DriveSettings:
@@ -132,10 +132,10 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
     scale, bias = turn.tolist()
     held_out = [b for _, b in halves]
-    as_is = [judged(drive, _localizer(drive)) for drive in held_out]
+    as_is = [evaluated(drive, _localizer(drive)) for drive in held_out]
     tell()
     told = [
-        judged(told, _localizer(told))
+        evaluated(told, _localizer(told))
         for told in (_told(drive, noise, scale, bias) for drive in held_out)
     ]
     tell()

@@ -56,8 +56,8 @@ def tune(
     say("Learnt from the other halves, for drive.yaml:")
     for line in settings_yaml(found.settings).splitlines():
         typer.echo(line)
-    if found.less_honest:
-        worse = listing(found.less_honest)
+    if found.less_consistent:
+        worse = listing(found.less_consistent)
         warn(f"{worse} got worse by these lines: leave them out where a covariance must hold.")
 
 
