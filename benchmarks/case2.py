@@ -87,7 +87,7 @@ def measured(run: Run) -> Figures:
     error, covariance = final_error(made.drive, estimator)
     named, moved = {m.landmark for m in estimator.landmarks() if m.moved}, made.world.moved
     robust = isinstance(estimator, Localizer)
-    sigmas = estimator.home_bearing_sigmas() if robust else {}
+    sigmas = estimator.chart.home.bearing_sigmas() if robust else {}
     faults = [(abs(fault) / sigmas[i], i in named) for i, fault in moved.items() if i in sigmas]
     return {
         "right": named == set(moved),

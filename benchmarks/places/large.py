@@ -21,7 +21,7 @@ from homeward.places.files import load_place, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
 from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.telling import Looks, Told
+from homeward.places.telling import Looks, VisitData
 from homeward.places.visiting import merged
 from homeward.simulation.scenario import (
     Listed,
@@ -140,7 +140,7 @@ def large() -> None:
         print(f"; {np.median(rows[:, 1]):.1f} s of computing (worst {rows[:, 1].max():.1f})")
     some = {n: p for n, p in halls[0].items() if p[0] < 0.4 * HALL[0]}
     began = time.perf_counter()
-    merged(places[0], Told("a drive", "0", 1.0, mapped(some, np.random.default_rng(3))))
+    merged(places[0], VisitData("a drive", "0", 1.0, mapped(some, np.random.default_rng(3))))
     print(f"a visit that maps {len(some)} of them is merged in {time.perf_counter() - began:.1f} s")
 
 
@@ -158,7 +158,9 @@ def year(days: int = 365) -> None:
             eyes = np.array([(x, y, 0.0) for x in (3.0, 10.0, 17.0) for y in (3.0, 9.0)] * 20)
             near = [[n for n, p in standing.items() if math.dist(p, eye[:2]) < 6.0] for eye in eyes]
             looks = Looks(eyes, near, None)
-            told = Told("a drive", rng.bytes(8).hex(), float(day), mapped(standing, rng), looks)
+            told = VisitData(
+                "a drive", rng.bytes(8).hex(), float(day), mapped(standing, rng), looks
+            )
             place = merged(place, told)
             if day in (30, days // 2, days):
                 folder = Path(scratch, str(day))
