@@ -46,8 +46,7 @@ from homeward.vision.cameras.grey import as_grey
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import look
 from homeward.vision.opencv import opencv
-from homeward.vision.tags.detector import family_of
-from homeward.vision.tags.front_end import TagFrontEnd
+from homeward.vision.tags.front_end import TagFrontEnd, family_of
 
 NEAR_HOME = 0.02
 """A homing is good when it ends this near [m]."""

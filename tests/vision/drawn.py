@@ -7,7 +7,7 @@ import numpy as np
 
 from homeward.drives.cameras.camera import angles, unit_vectors
 from homeward.drives.cameras.lens import Lens
-from homeward.vision.tags.detector import family_of
+from homeward.vision.tags.front_end import family_of
 
 PARTS = 3
 

@@ -22,7 +22,6 @@ from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.localizer.localizer import Localizer
 from homeward.vision.recorded.recording import see_recording
-from homeward.vision.tags.detector import TagDetector
 from homeward.vision.tags.front_end import TagFrontEnd
 from homeward.vision.tags.messages import picture_of
 
@@ -87,12 +86,12 @@ def test_a_number_that_is_there_twice_is_told_and_left_out():
 )
 def test_families(family):
     image = picture(PINHOLE, SHAPE, tag(11, family), *placed((1.0, 0, 0), (0.4, 0.4)))
-    assert TagDetector(family).find(image, PINHOLE).names == ("11",)
+    assert list(TagFrontEnd(PINHOLE, family).see(image).bearings) == ["11"]
 
 
 def test_no_such_family():
     with pytest.raises(InputError, match=r"no family of tags '37h11'; there are .*36h11"):
-        TagDetector("37h11")
+        TagFrontEnd(PINHOLE, "37h11")
 
 
 def test_pictures_of_another_size():

@@ -33,9 +33,8 @@ from homeward.vision.features.detection import read_view
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.moved_landmark_filter import LASTING
 from homeward.vision.recorded.estimator import ImageDrive
-from homeward.vision.recorded.settings import ImageSettings, read_image_settings
+from homeward.vision.recorded.settings import IMAGE_SETTINGS, ImageSettings, settings_in
 
-IMAGE_SETTINGS = "images.yaml"
 HOME_STEM = "home"
 TESTED_SEAMS = 8
 """So many pictures along the drive, and home's, are tested for being panoramas."""
@@ -83,8 +82,7 @@ def see_folder(
     require_folder(folder)
     if not is_there(folder / IMAGES):
         raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
-    told = folder / IMAGE_SETTINGS
-    settings = read_image_settings(told if is_there(told) else None)
+    settings = settings_in(folder)
     remarks: dict[str, int] = {}
     images = read_images(folder, remarks)
     if not images.files:

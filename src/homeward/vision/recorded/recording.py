@@ -1,20 +1,32 @@
-"""What a camera recorded, of any kind, made into a drive."""
+"""Drives of what a camera recorded: folders of images, videos, and images in logs."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, HomeBearing, Sightings
+from homeward.drives.folder import HOME, read_home
 from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there
-from homeward.errors import InputError
-from homeward.vision.recorded.folder import IMAGE_SETTINGS, see_folder
-from homeward.vision.recorded.frames import VIDEOS
-from homeward.vision.recorded.settings import read_image_settings
-from homeward.vision.recorded.tags import see_tags
+from homeward.errors import InputError, speaking_of
+from homeward.vision.cameras.image_files import read_grey
+from homeward.vision.recorded.folder import (
+    drive_beside,
+    home_image,
+    home_images,
+    see_folder,
+)
+from homeward.vision.recorded.frames import VIDEOS, PictureFiles, Video
+from homeward.vision.recorded.settings import ImageSettings, settings_in
+from homeward.vision.tags.front_end import TagFrontEnd
 from homeward.vision.tags.messages import tag_eye
+
+NO_TAGS = "pictures without a tag"
 
 
 def see_recording(
@@ -55,9 +67,83 @@ def see_recording(
         return read_log(path, topics, tell, tag_eye(tags))
     if topics is not None:
         raise InputError("there are no topics to choose in images", path)
-    told = (path.parent if video else path) / IMAGE_SETTINGS
-    if video or tags or (is_there(told) and read_image_settings(told).tags):
+    if video or tags or settings_in(path).tags:
         if ready is not None:
             ready()
         return see_tags(path, tags, tell)
     return see_folder(path, tell, ready, force)
+
+
+def see_tags(
+    path: Path, family: str | None = None, tell: Callable[[float], None] | None = None
+) -> Drive:
+    """Turn a folder of pictures, or a video in such a folder, into a drive.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with images.csv, or a video; next to it odometry.csv, images.yaml with the camera,
+        and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
+        may specify when the robot was at home, or a place has its home.
+    family : str, optional
+        Of the tags; None: images.yaml's.
+    tell : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Returns
+    -------
+    Drive
+        Its landmarks are the numbers of the tags.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+    """
+    video = path.suffix.lower() in VIDEOS
+    folder = path.parent if video else path
+    settings = settings_in(folder)
+    eye = TagFrontEnd(settings.camera, family or settings.tags or "36h11")
+    remarks: dict[str, int] = {}
+    frames = Video(path) if video else PictureFiles(folder, remarks)
+    if not frames.t.size:
+        raise InputError("no pictures in it", path)
+    blind = drive_beside(folder, frames.t, remarks)
+    home = _home(eye, folder, settings, remarks) if blind.settings.home is None else {}
+    seen = _sightings(eye, frames, remarks, tell)
+    return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
+
+
+def _home(
+    eye: TagFrontEnd, folder: Path, settings: ImageSettings, remarks: dict[str, int]
+) -> dict[str, HomeBearing]:
+    """Return the home bearings of the home image or, without one, of home.csv; or none."""
+    if not home_images(folder, settings):
+        return read_home(folder / HOME, remarks) if is_there(folder / HOME) else {}
+    place = home_image(folder, settings)
+    with speaking_of(place):
+        home = eye.see(read_grey(place)).home
+    if not home:
+        raise InputError("no tag in the home image", place)
+    return home
+
+
+def _sightings(
+    eye: TagFrontEnd,
+    frames: PictureFiles | Video,
+    remarks: dict[str, int],
+    tell: Callable[[float], None] | None,
+) -> Sightings:
+    """Return what all frames show; `remarks` counts what was left out."""
+    rows: list[tuple[float, str, float, float]] = []
+    counts: Counter[str] = Counter()
+    for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
+        with speaking_of(Path(f"picture at {t:g} s")):
+            seen = eye.see(frame)
+        rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
+        counts[TWICE] += len(seen.tags.twice)
+        counts[NO_TAGS] += not seen.bearings
+        if tell is not None:
+            tell((k + 1) / frames.t.size)
+    remarks |= {reason: count for reason, count in counts.items() if count}
+    return Sightings.of_rows(rows)

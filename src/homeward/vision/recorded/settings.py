@@ -12,10 +12,13 @@ from homeward.drives.cameras.camera import Camera
 from homeward.drives.cameras.lens import SAME, Lens
 from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
+from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_settings
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.partial import PartialPanorama
 from homeward.vision.cameras.ring import Ring
+
+IMAGE_SETTINGS = "images.yaml"
 
 
 class Calibrated(Camera):
@@ -92,3 +95,9 @@ def read_image_settings(path: Path | None) -> ImageSettings:
         mask = file_within(path.parent, settings.mask, "mask", path)
         settings = settings.model_copy(update={"mask": mask})
     return settings
+
+
+def settings_in(folder: Path) -> ImageSettings:
+    """Return the settings in images.yaml of a folder, the defaults where it has none."""
+    told = folder / IMAGE_SETTINGS
+    return read_image_settings(told if is_there(told) else None)

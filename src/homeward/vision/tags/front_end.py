@@ -1,8 +1,13 @@
-"""The front-end for tags, live and from records: a picture in, bearings and deviations out."""
+"""Front-end for tags: AprilTags and ArUco markers of an image, their corners and bearings.
+
+Folders, videos, logs, the ROS node and rendered drives all use it.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +15,32 @@ from homeward.drives.cameras.camera import Camera
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.drive import HomeBearing
+from homeward.drives.text.table import quoted
+from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.tags.detector import TagDetector, Tags
+from homeward.vision.opencv import opencv
+from homeward.vision.tags.edges import refined
+
+BLURRED = 0.5
+"""A tag whose corners have a greater deviation is not seen sharply enough to be measured [px]."""
+
+AMBIGUOUS = 0.1
+"""A cell nearer to the middle between black (0) and white (1) than that may be either."""
+
+
+@dataclass(frozen=True)
+class Tags:
+    """The tags of one picture; arrays have n rows."""
+
+    names: tuple[str, ...]
+    """Their numbers."""
+    corners: np.ndarray
+    """(n, 4, 2), columns and rows, clockwise [px]."""
+    sigma: np.ndarray
+    """(n,), of each of their coordinates [px]."""
+    twice: tuple[str, ...] = ()
+    """Numbers that the picture has more than once, which are left out."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +60,24 @@ class TagBearings:
         return {name: HomeBearing(b, self.sigmas[name]) for name, b in self.bearings.items()}
 
 
+def family_of(family: str) -> Any:
+    """Return OpenCV's dictionary of a family, by the names of `TagFrontEnd`; errors as there."""
+    aruco = opencv().aruco
+    short = family.lower().removeprefix("tag").removeprefix("_")
+    known = {n.lower(): n for n in dir(aruco) if n.startswith("DICT_")}
+    name = known.get(f"dict_apriltag_{short}") or known.get(f"dict_{short}")
+    if name is None:
+        names = sorted({n.removeprefix("dict_").removeprefix("apriltag_") for n in known})
+        raise InputError(f"no family of tags {quoted(family)}; there are {', '.join(names)}")
+    return aruco.getPredefinedDictionary(getattr(aruco, name))
+
+
 class TagFrontEnd:
-    """Turns pictures into bearings of tags.
+    """Turns images into bearings of the tags of one family.
+
+    OpenCV proposes tags and corrects some wrong bits. Then the edges are fitted, and the code is
+    read again between them: a tag counts if its code is whole and every cell black or
+    white.
 
     >>> eye = TagFrontEnd(Lens(fx=600, fy=600, cx=320, cy=240), "36h11")
     >>> seen = eye.see(picture)
@@ -41,29 +85,35 @@ class TagFrontEnd:
 
     Parameters
     ----------
-    camera : Camera
-        That takes the pictures.
+    camera : Camera, optional
+        That takes the images; None: not known yet, and edges are assumed straight.
     family : str
-        Of the tags, as for `TagDetector`.
+        36h11, 25h9, 16h5 or 36h10 of AprilTag; 4x4_50 to 7x7_1000, aruco_original or
+        aruco_mip_36h12 of ArUco.
+
+    Raises
+    ------
+    InputError
+        When there is no such family.
     """
 
-    def __init__(self, camera: Camera, family: str = "36h11") -> None:
-        self.camera, self.detector = camera, TagDetector(family)
+    def __init__(self, camera: Camera | None, family: str = "36h11") -> None:
+        aruco, self._dictionary = opencv().aruco, family_of(family)
+        options = aruco.DetectorParameters()
+        options.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+        self._cells = int(self._dictionary.markerSize) + 2 * options.markerBorderBits
+        self._detector: Any = aruco.ArucoDetector(self._dictionary, options)
+        self.camera = camera
 
     def see(self, image: np.ndarray) -> TagBearings:
-        """Look at a picture of any kind that `as_grey` takes.
+        """Return the bearings of the tags in an image of any kind that `as_grey` takes.
 
         Raises
         ------
         InputError
-            When it is no picture, or has not the size that the camera was calibrated for.
+            When it is no image, or has not the size that the camera was calibrated for.
         """
-        camera = self.camera
-        grey = camera.panorama(image) if isinstance(camera, Panorama) else as_grey(image)
-        shape = grey.shape[0], grey.shape[1]
-        if isinstance(camera, Lens):
-            camera.require_shape(shape)
-        tags = self.detector.find(grey, camera)
+        tags, camera, shape = self._find(image, self.camera)
         bearing, sigma = tag_bearings(tags.corners, tags.sigma, camera, shape)
         there = np.isfinite(bearing) & np.isfinite(sigma)
         names = [name for name, known in zip(tags.names, there, strict=True) if known]
@@ -71,3 +121,58 @@ class TagFrontEnd:
             dict(zip(names, values[there].tolist(), strict=True)) for values in (bearing, sigma)
         )
         return TagBearings(bearings, sigmas, tags)
+
+    def tags(self, image: np.ndarray, camera: Camera | None) -> Tags:
+        """Return the tags in an image that `camera` took, as they lie in it; errors as of `see`."""
+        return self._find(image, camera)[0]
+
+    def _find(
+        self, image: np.ndarray, camera: Camera | None
+    ) -> tuple[Tags, Camera, tuple[int, int]]:
+        """Return the tags with the camera of their image and its height and width [px]."""
+        grey = camera.panorama(image) if isinstance(camera, Panorama) else as_grey(image)
+        height, width = grey.shape
+        if camera is None:
+            camera = Lens(fx=width, fy=width, cx=width / 2, cy=height / 2)
+        if isinstance(camera, Lens):
+            camera.require_shape((height, width))
+        return self._detect(grey, camera), camera, (height, width)
+
+    def _detect(self, grey: np.ndarray, camera: Camera) -> Tags:
+        found, ids, _ = self._detector.detectMarkers(grey)
+        if ids is None:
+            return Tags((), np.empty((0, 4, 2)), np.empty(0))
+        rough = np.concatenate(found).astype(float)
+        corners, sigma = refined(grey, rough, self._cells, camera)
+        with np.errstate(invalid="ignore"):
+            sharp = np.isfinite(corners).all(axis=(1, 2)) & (sigma < BLURRED)
+        numbers = np.ravel(ids).tolist()
+        names = [str(number) for number in numbers]
+        for k in np.flatnonzero(sharp).tolist():
+            sharp[k] = self._reads(grey, corners[k]) == numbers[k]
+        times = Counter(names)
+        rows = [k for k, name in enumerate(names) if sharp[k] and times[name] == 1]
+        twice = tuple(name for name, count in times.items() if count > 1)
+        return Tags(tuple(names[k] for k in rows), corners[rows], sigma[rows], twice)
+
+    def _reads(self, grey: np.ndarray, corners: np.ndarray) -> int | None:
+        """Return the number that stands between corners (4, 2), None where it is not plain."""
+        cv2, n = opencv(), self._cells
+        square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32)
+        # Nine places in the inner half of each cell.
+        place = (np.arange(n)[:, None] + np.array([0.25, 0.5, 0.75])).ravel()
+        grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(1, -1, 2)
+        map_to = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
+        at = cv2.perspectiveTransform(grid, map_to).astype(np.float32)
+        cells = cv2.remap(grey, at, None, cv2.INTER_LINEAR).astype(float)
+        cells = cells.reshape(n, 3, n, 3).mean(axis=(1, 3))
+        black = np.concatenate([cells[[0, -1]].ravel(), cells[1:-1, [0, -1]].ravel()])
+        code = cells[1:-1, 1:-1]
+        dark, bright = float(black.mean()), float(np.quantile(code, 0.9))
+        level = (cells - dark) / max(bright - dark, 1.0)
+        plain = np.abs(level - 0.5) > AMBIGUOUS
+        plain[[0, -1]] = level[[0, -1]] < 0.5
+        plain[:, [0, -1]] = level[:, [0, -1]] < 0.5
+        bits = (level[1:-1, 1:-1] > 0.5).astype(np.uint8)
+        found, number, _ = self._dictionary.identify(bits, 0.0)
+        return int(number) if found and plain.all() else None

@@ -16,7 +16,7 @@ from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.image_files import decoded_grey
 from homeward.vision.opencv import opencv
-from homeward.vision.tags.detector import TagDetector
+from homeward.vision.tags.front_end import TagFrontEnd
 
 PLAIN = {
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1, None)),
@@ -72,15 +72,10 @@ def tag_eye(family: str) -> Eye:
         When there is no such family; and, of what is returned, when a message is no picture, or
         has not the size that the camera was calibrated for.
     """
-    detector = TagDetector(family)
+    front_end = TagFrontEnd(None, family)
 
     def eye(message: Any, camera: Lens | None) -> Iterator[Sighting]:
-        grey = picture_of(message)
-        height, width = grey.shape
-        if camera is None:  # not told yet: edges are taken to be straight
-            camera = Lens(fx=width, fy=width, cx=width / 2, cy=height / 2)
-        camera.require_shape((height, width))
-        tags = detector.find(grey, camera)
+        tags = front_end.tags(picture_of(message), camera)
         for name, corners, sigma in zip(
             tags.names, tags.corners.tolist(), tags.sigma.tolist(), strict=True
         ):

@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.errors import InputError
 from homeward.vision.opencv import opencv
-from homeward.vision.tags.detector import family_of
+from homeward.vision.tags.front_end import family_of
 
 SIZE = 256
 """Texels along one side of a tile at the finest level."""
