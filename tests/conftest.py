@@ -15,7 +15,6 @@ settings.load_profile("repeatable")
 
 INTERPRETER = (
     "cli/test_first_minutes",
-    "cli/test_json",
     "cli/test_refusals",
     "drives/ros/test_round_trip",
     "drives/test_folder",
@@ -24,7 +23,6 @@ INTERPRETER = (
     "live/test_live_messages",
     "live/test_server",
     "studies/test_blocks",
-    "studies/test_cluster",
     "studio/test_studio_server",
     "test_by_value",
     "test_core_install",
@@ -36,11 +34,21 @@ INTERPRETER = (
 validation, pickling, subprocesses, threads and sockets. Numerical results are tested once."""
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import the tests of `make test-interpreter` alone where no others are wanted."""
+    if config.option.markexpr != "interpreter" or not collection_path.name.startswith("test_"):
+        return None
+    return not _is_of_interpreter(collection_path) or None
+
+
+def _is_of_interpreter(file: Path) -> bool:
+    return file.relative_to(Path(__file__).parent).as_posix().startswith(INTERPRETER)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of `make test-interpreter`, and keep shared fixtures on one worker."""
-    here = Path(__file__).parent
     for item in items:
-        if item.path.relative_to(here).as_posix().startswith(INTERPRETER):
+        if _is_of_interpreter(item.path):
             item.add_marker("interpreter")
         if group := _shared_fixture(item):
             item.add_marker(pytest.mark.xdist_group(group))

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 
-import pytest
 
 CORE = """
 import sys
@@ -47,6 +46,39 @@ from homeward.__main__ import main
 
 main()
 """
+SEVERAL = """
+import json
+import os
+
+from typer.testing import CliRunner
+
+from homeward.cli.main import app
+
+results = []
+for k, words in enumerate(json.loads(sys.argv[1])):
+    os.mkdir(str(k))
+    os.chdir(str(k))
+    done = CliRunner().invoke(app, words)
+    results.append((done.exit_code, done.output, os.listdir()))
+    os.chdir("..")
+print(json.dumps(results))
+"""
+NEEDS = {
+    ("run", "sample", "--estimator", "robust,ekf"): "report",
+    ("convert", "sample", "sample.mcap"): "bags",
+    ("render", "office", "--out", "out"): "vision",
+    ("settings", "render"): "vision",
+    ("observe", "--landmarks", "3"): "filters",
+    ("export", "ekf", "--landmarks", "3", "--out", "out"): "filters",
+    ("live", "--websocket", "0"): "live",
+}
+"""Commands, and the extra that each needs."""
+NEEDS_NONE = (
+    ("info", "sample"),
+    ("convert", "sample", "drive"),
+    ("settings",),
+    ("settings", "robust"),
+)
 
 
 def alone(code, *words, cwd=None):
@@ -63,33 +95,18 @@ def test_the_localiser_and_live_sessions_need_the_core_alone():
     assert "the extra filters" in told
 
 
-@pytest.mark.parametrize(
-    ("words", "extra"),
-    [
-        (("run", "sample", "--estimator", "robust,ekf"), "report"),
-        (("convert", "sample", "sample.mcap"), "bags"),
-        (("render", "office", "--out", "out"), "vision"),
-        (("settings", "render"), "vision"),
-        (("observe", "--landmarks", "3"), "filters"),
-        (("export", "ekf", "--landmarks", "3", "--out", "out"), "filters"),
-        (("live", "--websocket", "0"), "live"),
-    ],
-)
-def test_a_command_says_in_one_line_which_extra_it_needs(words, extra, tmp_path):
-    done = alone(COMMAND, *words, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    (line,) = done.stderr.splitlines()
-    assert f"need the extra {extra}" in line
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("info", "sample"), ("convert", "sample", "drive"), ("settings",), ("settings", "robust")],
-)
-def test_folders_and_settings_need_the_core_alone(words, tmp_path):
-    done = alone(COMMAND, *words, cwd=tmp_path)
+def test_a_command_says_in_one_line_which_extra_it_needs(tmp_path):
+    done = alone(SEVERAL, json.dumps([*NEEDS, *NEEDS_NONE]), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    results = json.loads(done.stdout)
+    for (words, extra), (status, said, written) in zip(NEEDS.items(), results, strict=False):
+        assert status == 2, words
+        (line,) = said.splitlines()
+        assert f"need the extra {extra}" in line
+        assert written == []
+    # Folders of tables and settings need the core alone.
+    for words, (status, said, _) in zip(NEEDS_NONE, results[len(NEEDS) :], strict=True):
+        assert status == 0, (words, said)
 
 
 def test_a_run_needs_the_core_alone_and_leaves_no_page_of_another(tmp_path):
