@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 
-
 CORE = """
 import sys
 
