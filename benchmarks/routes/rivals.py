@@ -12,8 +12,9 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.control.laws import law_named
 from homeward.drives.drive import HomeBearing, Start
-from homeward.estimator import HOLD_S, Counts, Estimate, Status
+from homeward.estimator import Counts, Estimate, Status
 from homeward.frames import Pose, Twist, advance, between, to_polar
+from homeward.odometry.validity import TWIST_VALIDITY_S
 from homeward.registry import make_estimator
 from homeward.simulation.live_robot import LiveRobot
 from homeward.simulation.scenario import Homing, Scenario
@@ -62,7 +63,7 @@ class DeadReckoning:
         return []
 
     def _at(self, t: float) -> Pose:
-        return advance(self._pose, self._twist, min(t - self._t, HOLD_S))
+        return advance(self._pose, self._twist, min(t - self._t, TWIST_VALIDITY_S))
 
 
 class StoredHome(NamedTuple):

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from homeward import make_estimator, open_drive, run
 from homeward.angles import wrap
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.frames import Pose, bearing, compose
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.report.canvas import png, style
 from homeward.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, STATUS_COLOURS, VERMILLION
 

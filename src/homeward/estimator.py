@@ -11,8 +11,7 @@ import functools
 import inspect
 import math
 import numbers
-from collections import deque
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
@@ -229,8 +228,9 @@ class Estimator(Protocol):
 
     Samples come in the order of their stamps; one that comes too late, or holds a number that is
     not finite, is counted and otherwise ignored, never an error. How late is too late is up to
-    the estimator. A twist holds from its stamp until the next one's, at most for `hold_time`. A
-    twist of which v or omega is NaN means that the motion is unknown until the next twist.
+    the estimator. A twist is valid from its stamp until the next one's, at most for
+    `homeward.odometry.validity.twist_validity`. A twist of which v or omega is NaN means that the
+    motion is unknown until the next twist.
 
     What is no real number at all raises `InputError`, and changes nothing. Samples are of one
     robot and have an order, so an estimator belongs to one thread; where several call it, each
@@ -273,49 +273,6 @@ class FindsMount(Protocol):
     @property
     def mount(self) -> Pose | None:
         """The camera on the robot, if it was found to sit elsewhere than was expected."""
-
-
-HOLD_S, MAX_HOLD_S = 1.0, 5.0
-"""Time for which a twist holds without a successor; and the limit to which a twist of slow odometry
-holds, since within more than 5 s a robot in a room starts, turns and stops [s]."""
-HOLD_SHARE = 1.5
-"""A twist of slow odometry holds for this many typical intervals: a longer gap is a dropout [1]."""
-NUM_INTERVALS = 5
-"""Latest intervals for the typical one: a median that two dropouts do not change."""
-
-
-def hold_time(intervals: Collection[float]) -> float:
-    """Return the time for which a twist holds without a successor [s].
-
-    That is `HOLD_S`, or longer where odometry is slow, to bridge its usual interval.
-
-    Parameters
-    ----------
-    intervals : collection of float
-        Times between the stamps of twists [s]; fewer than `NUM_INTERVALS` do not count.
-    """
-    if len(intervals) < NUM_INTERVALS:
-        return HOLD_S
-    typical = sorted(intervals)[len(intervals) // 2]
-    return min(max(HOLD_S, HOLD_SHARE * typical), MAX_HOLD_S)
-
-
-class TwistHold:
-    """Time for which twists hold, from the latest intervals between them."""
-
-    def __init__(self) -> None:
-        self._newest = -math.inf
-        self._intervals: deque[float] = deque(maxlen=NUM_INTERVALS)
-        self.seconds = HOLD_S
-        """For the newest twist [s]."""
-
-    def add(self, t: float) -> float:
-        """Add the stamp of a twist [s], which may be late; return `seconds`."""
-        if t > self._newest > -math.inf:
-            self._intervals.append(t - self._newest)
-            self.seconds = hold_time(self._intervals)
-        self._newest = max(self._newest, t)
-        return self.seconds
 
 
 NO_BEARINGS_S = 2.0

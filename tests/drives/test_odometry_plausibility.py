@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from homeward.drives.dead_reckoning import dead_reckoning, odometry_from_poses
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Start
 from homeward.drives.folder import read_folder
 from homeward.drives.foreign.reading import drive_of, understand
 from homeward.drives.opening import open_drive
 from homeward.drives.plausibility import without_implausible
+from homeward.drives.pose_odometry import odometry_from_poses
 from homeward.drives.saving import save_drive
 from homeward.errors import InputError
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.registry import make_estimator
 from homeward.track import run
 

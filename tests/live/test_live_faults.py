@@ -79,7 +79,7 @@ def test_an_unexpected_error_of_the_quick_side_fails_the_drive(monkeypatch, wher
         raise ValueError("math domain error")
 
     with monkeypatch.context() as broke:
-        broke.setattr(rig.session._way, "add" if where == "receive" else "at", broken)
+        broke.setattr(rig.session._twists, "add" if where == "receive" else "pose", broken)
         twist = OdometryIn(t=rig.robot.t, v=0.0, omega=0.0)
         quick = {"receive": lambda: rig.session.receive(twist, rig.robot.t)}
         quick["tick"] = lambda: rig.session.tick(rig.robot.t)
@@ -188,10 +188,10 @@ def test_the_field_s_absurd_messages_end_no_process(data_dir):
 
 def test_an_error_while_a_line_is_taken_leaves_no_deaf_process(tmp_path):
     code = (
-        "from homeward.live.session import Session\n"
-        "from homeward.live.driving.way import Way\n"
-        "def broken(*_): raise ValueError('math domain error')\n"
-        "Way.add = broken\n"
+        "from homeward.live import session\n"
+        "class Broken(session.TwistHistory):\n"
+        "    def add(self, *_): raise ValueError('math domain error')\n"
+        "session.TwistHistory = Broken\n"
         "from homeward.cli.main import app\n"
         "app()\n"
     )

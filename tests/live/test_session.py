@@ -12,7 +12,6 @@ from homeward.control.limits import Limits
 from homeward.drives.drive import DriveSettings, OdometryNoise
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.live.driving.way import Way
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -393,15 +392,6 @@ def test_what_was_seen_before_a_clock_was_set_back_is_not_home():
     session.receive(StoreHome(), 8.0)
     assert [out.type for out in session.process()] == ["event"]
     assert session.localisation.homes["home"]["a"].bearing == pytest.approx(0.5)
-
-
-def test_a_clock_that_is_set_back_moves_no_robot():
-    way = Way()
-    for k in range(100):
-        way.add(OdometryIn(t=100.0 + 0.1 * k, v=0.5, omega=0.0))
-    there = way.at(way.newest)
-    way.add(OdometryIn(t=1.0, v=0.5, omega=0.0))
-    assert way.at(1.0) == there
 
 
 def test_an_estimator_that_there_is_not_is_refused_at_once():

@@ -17,7 +17,7 @@ from homeward.frames import Pose, Twist, advance, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motion.twists import Twists
+from homeward.odometry.history import TwistHistory
 
 BEARING_SIGMA = 0.01
 SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01
@@ -72,7 +72,7 @@ class Wheels(Odometry):
     """Odometry with a history of twists of its own, its noise that of nobody in particular."""
 
     def __init__(self):
-        self.twists = Twists()
+        self.twists = TwistHistory()
         super().__init__(self.twists, ProcessNoise(OdometryNoise(), OdometryDefaults()))
 
     def add(self, t, v, omega):

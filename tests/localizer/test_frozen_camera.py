@@ -9,7 +9,7 @@ from rig import START, Rig, eight, ring, still
 from homeward.estimator import Status
 from homeward.frames import Twist, advance, bearing
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
-from homeward.localizer.motion.twists import Twists
+from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason, Rejection
 
 
@@ -128,7 +128,7 @@ def test_a_robot_that_drives_and_sees_whole_degrees_is_not_frozen():
 def test_a_single_landmark_may_stay_where_the_motion_allows_that(law, place, alive):
     camera, twists, first = (
         FrozenCamera(),
-        Twists(),
+        TwistHistory(),
         bearing(START._replace(x=0, y=0, heading=0), *place),
     )
     stale = False

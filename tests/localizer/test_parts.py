@@ -7,7 +7,6 @@ import pytest
 from rig import Wheels
 
 from homeward.angles import wrap
-from homeward.drives.clock import Clock
 from homeward.estimator import Innovation
 from homeward.frames import Pose, bearing, compose
 from homeward.localizer.home.gauss_newton import fit
@@ -30,8 +29,9 @@ from homeward.localizer.motion.preintegration import (
     Motion,
     camera_on_robot,
 )
-from homeward.localizer.motion.twists import MEAN_S
 from homeward.localizer.recovery.monitor import SlipDetector
+from homeward.odometry.clock import Clock
+from homeward.odometry.history import MEAN_S
 
 NOTHING = np.zeros(len(CALIBRATION))
 

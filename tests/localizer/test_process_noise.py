@@ -17,7 +17,7 @@ from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_
 from homeward.localizer.map.learning.variance_components import BearingErrors, misfit
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motion.twists import STEADY_S, Twists
+from homeward.odometry.history import STEADY_S, TwistHistory
 from homeward.scoring import errors
 from homeward.track import run
 
@@ -184,7 +184,7 @@ def test_steps_are_as_noisy_as_they_are_told_to_be():
 
 
 def test_a_steady_speed_has_no_noise_of_samples():
-    twists, rng = Twists(), np.random.default_rng(2)
+    twists, rng = TwistHistory(), np.random.default_rng(2)
     for k in range(400):
         twists.add(0.02 * k, 0.3 + 0.4 * float(rng.normal()), 0.0)
     steady = [twists.steady_speed(t) for t in np.arange(1.0, 8.0, STEADY_S)]

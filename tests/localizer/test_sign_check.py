@@ -12,7 +12,7 @@ from homeward.estimator import Status
 from homeward.frames import Twist
 from homeward.localizer.inputs.sign_check import LAGS, SignCheck
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.twists import Twists
+from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
 
 
@@ -21,7 +21,7 @@ def watched(
 ):
     """Senses after a drive past landmarks, each seen five times a second."""
     rng, sign_check = np.random.default_rng(0), SignCheck(Mount(yaw=yaw))
-    x, y, psi, twists = 0.0, 0.0, 0.3, Twists()
+    x, y, psi, twists = 0.0, 0.0, 0.3, TwistHistory()
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
         twists.add(t, gain * twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))

@@ -8,7 +8,6 @@ import pytest
 from rig import DT, Rig, eight, ring, still
 
 from homeward.angles import wrap
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import (
     Drive,
     KnownLandmarks,
@@ -19,12 +18,14 @@ from homeward.drives.drive import (
     Truth,
 )
 from homeward.drives.one_clock import on_one_clock
-from homeward.estimator import HOLD_S, MAX_HOLD_S, Status, hold_time
+from homeward.estimator import Status
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.twists import Twists
+from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import TwistHistory
+from homeward.odometry.validity import MAX_TWIST_VALIDITY_S, TWIST_VALIDITY_S, twist_validity
 from homeward.reasons import Rejection
 
 
@@ -49,7 +50,7 @@ def test_one_impossible_twist_does_not_move_the_pose(wrong):
 
 
 def test_nan_means_unknown_motion_until_the_next_twist():
-    twists = Twists()
+    twists = TwistHistory()
     for k in range(10):
         twists.add(0.1 * k, 1.0, 0.5)
     twists.add(1.0, math.nan, math.nan)
@@ -182,9 +183,9 @@ def test_odometry_that_lags_is_not_dead():
 
 
 def test_slow_twists_hold_until_the_next_and_dropouts_do_not():
-    assert hold_time([0.1] * 20) == HOLD_S
-    assert hold_time([2.0] * 20) == 3.0
-    assert hold_time([60.0] * 20) == MAX_HOLD_S
+    assert twist_validity([0.1] * 20) == TWIST_VALIDITY_S
+    assert twist_validity([2.0] * 20) == 3.0
+    assert twist_validity([60.0] * 20) == MAX_TWIST_VALIDITY_S
     t = np.arange(0.0, 40.0, 2.0)
     slow = Odometry(t, np.full(t.size, 0.5), np.zeros(t.size))
     assert dead_reckoning(slow, np.array([38.0])).x[0] == pytest.approx(19.0)
@@ -193,7 +194,7 @@ def test_slow_twists_hold_until_the_next_and_dropouts_do_not():
 
 
 def test_slow_twists_leave_no_unknown_motion():
-    twists = Twists()
+    twists = TwistHistory()
     for k in range(10):
         twists.add(2.0 * k, 0.5, 0.1)
     assert twists.unknown_time(19.9) == 0.0

@@ -13,9 +13,9 @@ import pytest
 from report.made_up_run import made_up
 from rosbags.highlevel import AnyReader
 
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import DriveSettings, Odometry
 from homeward.frames import Pose, compose
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.report.files import write_trajectory
 from homeward.report.palette import BLUE, MOVED
 from homeward.report.run.mcap import write_recording

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from homeward import Counts, Estimate, Pose, Status
-from homeward.estimator import HOLD_S
 from homeward.frames import from_polar, polar_covariance_to_pose
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
 class DeadReckoning:
@@ -30,7 +30,7 @@ class DeadReckoning:
         since, v, omega = self.twist
         if math.isnan(since):
             return self.pose, self.covariance
-        dt = min(t - since, HOLD_S)
+        dt = min(t - since, TWIST_VALIDITY_S)
         x, y, heading = self.pose
         middle = heading + omega * dt / 2
         dx, dy = v * dt * math.cos(middle), v * dt * math.sin(middle)

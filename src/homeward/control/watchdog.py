@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from homeward.drives.clock import Clock
+from homeward.odometry.clock import Clock
 
 AHEAD_S = 2.0
 """A stamp so far ahead of all others is a mistake, until `SEVERAL` agree with it [s]."""

@@ -21,7 +21,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
 Late = Annotated[float, Field(ge=-5, le=5)]
-"""[s]; clocks that are farther apart than `homeward.drives.one_clock.APART_S` make no drive."""
+"""[s]; clocks farther apart than `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S` make no drive."""
 
 
 class Strict(BaseModel):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.clock import LATE_S
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -37,6 +36,7 @@ from homeward.drives.text.table import (
 from homeward.errors import InputError
 from homeward.io.files import whole_folder
 from homeward.naming import listing, natural
+from homeward.odometry.clock import MAX_DELAY_S
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
@@ -105,8 +105,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     Returns
     -------
     Drive
-        Rows up to `LATE_S` out of order are sorted by time, and counted. Bearings are wrapped; of
-        equal stamps in odometry and truth the last counts, and so it does
+        Rows up to `MAX_DELAY_S` out of order are sorted by time, and counted. Bearings are
+        wrapped; of equal stamps in odometry and truth the last counts, and so it does
         of sightings of one landmark at one stamp; they are counted in its remarks, which also say
         when angles or stamps seem to be in other units. Landmark ids lose the white space around
         them.
@@ -175,8 +175,8 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
 def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
     """Return a table in order of its times `t` [s]; equal ones stay as they are.
 
-    `remarks` counts the rows of `what` that are out of order. Rows may be up to `LATE_S` late, or
-    go through one landmark after the other.
+    `remarks` counts the rows of `what` that are out of order. Rows may be up to `MAX_DELAY_S`
+    late, or go through one landmark after the other.
 
     Raises
     ------
@@ -187,11 +187,11 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
     late = np.maximum.accumulate(t) - t
     if not late.any():
         return table
-    if late.max() > LATE_S and not _by_landmarks(table):
-        i = int(np.argmax(late > LATE_S))
+    if late.max() > MAX_DELAY_S and not _by_landmarks(table):
+        i = int(np.argmax(late > MAX_DELAY_S))
         raise InputError(
             f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
-            f"{float(t[: i + 1].max())!r}; rows may be up to {LATE_S:g} s out of order",
+            f"{float(t[: i + 1].max())!r}; rows may be up to {MAX_DELAY_S:g} s out of order",
             table.file,
             int(table.row[i]),
         )

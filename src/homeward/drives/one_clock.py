@@ -10,13 +10,13 @@ import numpy as np
 
 from homeward.drives.drive import Drive, is_slow
 from homeward.errors import InputError
-from homeward.estimator import HOLD_S, hold_time
+from homeward.odometry.validity import TWIST_VALIDITY_S, twist_validity
 
-APART_S = 5.0
+MAX_CLOCK_OFFSET_S = 5.0
 """What begins up to so long after another thing ended may be of the same drive [s]."""
 OUTSIDE = "sightings at times without odometry (are their stamps in other units?)"
 
-SLOW, FEWEST_TWISTS = 2.0 * HOLD_S, 10
+SLOW, FEWEST_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
 """Twists that come so rarely in the median [s] lead nowhere, since each holds half as long at most;
 of fewer of them nobody says how often they come."""
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -55,13 +55,13 @@ def require_overlap(
     Raises
     ------
     InputError
-        When two of them are more than `APART_S` apart.
+        When two of them are more than `MAX_CLOCK_OFFSET_S` apart.
     """
     if not spans:
         return
     late, early = max(spans, key=lambda n: spans[n][0]), min(spans, key=lambda n: spans[n][1])
     apart = spans[late][0] - spans[early][1]
-    if apart > APART_S:
+    if apart > MAX_CLOCK_OFFSET_S:
         raise InputError(
             f"the first of {late} is {apart:,.1f} s after the last of {early}: {advice}", path
         )
@@ -72,7 +72,7 @@ def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
     if t.size < FEWEST_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
-    remarks[TOO_RARE.format(step, hold_time(np.diff(t).tolist()), unit)] = t.size
+    remarks[TOO_RARE.format(step, twist_validity(np.diff(t).tolist()), unit)] = t.size
 
 
 def on_time(drive: Drive) -> Drive:
@@ -89,8 +89,10 @@ def _remark_slow(drive: Drive) -> dict[str, int]:
     """Return remarks on odometry and ground truth that come slowly."""
     remarks, t = {}, drive.odometry.t
     step = float(np.median(np.diff(t))) if t.size >= FEWEST_TWISTS else 0.0
-    if step > HOLD_S and not any(words.startswith(ODOMETRY_ROWS) for words in drive.remarks):
-        remarks[SLOW_ODOMETRY.format(step, hold_time(np.diff(t).tolist()))] = t.size
+    if step > TWIST_VALIDITY_S and not any(
+        words.startswith(ODOMETRY_ROWS) for words in drive.remarks
+    ):
+        remarks[SLOW_ODOMETRY.format(step, twist_validity(np.diff(t).tolist()))] = t.size
     if drive.truth is not None and is_slow(drive.truth.t):
         step = float(np.median(np.diff(drive.truth.t)))
         remarks[SLOW_TRUTH.format(step)] = drive.truth.t.size
@@ -115,7 +117,7 @@ def on_one_clock(drive: Drive, path: Path) -> Drive:
         path,
     )
     drive = dataclasses.replace(drive, remarks={**drive.remarks, **_remark_slow(drive)})
-    outside = int(((seen < first - APART_S) | (seen > last + APART_S)).sum())
+    outside = int(((seen < first - MAX_CLOCK_OFFSET_S) | (seen > last + MAX_CLOCK_OFFSET_S)).sum())
     if 2 * outside <= seen.size:
         return drive
     return dataclasses.replace(drive, remarks={**drive.remarks, OUTSIDE: outside})

@@ -11,7 +11,7 @@ import warnings
 import numpy as np
 
 from homeward.drives.drive import Odometry
-from homeward.estimator import HOLD_S
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 MAX_SPEED, MAX_TURN_RATE = 10.0, 20.0
 """Maximum speed [m/s] and yaw rate [rad/s] of the robots that homeward is made for."""
@@ -84,7 +84,7 @@ def without_implausible(
 
 def _quick(t: np.ndarray, rate: np.ndarray) -> float:
     """Return the rate that is exceeded for 5 % of the time of motion; 0 if there is none."""
-    lasts = np.minimum(np.diff(t), HOLD_S)
+    lasts = np.minimum(np.diff(t), TWIST_VALIDITY_S)
     rates = np.abs(rate[:-1])
     order = np.argsort(np.where(rates > 0, rates, -1.0))
     time = np.where(rates > 0, lasts, 0.0)[order].cumsum()
@@ -109,7 +109,7 @@ def _jumps(
     changes = np.diff(t[moves]) if moves.sum() > 1 else steps
     typical = float(np.median(changes))
     # In bursts the median is too short; the mean is right, without the time that the robot stands.
-    period = max(typical, float(np.minimum(changes, max(HOLD_S, typical)).mean()))
+    period = max(typical, float(np.minimum(changes, max(TWIST_VALIDITY_S, typical)).mean()))
     dt = np.append(steps, period)
     lasts = np.maximum(dt, period)
     moved = rate * dt

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.drives.drive import Start as StartPrior
 from homeward.drives.home.choosing import spin_words
@@ -16,6 +15,8 @@ from homeward.drives.home.looks import HomeLooks
 from homeward.errors import InputError
 from homeward.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn
+from homeward.odometry.clock import Clock
+from homeward.odometry.history import TwistHistory
 
 STORE_S, STANDING = 1.0, 0.01
 """Home is what was seen for so long [s], by a robot no faster on average [m/s, rad/s]."""
@@ -43,7 +44,7 @@ class Looking:
     def __init__(self) -> None:
         self._clock = Clock()
         self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
-        self._twists: deque[tuple[float, float, float]] = deque(maxlen=400)
+        self._twists = TwistHistory()
         self._looks: HomeLooks | None = None
 
     @property
@@ -55,7 +56,10 @@ class Looking:
         """Take a twist."""
         if self._looks is not None:
             self._looks.odometry(message.t, message.v, message.omega)
-        self._twists.append((self._clock.read(message.t), message.v, message.omega))
+        t = self._clock.read(message.t)
+        if t >= self._twists.newest:
+            self._twists.add(t, message.v, message.omega)
+            self._twists.forget(t - 2.0 * STORE_S)
 
     def bearings(self, message: BearingsIn) -> None:
         """Take a look."""
@@ -88,8 +92,7 @@ class Looking:
         views = [view for t, view in self._lately if t > since]
         if not any(v.bearings for v in views):
             raise InputError("home cannot be stored: nothing is seen")
-        rolled = [(v, omega) for t, v, omega in self._twists if t > since]
-        if rolled and np.abs(np.mean(rolled, axis=0)).max() > STANDING:
+        if max(map(abs, self._twists.mean(since + STORE_S, STORE_S))) > STANDING:
             raise InputError(f"home cannot be stored: stand still for {STORE_S:g} s")
         seen: dict[str, list[float]] = {}
         for view in views:

@@ -21,6 +21,7 @@ from homeward.drives.drive import (
     Strict,
 )
 from homeward.drives.folder import write_folder
+from homeward.drives.samples import Samples
 from homeward.drives.text.files import is_there, naming
 from homeward.drives.text.settings import validated
 from homeward.errors import HomewardError, InputError
@@ -35,7 +36,6 @@ from homeward.live.messages import (
     line_of,
     parse,
 )
-from homeward.live.samples import Samples
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import Visiting
 from homeward.one_thread import one_thread
@@ -190,8 +190,10 @@ def read_drive(file: Path) -> Drive | None:
         _done(localisation, message)
         if localisation.drive is not before:
             samples = Samples()
-        elif isinstance(message, OdometryIn | BearingsIn):
-            samples.add(message)
+        elif isinstance(message, OdometryIn):
+            samples.add_twist(message.t, message.v, message.omega)
+        elif isinstance(message, BearingsIn):
+            samples.add_bearings(message.t, message.bearings, message.sigmas)
     drive, odometry = localisation.drive, samples.odometry()
     if drive is None or not odometry.t.size:
         return None

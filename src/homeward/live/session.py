@@ -15,15 +15,14 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
+from homeward.angles import wrap
 from homeward.control.driver import Driver
 from homeward.control.goals import Belief, Goal, State, TurnGoal
 from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
-from homeward.drives.clock import Clock
 from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
 from homeward.frames import Pose, Twist, compose
-from homeward.live.driving.way import PATH_S, Way
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,
@@ -49,8 +48,12 @@ from homeward.live.messages import (
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
 from homeward.live.visiting import Visiting
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
-from homeward.localizer.motion.twists import Twists
+from homeward.odometry.clock import Clock
+from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
+
+MEMORY_S = 3.0
+"""Odometry is kept for this long, for bearings that come late [s]."""
 
 
 class Session:
@@ -89,11 +92,11 @@ class Session:
         """Samples that did not get to the estimator, by reason in words."""
         self._keepers = list[Callable[[Input | Output], None]]()
         clock = Clock()
-        self._gate, self._way = StampGate(), Way()
+        self._gate, self._twists = StampGate(), TwistHistory()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", told.bearings_timeout, clock)
         self._lags = {"bearings": Lasting(), "answers": Lasting()}
-        self._twists, self._frozen = Twists(), FrozenCamera((robot or DriveSettings()).sensor.yaw)
+        self._frozen = FrozenCamera((robot or DriveSettings()).sensor.yaw)
         self._is_frozen, self._is_blind = Lasting(), Lasting()
         self._sighted = math.inf
         """When landmarks were last in view, by a camera that is not frozen [s]."""
@@ -145,7 +148,7 @@ class Session:
                 if isinstance(message, BearingsIn) and self._late:
                     message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
-                odom = self._way.at(message.t)
+                odom = self._here(t)
             case EStop(engaged=engaged):
                 self._stopped = engaged
                 # Also its release ends a drive: that nobody has begun anew since must not move.
@@ -233,7 +236,7 @@ class Session:
         """Let the drive fail, and the map begin again, after an error that nobody expects."""
         failure = InternalError(error, consequence)
         self._driver.fail(str(failure), now)
-        self._way = Way()
+        self._twists = TwistHistory()
         self._put(Reset(), None, math.nan)
         return failure
 
@@ -266,7 +269,7 @@ class Session:
         if odom is None:
             return Belief(estimate.status, None, None)
         since = min(max(now - self._heard, 0.0), STOPS_WITHIN_S)
-        here = self._way.at(self._way.newest + since)
+        here = self._here(self._twists.newest + since)
         return Belief(estimate.status, compose(odom, here), estimate.covariance)
 
     def faults(self, now: float) -> tuple[Fault, ...]:
@@ -334,7 +337,7 @@ class Session:
     def _turn(self, now: float) -> Twist | None:
         """Turn on; once round, home is stored, and after any other end it is not."""
         began = self._turning.active
-        here = None if self._way.newest == -math.inf else self._way.at(self._way.newest)
+        here = self._here(self._twists.newest) if self._twists else None
         belief = Belief(Status.WAITING, here, None)
         twist = self._turning.command(now, belief, self.faults(now))
         if began and not self._turning.active:
@@ -357,13 +360,18 @@ class Session:
             if len(frozen) < len(sample.bearings):
                 self._sighted = now
             return t
-        self._way.add(sample)
         self._heard = now
         t = self._odometry.hear(sample.t, now)
         if t == self._odometry.newest:
-            self._twists.add(t, sample.v, sample.omega)
-            self._twists.forget(t - PATH_S)
+            pose = None if sample.pose is None else Pose(*sample.pose)
+            self._twists.add(t, sample.v, sample.omega, pose)
+            self._twists.forget(t - MEMORY_S)
         return t
+
+    def _here(self, t: float) -> Pose:
+        """Return the pose at `t` [s] in the odometry frame."""
+        pose = self._twists.pose(t)
+        return pose._replace(heading=wrap(pose.heading))
 
     def _shed(self) -> None:
         """Throw away the oldest bearings, odometry or message of the sender of most that wait."""

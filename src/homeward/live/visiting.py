@@ -18,12 +18,12 @@ import numpy as np
 
 from homeward.control.following import LOOKAHEAD
 from homeward.drives.drive import Drive
+from homeward.drives.samples import Samples, last_of_equal, table
 from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
 from homeward.frames import Pose, position_sigma
 from homeward.live.messages import BearingsIn
-from homeward.live.samples import Samples, last_of_equal, table
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
 from homeward.places.files import (
@@ -134,7 +134,7 @@ class Visiting:
         """Take what was seen, and the answer to it."""
         if not self.update:
             return
-        self._samples.add(message)
+        self._samples.add_bearings(message.t, message.bearings, message.sigmas)
         if estimate.pose is not None:
             self._poses.extend((message.t, *estimate.pose, _sigma(estimate)))
 

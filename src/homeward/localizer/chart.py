@@ -24,7 +24,6 @@ from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
@@ -35,6 +34,7 @@ from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import SPEED_TIME_S
+from homeward.odometry.history import Driven, TwistHistory
 from homeward.reasons import Reason, Rejection
 
 RESECTION_S = 2.0 * SPEED_TIME_S
@@ -58,7 +58,7 @@ class Chart:
         As given to the `Localizer`, and validated.
     counts : Counts
         Where to count sightings.
-    twists : Twists
+    twists : TwistHistory
         History of odometry.
     known : KnownLandmarks
         What is known of landmarks beforehand.
@@ -70,7 +70,7 @@ class Chart:
         drive: DriveSettings,
         settings: LocalizerSettings,
         counts: Counts,
-        twists: Twists,
+        twists: TwistHistory,
         known: KnownLandmarks,
     ) -> None:
         self.counts, self._twists = counts, twists
@@ -83,9 +83,10 @@ class Chart:
         self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
-        self._driven = np.zeros(2)
-        """Path [m] and rotation [rad] to the newest keyframe from the last frame of which most
-        bearings were accepted; negative if that is after the keyframe."""
+        self._driven_at_fit = Driven()
+        """Wheel motion up to the last frame of which most bearings were accepted, ..."""
+        self._driven_at_keyframe = Driven()
+        """... and up to the newest keyframe."""
         self.slipped_at = -math.inf
         """When bearings last denied a motion [s]."""
         self._resection = Resection()
@@ -212,7 +213,7 @@ class Chart:
             calibration = state.covariance[3:HEAD, 3:HEAD]
             drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
             if may_slip:
-                drift = drift + self._slip_covariance(motion)
+                drift = drift + self._slip_covariance(t)
             moved = motion.delta, drift
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
@@ -271,7 +272,7 @@ class Chart:
         if any(fits):
             self.last_accepted = seen.t
         if 2 * sum(fits) > len(fits):
-            self._driven = np.zeros(2) if gated.new_keyframe else -_driven(gated.motion)
+            self._driven_at_fit = self._twists.driven(seen.t)
         return gated
 
     def _gate_at_keyframe(self, seen: WeighedFrame, motion: Motion) -> Gated:
@@ -314,7 +315,7 @@ class Chart:
     def _begin_search(self, seen: WeighedFrame, why: Health, motion: Motion) -> bool:
         """Begin a relocalisation; return whether it succeeds at once."""
         self.odometry.restart(seen.t)
-        self.monitor.begin_search(seen.t, why, motion)
+        self.monitor.begin_search(seen.t, why)
         return self._relocalise(seen, Motion.identity())
 
     def _relocalise(self, seen: WeighedFrame, motion: Motion) -> bool:
@@ -324,7 +325,8 @@ class Chart:
         search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
         found = search.find(self.map.landmarks, self.map.smoother.state)
         if found is None and self.monitor.is_lost:
-            camera, driven = self.map.camera(Motion.identity()), self.monitor.driven(since)
+            camera = self.map.camera(Motion.identity())
+            driven = self._twists.driven(seen.t).since(self._driven_at_keyframe)
             found = find_by_frame(seen, camera, self.map.landmarks, self.map.smoother.state, driven)
             since = Motion.identity()
         if found is None:
@@ -339,7 +341,7 @@ class Chart:
             return True
         self._begin_motion(seen.t, reset)
         self.monitor.end_search(seen.t)
-        self.slipped_at, self._driven = seen.t, np.zeros(2)
+        self.slipped_at, self._driven_at_fit = seen.t, self._driven_at_keyframe
         return True
 
     def _find_home(self, now: float) -> None:
@@ -367,6 +369,7 @@ class Chart:
         self.monitor = Monitor(self._drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)
+        self._driven_at_keyframe = self._twists.driven(t)
         if self._keeps:
             self.map.smoother.retain_marginalised()
 
@@ -385,7 +388,7 @@ class Chart:
         """Restart odometry and monitor at a new keyframe, reached by a motion."""
         self.odometry.restart(t)
         self.monitor.add_keyframe(motion)
-        self._driven = self._driven + _driven(motion)
+        self._driven_at_keyframe = self._twists.driven(t)
 
     def _coasts(self, t: float) -> bool:
         """Return whether no bearing has been accepted recently before `t` [s]."""
@@ -395,15 +398,7 @@ class Chart:
         """Return whether wheels are expected to slip at `t` [s], since they did before."""
         return t - self.slipped_at < SLIP_MEMORY_S
 
-    def _slip_covariance(self, motion: Motion) -> np.ndarray:
-        """Covariance (3, 3) of the motion since the last frame that fits, which may be a slip.
-
-        `motion` is that since the newest keyframe.
-        """
-        path, turned = (SLIP_SHARE * (self._driven + _driven(motion))).tolist()
-        return np.diag([path, path, turned]) ** 2
-
-
-def _driven(motion: Motion) -> np.ndarray:
-    """Return path [m] and rotation [rad] of a motion, shape (2,)."""
-    return np.array([motion.path, motion.turned])
+    def _slip_covariance(self, t: float) -> np.ndarray:
+        """Covariance (3, 3) of the motion since the last frame that fits, which may be a slip."""
+        _, path, turned = self._twists.driven(t).since(self._driven_at_fit)
+        return (SLIP_SHARE * np.diag([path, path, turned])) ** 2

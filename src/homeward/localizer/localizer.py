@@ -15,7 +15,6 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.estimator import (
@@ -35,9 +34,10 @@ from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import LAGS, SignCheck
 from homeward.localizer.motion.odometry import lag_notes
-from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
+from homeward.odometry.clock import MAX_DELAY_S, Clock
+from homeward.odometry.history import TwistHistory
 from homeward.one_thread import one_thread
 from homeward.reasons import Reason, Rejection
 
@@ -84,7 +84,7 @@ class Localizer:
         self._notes = (SCALE_NOTE,)
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
-        self._twists, self._known = Twists(), known_landmarks(known)
+        self._twists, self._known = TwistHistory(), known_landmarks(known)
         self._chart = self._new_chart(self._robot, self.counts)
         self._candidate_chart: Chart | None = None
         """The second chart, begun when the robot was lost in the first."""
@@ -282,7 +282,7 @@ class Localizer:
 
     def _is_too_late(self, t: float) -> bool:
         """Return whether a sample of `t` [s] is too late to be used."""
-        return t < self._t - LATE_S or not all(c.odometry.accepts(t) for c in self.charts)
+        return t < self._t - MAX_DELAY_S or not all(c.odometry.accepts(t) for c in self.charts)
 
     def _process_due(self) -> tuple[Innovation, ...]:
         """Process the frames that need not wait; return the innovations of the newest."""

@@ -23,11 +23,11 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import MAX_LAG_S, Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motion.twists import Twists
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import FALSE_ALARM
+from homeward.odometry.history import TwistHistory
 from homeward.one_thread import one_thread
 from homeward.reasons import Reason
 from homeward.track import Track, run, track_of
@@ -183,7 +183,7 @@ def _at_keyframes(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
 
 def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odometry:
     """Return an odometry that starts at `begin` [s] and has the twists until `end` [s]."""
-    twists = Twists()
+    twists = TwistHistory()
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
         twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))

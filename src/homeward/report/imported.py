@@ -8,9 +8,9 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Drive
 from homeward.naming import natural
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.report.canvas import new_figure, plain, style
 from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
 

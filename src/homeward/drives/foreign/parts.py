@@ -18,7 +18,7 @@ from homeward.drives.foreign.wide import landmark_columns, landmark_in, long, un
 from homeward.drives.plausibility import MAX_SPEED
 from homeward.drives.text.table import Parser, Table, read_csv
 from homeward.errors import InputError
-from homeward.estimator import HOLD_S
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 UNIX_S = (1e9, 4.1e9)
 """Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
@@ -249,7 +249,9 @@ def _clock(t: np.ndarray) -> str:
     """Return the largest unit of stamps in which twists come each second."""
     steps = np.diff(np.unique(t))
     step = float(np.median(steps)) if steps.size else 0.0
-    return next((unit for unit, seconds in UNITS["time"].items() if step * seconds <= HOLD_S), "s")
+    return next(
+        (unit for unit, seconds in UNITS["time"].items() if step * seconds <= TWIST_VALIDITY_S), "s"
+    )
 
 
 def _given(values: np.ndarray) -> np.ndarray:

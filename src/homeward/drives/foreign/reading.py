@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import odometry_from_poses
 from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Odometry
 from homeward.drives.folder import (
     BY_SPIN,
@@ -26,6 +25,7 @@ from homeward.drives.foreign.parts import UNIX_S, Understood, parts_of
 from homeward.drives.foreign.sheet import sheet
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_one_clock, remark_other_units
+from homeward.drives.pose_odometry import odometry_from_poses
 from homeward.drives.ros.containers.magic import is_log
 from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Table, quoted

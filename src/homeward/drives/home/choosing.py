@@ -11,8 +11,8 @@ from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry
 from homeward.drives.home.spin import Spin, spin
 from homeward.drives.text.table import quoted
 from homeward.errors import InputError
-from homeward.estimator import hold_time
 from homeward.frames import Pose
+from homeward.odometry.validity import validities
 
 STILL_M = 0.05
 """A robot that goes further does not stand [m]."""
@@ -59,9 +59,8 @@ def with_home(drive: Drive, when: HomeWhen) -> Drive:
 
 def _require_still(first: float, last: float, odometry: Odometry) -> None:
     """Refuse an interval [s] in which the odometry moves."""
-    hold = hold_time(np.diff(odometry.t).tolist())
-    ends = np.minimum(np.append(odometry.t[1:], np.inf), odometry.t + hold)
-    within = np.clip(np.minimum(ends, last) - np.maximum(odometry.t, first), 0.0, None)
+    ends = np.minimum(odometry.t + validities(odometry.t), last)
+    within = np.clip(ends - np.maximum(odometry.t, first), 0.0, None)
     odometry = odometry.bridged
     way, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
     if way > STILL_M or turn > STILL_RAD:

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Unpack
 
-import numpy as np
-
-from homeward.drives.drive import HomeBearing, Odometry, Robot, Sightings
+from homeward.drives.drive import HomeBearing, Robot
 from homeward.drives.home.spin import Spin, spin
 from homeward.drives.known import known_robot
+from homeward.drives.samples import Samples
 from homeward.errors import InputError
 
 LONGEST_S = 600.0
@@ -35,34 +34,31 @@ class HomeLooks:
 
     def __init__(self, **robot: Unpack[Robot]) -> None:
         self._robot = known_robot(robot)
-        self._twists: dict[float, tuple[float, float]] = {}
-        self._seen: list[tuple[float, str, float, float]] = []
+        self._samples = Samples()
         self._begun: float | None = None
         self._too_long = False
 
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         if self._takes(t):
-            self._twists[t] = v, omega
+            self._samples.add_twist(t, v, omega)
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> None:
         """Take all sightings of stamp `t` [s], as `Localizer.bearings`."""
         if self._takes(t):
-            told = sigmas or {}
-            self._seen += [(t, name, b, told.get(name, math.nan)) for name, b in sightings.items()]
+            self._samples.add_bearings(t, sightings, sigmas)
 
     def spin(self) -> Spin:
         """Return what the looks tell of home; errors as `home`."""
         if self._too_long:
             raise InputError(f"home was looked at for more than {LONGEST_S:g} s")
-        if not self._twists or not self._seen:
+        odometry, seen = self._samples.odometry(), self._samples.sightings()
+        if not odometry.t.size or not seen.t.size:
             raise InputError("of home nothing was seen, or there was no odometry")
-        twists = np.array([(t, *self._twists[t]) for t in sorted(self._twists)])
-        seen = Sightings.of_rows(sorted(self._seen, key=lambda row: row[0]))
-        span = float(twists[0, 0]), max(float(twists[-1, 0]), float(seen.t[-1]))
-        return spin(span, Odometry(*twists.T.copy()), seen, self._robot)
+        span = float(odometry.t[0]), max(float(odometry.t[-1]), float(seen.t[-1]))
+        return spin(span, odometry, seen, self._robot)
 
     def home(self) -> dict[str, HomeBearing]:
         """Return the home bearings, with their deviations.

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.dead_reckoning import reckoning
 from homeward.drives.drive import DriveSettings, Odometry, Sightings
 from homeward.drives.home.least_squares import LeastSquares
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
-from homeward.estimator import hold_time
 from homeward.frames import Pose
+from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
+from homeward.odometry.validity import twist_validity
 
 UNTOLD_SIGMA = 0.02
 """Of bearings whose noise nobody told, at first [rad]; their residuals tell it then."""
@@ -92,7 +92,7 @@ class Turn:
             raise InputError("nothing was seen during home's spin")
         _require_odometry(begin, float(seen.t[-1]), odometry)
         stamps = np.unique([begin, *seen.t])
-        way = reckoning(odometry, stamps)
+        way = dead_reckoning_unwrapped(odometry, stamps)
         centre = (way.x + 1j * way.y - way.x[0] - 1j * way.y[0]) * np.exp(-1j * way.heading[0])
         during = (odometry.t >= begin) & (odometry.t <= end)
         if not (np.isfinite(centre).all() and np.isfinite(odometry.omega[during]).all()):
@@ -141,7 +141,8 @@ class Turn:
     def turn(self, lag: float) -> tuple[np.ndarray, np.ndarray]:
         """Return heading since home (K,) [rad] and turn rate (K,) [rad/s] by lagging odometry."""
         before, now, after = (
-            reckoning(self.odometry, self.stamps + lag + d).heading for d in (-RATE_S, 0.0, RATE_S)
+            dead_reckoning_unwrapped(self.odometry, self.stamps + lag + d).heading
+            for d in (-RATE_S, 0.0, RATE_S)
         )
         return now - now[0], (after - before) / (2.0 * RATE_S)
 
@@ -297,5 +298,5 @@ def _require_odometry(begin: float, end: float, odometry: Odometry) -> None:
     before = odometry.t[odometry.t <= begin][-1:]
     ends = np.concatenate([before if before.size else [begin], inside, [end]])
     gap = float(np.diff(ends).max())
-    if gap > hold_time(np.diff(odometry.t).tolist()):
+    if gap > twist_validity(np.diff(odometry.t).tolist()):
         raise InputError(f"odometry has a gap of {gap:.1f} s during home's spin")

@@ -20,12 +20,12 @@ from homeward.estimator import (
     Innovation,
     LandmarkEstimate,
     Status,
-    TwistHold,
     guarded,
 )
 from homeward.filters.carrier import Carrier
 from homeward.filters.settings import Engine
 from homeward.naming import natural
+from homeward.odometry.validity import TwistValidity
 from homeward.reasons import Reason, Rejection, too_few_agree
 
 RECENT = 20
@@ -67,7 +67,7 @@ class OnlineFilter:
         self._sightings = np.zeros(len(self._ids), dtype=int)
         self._t = math.nan
         self._twist: tuple[float, float] | None = None
-        self._twist_t, self._hold = -math.inf, TwistHold()
+        self._twist_t, self._hold = -math.inf, TwistValidity()
         self._last_seen = -math.inf
         self._agrees = np.zeros(len(self._ids), dtype=bool)
         self._recent: deque[bool] = deque(maxlen=RECENT)

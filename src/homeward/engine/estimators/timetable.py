@@ -10,7 +10,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.engine.estimators.runner import in_steps
-from homeward.estimator import TwistHold
+from homeward.odometry.validity import TwistValidity
 from homeward.track import BEARINGS, ODOMETRY, grid_times, in_order
 
 SAME_S = 1e-9
@@ -38,7 +38,7 @@ class Timetable:
         """The number of the sample before each row, and the steps from there to it."""
         self._stamps: list[tuple[float, int, dict[int, float], dict[int, float]]] = []
         self._now, self._twist, self._twist_t = math.nan, (math.nan, math.nan), -math.inf
-        self._hold = TwistHold()
+        self._hold = TwistValidity()
         self._index = {landmark: i for i, landmark in enumerate(ids)}
         self._yaw = drive.settings.sensor.yaw
         self._read(drive)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from homeward.localizer.motion.twists import STEADY_S, DeadReckoning, Twists
+from homeward.odometry.history import STEADY_S, TwistHistory
 
 NEAREST_M, FARTHEST_M = 0.1, 100.0
 """Distances between which landmarks may be [m]: from a farther one a robot has no parallax."""
@@ -57,15 +57,16 @@ class FrozenCamera:
     def __init__(self, yaw: float = 0.0) -> None:
         self._yaw = yaw
         self._first: dict[str, _First] = {}
-        self._reckoning = DeadReckoning()
         self._resolution = COARSEST
         """Smallest step between two bearings of a landmark [rad]."""
         self.is_frozen = False
         """Whether all bearings of the newest frame have repeated for `FROZEN_S`."""
 
-    def add_bearings(self, t: float, sightings: Mapping[str, float], twists: Twists) -> set[str]:
+    def add_bearings(
+        self, t: float, sightings: Mapping[str, float], twists: TwistHistory
+    ) -> set[str]:
         """Add a frame of stamp `t` [s]; return the landmarks whose bearings are frozen."""
-        here, moves = (t, *self._reckoning.advance(t, twists)), twists.moves(t)
+        here, moves = (t, *twists.pose(t)), twists.moves(t)
         repeated = []
         for name, bearing in sightings.items():
             first = self._first.get(name)

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from homeward.drives.clock import LATE_S
+from homeward.odometry.clock import MAX_DELAY_S
 
 WAIT_S = 10.0
 """Time for which bearings keep waiting after odometry has arrived later than bearings [s]."""
@@ -40,7 +40,7 @@ class ReorderBuffer:
     def odometry(self, t: float, late: bool) -> None:
         """Register a twist of stamp `t` [s], and whether it was too late to be used."""
         self._count("odometry", late)
-        if self.newest - LATE_S <= t < self.newest:
+        if self.newest - MAX_DELAY_S <= t < self.newest:
             self._waits_until = t + WAIT_S
 
     def late_bearings(self) -> None:
@@ -66,7 +66,7 @@ class ReorderBuffer:
         due = []
         while self._waiting:
             t = self._waiting[0].t
-            if last_odometry_t < t < self._waits_until and t >= now - LATE_S:
+            if last_odometry_t < t < self._waits_until and t >= now - MAX_DELAY_S:
                 break
             due.append(self._waiting.popleft())
         return due
@@ -83,7 +83,7 @@ class ReorderBuffer:
             if count >= MIN_SAMPLES and 2 * late > count:
                 return (
                     f"most {kind} came too late, {late:,} of {count:,}; feed samples "
-                    f"in the order of their stamps, none more than {LATE_S:g} s late"
+                    f"in the order of their stamps, none more than {MAX_DELAY_S:g} s late"
                 )
         return None
 

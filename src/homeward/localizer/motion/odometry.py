@@ -11,12 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
-from homeward.estimator import HOLD_S
 from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motion.twists import STEADY_S, Twists
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     INFLATION,
@@ -26,9 +23,12 @@ from homeward.localizer.tunables import (
     SPEED_TIME_S,
     TURN_TIME_S,
 )
+from homeward.odometry.clock import MAX_DELAY_S
+from homeward.odometry.history import STEADY_S, TwistHistory
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 ADVANCE_S = 0.5
-"""Twists are integrated at least this often [s]."""
+"""TwistHistory are integrated at least this often [s]."""
 STRAIGHTEST_SHARE = 0.2
 """Share of the path that counts as the straightest [1]."""
 INITIAL_STRAIGHT_M = 1.0
@@ -36,8 +36,9 @@ INITIAL_STRAIGHT_M = 1.0
 NOTABLE_LAG_S = 0.25
 """Lag that the user is told of [s]."""
 BRIDGED = 0.1
-"""Standard deviation of the motion beyond `HOLD_S` of a slow twist, over that motion: robots mostly
-keep their speed; where this one does not, the residuals of the map raise its noise further [1]."""
+"""Standard deviation of the motion beyond `TWIST_VALIDITY_S` of a slow twist, over that motion:
+robots mostly keep their speed; where this one does not, the residuals of the map raise its noise
+further [1]."""
 MAX_LAG_S = 0.8
 """Largest plausible lag [s]."""
 
@@ -121,13 +122,13 @@ class Odometry:
 
     Parameters
     ----------
-    twists : Twists
+    twists : TwistHistory
         Their history, shared with others.
     noise : ProcessNoise
         Their noise.
     """
 
-    def __init__(self, twists: Twists, noise: ProcessNoise) -> None:
+    def __init__(self, twists: TwistHistory, noise: ProcessNoise) -> None:
         self._twists, self._noise = twists, noise
         self._motion = Motion.identity()
         self.end = self._since = -math.inf
@@ -173,10 +174,10 @@ class Odometry:
         return self._motion
 
     def run_ahead(self, t: float, calibration: np.ndarray) -> None:
-        """Integrate up to `t` [s], so that twists up to `LATE_S` late can still be inserted."""
+        """Integrate up to `t` [s], so that twists up to `MAX_DELAY_S` late can be inserted."""
         done = self._path_by_bend.copy(), copy.copy(self._motion_prior)
         self._saved.append(_Checkpoint(self.end, self._motion, *done))
-        while len(self._saved) > 1 and self._saved[1].t <= t - LATE_S:
+        while len(self._saved) > 1 and self._saved[1].t <= t - MAX_DELAY_S:
             self._saved.popleft()
         self._integrate(t, calibration)
 
@@ -224,7 +225,7 @@ class Odometry:
             start, silent = max(twist.t, begin), twist.until
             known = min(max(silent - start, 0.0), then - start)
             shift, swing = self._dropout_growth(silent, start + known, then)
-            if (bridged := start + known - max(start, twist.t + HOLD_S)) > 0.0:
+            if (bridged := start + known - max(start, twist.t + TWIST_VALIDITY_S)) > 0.0:
                 shift += (BRIDGED * twist.v * bridged) ** 2
                 swing += (BRIDGED * twist.omega * bridged) ** 2
             pieces.append(Piece(shift, swing, known, twist.v, twist.omega, speed))

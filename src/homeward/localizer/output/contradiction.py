@@ -20,9 +20,9 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.motion.twists import DeadReckoning, Twists
 from homeward.localizer.recovery.relocalise import MIN_LOG_ODDS
 from homeward.localizer.tunables import INLIER, MAJORITY
+from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
 
 ODOMETRY_ERROR = 0.1
@@ -56,7 +56,6 @@ class Contradiction:
 
     def __init__(self) -> None:
         self._reference: _Reference | None = None
-        self._reckoning = DeadReckoning()
         self._here = np.zeros(3)
         """Pose by odometry alone at the newest frame."""
         self._is_proved = False
@@ -65,7 +64,12 @@ class Contradiction:
         """Stamps of the newest frame, and of the newest whose bearings have stayed [s]."""
 
     def add_bearings(
-        self, frame: WeighedFrame, known: Map, motion: Motion, rates: np.ndarray, twists: Twists
+        self,
+        frame: WeighedFrame,
+        known: Map,
+        motion: Motion,
+        rates: np.ndarray,
+        twists: TwistHistory,
     ) -> None:
         """Compare a frame with the reference, and with what odometry predicts since then.
 
@@ -79,10 +83,10 @@ class Contradiction:
             From its newest keyframe to the frame.
         rates : ndarray, shape (3, 3)
             Process noise of odometry; see `homeward.drives.odometry_noise.noise_rates`.
-        twists : Twists
+        twists : TwistHistory
             History of odometry.
         """
-        self._here = np.array(self._reckoning.advance(frame.t, twists))
+        self._here = np.array(twists.pose(frame.t))
         self._newest, reference = frame.t, self._reference
         if reference is not None and (self._is_proved or twists.moves(frame.t)):
             log_odds = self._log_odds(reference, frame, known, rates)

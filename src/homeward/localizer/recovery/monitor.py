@@ -22,7 +22,7 @@ from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.recovery.search import Driven, Search
+from homeward.localizer.recovery.search import Search
 from homeward.localizer.tunables import INLIER, LINEAR, MAJORITY, MINIMAL, RECENT, VAGUE
 from homeward.reasons import Reason
 
@@ -201,8 +201,6 @@ class Monitor:
         """... how that was detected ..."""
         self._search = Search()
         """... and the relocalisation search."""
-        self._driven = Driven(0.0, 0.0)
-        """Motion of the wheels from the newest keyframe to the start of the search."""
         self._past: list[tuple[float, float]] = []
         """Earlier intervals in which it was lost [s]."""
 
@@ -247,14 +245,11 @@ class Monitor:
         """Return which of these landmarks moved, the robot being where the map has it."""
         return rejected if self._kidnap.others_fit(rejected) else []
 
-    def begin_search(self, t: float, why: Health, motion: Motion) -> None:
-        """Declare the robot lost from `t` [s] on, or restart the search if it is lost already.
-
-        `motion` is that since the newest keyframe, or since the last search began.
-        """
+    def begin_search(self, t: float, why: Health) -> None:
+        """Declare the robot lost from `t` [s] on, or restart the search if it is lost already."""
         if self._since is None:
-            self._since, self._cause, self._driven = t, why, Driven(0.0, 0.0)
-        self._search, self._driven = Search(), self.driven(motion)
+            self._since, self._cause = t, why
+        self._search = Search()
         self._kidnap.clear()
         self._slip.clear()
 
@@ -265,10 +260,6 @@ class Monitor:
         self._since = None
         self._kidnap.clear()
         self._slip.clear()
-
-    def driven(self, motion: Motion) -> Driven:
-        """Return the wheels' motion since the newest keyframe, by that since the search began."""
-        return Driven(self._driven.path + motion.path, self._driven.turned + motion.turned)
 
     def add_keyframe(self, motion: Motion) -> None:
         """Register a new keyframe, reached by a motion."""

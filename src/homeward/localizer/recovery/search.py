@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,18 +14,10 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.tunables import CLOSE, LINEAR, MINIMAL, RECENT
+from homeward.odometry.history import Driven
 
 Sighting: TypeAlias = tuple[str, float, float, Motion]
 """Landmark, bearing and standard deviation [rad], and the motion to the camera."""
-
-
-class Driven(NamedTuple):
-    """How far the wheels drove."""
-
-    path: float
-    """[m]"""
-    turned: float
-    """[rad]"""
 
 
 class Search:

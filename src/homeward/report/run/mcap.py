@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Drive
 from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.messages.stamps import split
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.frames import Pose, compose, inverse
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.report.palette import BLUE, MOVED, MUTED
 from homeward.track import Track
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.odometry.history import TwistHistory
 from homeward.vision.comparison import Comparison
 from homeward.vision.geometry.a_contrario import too_narrow
 from homeward.vision.homing.fix import DIRECTION_HOLD_S
-from homeward.vision.homing.odometry import OdometryHistory
 from homeward.vision.homing.resection import Direction
 
 FEWEST_ALIKE, MOST = 5, 60
@@ -58,23 +58,23 @@ class Consensus:
 class DirectionVoting:
     """Collects votes, turned on by odometry."""
 
-    def __init__(self, odometry: OdometryHistory) -> None:
+    def __init__(self, odometry: TwistHistory) -> None:
         self._odometry = odometry
         self._voted_at = -math.inf
-        """Way at the last vote [m]."""
+        """Path at the last vote [m]."""
         self._votes: deque[Vote] = deque(maxlen=MOST)
         self._consensus: Consensus | None = None
         """Its heading is less what odometry has turned by."""
 
     def add(self, t: float, seen: Comparison) -> None:
-        """Add the vote of a refused comparison of stamp `t` [s], which may be late by `LATE_S`."""
+        """Add the vote of a refused comparison of stamp `t` [s], at most `MAX_DELAY_S` late."""
         motion, agrees = seen.motion, seen.agrees
-        way, turned = self._odometry.gone(t).tolist()
-        too_near = way < self._voted_at + ANOTHER_PLACE_M
+        path = self._odometry.driven(t).path
+        too_near = path < self._voted_at + ANOTHER_PLACE_M
         if motion is None or too_near or agrees.sum() < 3:
             return
-        self._voted_at = way
-        angles = np.array([motion.theta, motion.alpha - turned])
+        self._voted_at = path
+        angles = np.array([motion.theta, motion.alpha - self._odometry.heading(t)])
         self._votes.append(Vote(angles, seen.pairs.home[agrees]))
         self._consensus = self._agreed(t) or self._consensus
 
@@ -90,7 +90,7 @@ class DirectionVoting:
         t, there = max(self._consensus.t, t), self._consensus.direction
         if t - self._consensus.t > DIRECTION_HOLD_S:
             return None
-        alpha = float(wrap(there.alpha + self._odometry.gone(t)[1]))
+        alpha = float(wrap(there.alpha + self._odometry.heading(t)))
         return replace(self._consensus, direction=replace(there, alpha=alpha))
 
     def _agreed(self, t: float) -> Consensus | None:

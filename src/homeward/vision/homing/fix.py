@@ -7,16 +7,21 @@ covariance intersection is consistent whatever they have in common.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.frames import Pose
+from homeward.frames import Pose, between, compose
+from homeward.odometry.history import TwistHistory
 from homeward.vision.geometry.epipolar import INLIER
 
 POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
 """A fix counts for so long [s]: a pose, after which the map knows more, and a direction."""
+SLIP = 0.05
+"""Error of odometry between images in addition to its noise, as a share of path and rotation [1].
+"""
 SHARES = np.linspace(0.0, 1.0, 11)
 """Weights of the fix before that are tried; the new one has the rest."""
 
@@ -38,6 +43,23 @@ class Fix:
     """Whether the map contradicts home's picture."""
     reason: str
     """In words."""
+
+
+def propagated(fix: Fix, t: float, odometry: TwistHistory, noise_rates: np.ndarray) -> Fix:
+    """Return the pose of a fix at a later `t` [s], by odometry.
+
+    `noise_rates` (3, 3) are those of `homeward.drives.odometry_noise.noise_rates`.
+    """
+    motion = between(odometry.pose(fix.t), odometry.pose(t))
+    there = compose(fix.pose, motion)
+    jacobian = np.eye(3)
+    jacobian[:2, 2] = fix.pose.y - there.y, there.x - fix.pose.x
+    shift = math.hypot(motion.x, motion.y)
+    slip = SLIP * np.array([shift, shift, motion.heading])
+    driven = odometry.driven(t).since(odometry.driven(fix.t))
+    along, _, turned = noise_rates @ np.array(driven)
+    noise = np.diag(slip**2 + np.array([along, along, turned]))
+    return replace(fix, pose=there, covariance=jacobian @ fix.covariance @ jacobian.T + noise)
 
 
 def fused(before: Fix | None, fix: Fix) -> Fix:

@@ -16,9 +16,9 @@ from typing import Unpack
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.drives.clock import LATE_S, Clock
 from homeward.drives.drive import Robot
 from homeward.drives.known import known_robot
+from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import (
     FASTEST,
     Counts,
@@ -39,14 +39,15 @@ from homeward.frames import (
     inverse,
     polar_covariance_to_pose,
 )
+from homeward.odometry.clock import MAX_DELAY_S, Clock
+from homeward.odometry.history import TwistHistory
 from homeward.one_thread import one_thread
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
 from homeward.vision.homing.direction_voting import DirectionVoting
-from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S, Fix, fused
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S, Fix, fused, propagated
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
-from homeward.vision.homing.odometry import OdometryHistory
 from homeward.vision.homing.resection import NEAR_HOME, Direction, HomeLandmarks, resect
 
 FEWEST_MAPPED = 4
@@ -78,7 +79,8 @@ class VisualHoming:
         self._inner, self._turn = estimator, threading.RLock()
         self.name = estimator.name
         self._told = known_robot(robot)
-        self._odometry = OdometryHistory(self._told)
+        self._odometry = TwistHistory()
+        self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
         self._fix: Fix | None = None
         self._pictured = -math.inf
         """The newest stamp of a picture [s]."""
@@ -122,13 +124,13 @@ class VisualHoming:
     def home(self, t: float, seen: Comparison | None) -> None:
         """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
 
-        It may come up to `LATE_S` after odometry of its stamp, and counts at its own. One that is
-        later, or older than another picture before, is left out and counted.
+        It may come up to `MAX_DELAY_S` after odometry of its stamp, and counts at its own. One that
+        is later, or older than another picture before, is left out and counted.
         """
         said, t = t, self._clock.read(t)
         if seen is None:
             return
-        if not math.isfinite(t) or t < max(self._pictured, self._odometry.newest - LATE_S):
+        if not math.isfinite(t) or t < max(self._pictured, self._odometry.newest - MAX_DELAY_S):
             self.counts.reject(Rejection.LATE_PICTURE)
             return
         self._pictured = t
@@ -248,12 +250,11 @@ class VisualHoming:
         t = max(fix.t, t)
         if t - fix.t > (POSE_HOLD_S if fix.tells_distance else DIRECTION_HOLD_S):
             return None
-        pose, covariance = self._odometry.propagate(fix.pose, fix.covariance, fix.t, t)
-        return dataclasses.replace(fix, pose=pose, covariance=covariance)
+        return propagated(fix, t, self._odometry, self._noise_rates)
 
     def _forget_odometry(self) -> None:
         """Drop the odometry that no picture and no fix will need any more."""
-        since = self._odometry.newest - LATE_S
+        since = self._odometry.newest - MAX_DELAY_S
         if self._fix is not None and self._odometry.newest - self._fix.t <= DIRECTION_HOLD_S:
             since = min(since, self._fix.t)
         self._odometry.forget(since)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import dead_reckoning
 from homeward.drives.drive import Drive, Sightings
 from homeward.drives.folder import (
     ODOMETRY,
@@ -23,6 +22,7 @@ from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
 from homeward.drives.text.files import is_there, require_folder
 from homeward.errors import InputError, speaking_of
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.checks.camera_settings import better_settings

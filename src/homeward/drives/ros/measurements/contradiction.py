@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import steps_between
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import MAX_SPEED, without_implausible
-from homeward.estimator import HOLD_S
+from homeward.drives.pose_odometry import steps_between
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 WINDOWS_S = 1.0, 5.0
 """Intervals over which motions are compared [s]; the second for robots that are slow."""
@@ -83,7 +83,7 @@ def _motions(
         {},
         np.append(sideways / dt, 0.0),
     ).v[:-1]
-    use = np.isfinite(known) & (dt <= 2 * HOLD_S)
+    use = np.isfinite(known) & (dt <= 2 * TWIST_VALIDITY_S)
     number = ((t[:-1] - t[0]) / max(window, float(np.median(dt)))).astype(int)
 
     def summed(steps: np.ndarray) -> np.ndarray:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.dead_reckoning import odometry_from_poses
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.plausibility import without_implausible
+from homeward.drives.pose_odometry import odometry_from_poses
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
     MIN_WINDOWS,

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homeward.drives.clock import LATE_S
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.topics.survey import Survey, Topic
 from homeward.errors import InputError
+from homeward.odometry.clock import MAX_DELAY_S
 
 if TYPE_CHECKING:
     from homeward.drives.ros.containers.container import Message
@@ -95,7 +95,7 @@ def _check_never_set(topic: Topic) -> None:
         return
     stamps = topic.header[np.argsort(topic.receive, kind="stable")]
     behind = np.maximum.accumulate(stamps) - stamps
-    if behind.max() > LATE_S * NANO:
+    if behind.max() > MAX_DELAY_S * NANO:
         raise InputError(
             f"{topic.name}: time runs back by {behind.max() / NANO:.3f} s at message "
             f"{int(np.argmax(behind)) + 1}: a clock was set; with clock: receive in a topics file "

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Mapping
 
 import numpy as np
 
 from homeward.drives.drive import Odometry, Sightings
-from homeward.live.messages import BearingsIn, OdometryIn
 
 
 class Samples:
@@ -18,16 +18,19 @@ class Samples:
         self._twists, self._seen = array("d"), array("d")
         self._numbers: dict[str, int] = {}
 
-    def add(self, message: OdometryIn | BearingsIn) -> None:
-        """Keep a sample."""
-        if isinstance(message, OdometryIn):
-            self._twists.extend((message.t, message.v, message.omega))
-            return
-        t, sigmas = message.t, message.sigmas
-        for name, bearing in message.bearings.items():
+    def add_twist(self, t: float, v: float, omega: float) -> None:
+        """Keep a twist."""
+        self._twists.extend((t, v, omega))
+
+    def add_bearings(
+        self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> None:
+        """Keep the sightings of one stamp."""
+        sigmas = sigmas or {}
+        for name, bearing in bearings.items():
             number = self._numbers.setdefault(name, len(self._numbers))
-            sigma = sigmas.get(name, math.nan)
-            self._seen.extend((t, number, math.remainder(bearing, math.tau), sigma))
+            wrapped = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
+            self._seen.extend((t, number, wrapped, sigmas.get(name, math.nan)))
 
     def odometry(self) -> Odometry:
         """Return the twists; of equal stamps the last counts."""
@@ -48,6 +51,6 @@ def table(numbers: array[float], columns: int) -> np.ndarray:
 
 
 def last_of_equal(rows: np.ndarray) -> np.ndarray:
-    """Return rows whose first column are stamps, in order of time; of equal ones the last."""
+    """Return rows whose first column is stamps, in order of time; of equal ones the last."""
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     return np.asarray(rows[np.diff(rows[:, 0], append=math.inf) != 0.0])

@@ -1,4 +1,4 @@
-"""Where odometry alone leads, and the odometry that leads along poses."""
+"""Odometry from poses: the twists that lead from each pose to the next."""
 
 from __future__ import annotations
 
@@ -9,43 +9,6 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import without_implausible
-from homeward.estimator import hold_time
-from homeward.frames import Pose, Twist, advance
-
-
-def dead_reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
-    """Return the poses to which twists lead along arcs, from the origin at the first of them.
-
-    Parameters
-    ----------
-    odometry : Odometry
-        At least one twist; each holds until the next, at most for `hold_time`. Where the motion is
-        unknown, the last known twist is used.
-    t : ndarray, shape (n,)
-        Times asked for [s].
-
-    Returns
-    -------
-    Pose
-        x [m], y [m], heading [rad], each of shape (n,).
-    """
-    end = reckoning(odometry, t)
-    return end._replace(heading=wrap(end.heading))
-
-
-def reckoning(odometry: Odometry, t: np.ndarray) -> Pose:
-    """Return what `dead_reckoning` does, headings counted beyond a turn."""
-    odometry = odometry.bridged
-    intervals = np.diff(odometry.t)
-    hold = hold_time(intervals.tolist())
-    twists, held = Twist(odometry.v, odometry.omega), np.minimum(intervals, hold)
-    heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
-    steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
-    x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
-    last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
-    since = np.clip(t - odometry.t[last], 0.0, hold)
-    begun = Pose(x[last], y[last], heading[last])
-    return advance(begun, Twist(*(a[last] for a in twists)), since)
 
 
 def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:

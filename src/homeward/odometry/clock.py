@@ -1,17 +1,17 @@
-"""A clock that never runs backwards, though the stamps may be set back for good."""
+"""A clock that never runs backwards, although stamps may be set back for good."""
 
 from __future__ import annotations
 
 import math
 
-LATE_S = 1.0
-"""A sample may be so late; a stamp that lies farther back is not just late [s]."""
-FOR_GOOD, FOR_GOOD_S = 10, 1.0
-"""After so many of them in a row, over so long a time, the clock was set back [s]."""
+MAX_DELAY_S = 1.0
+"""Largest delay of a sample; a stamp farther back is not just late [s]."""
+NUM_SET_BACK, SET_BACK_S = 10, 1.0
+"""After this number of them in a row, over this time, the clock was set back [s]."""
 
 
 class Clock:
-    """Makes of the stamps of a drive a time that goes on when they are set back."""
+    """Time of a drive from its stamps; it goes on where the stamps are set back."""
 
     def __init__(self) -> None:
         self._offset = 0.0
@@ -23,22 +23,22 @@ class Clock:
         t = stamp + self._offset
         if not math.isfinite(t):
             return t
-        if t < self._latest - LATE_S:
+        if t < self._latest - MAX_DELAY_S:
             return self._set_back(stamp, t)
         self._back.clear()
         self._latest = max(self._latest, t)
         return t
 
     def peek(self, stamp: float) -> float:
-        """Return the time [s] of a stamp [s] that is only asked about."""
+        """Return the time [s] of a stamp [s] without counting it as a sample."""
         return stamp + self._offset
 
     def _set_back(self, stamp: float, t: float) -> float:
-        """Count a stamp that lies far back; go on from it when there are enough of them."""
+        """Count a stamp that is far back; go on from it when there are enough of them."""
         if self._back and stamp < self._back[-1]:
             self._back.clear()
         self._back.append(stamp)
-        if len(self._back) < FOR_GOOD or stamp - self._back[0] < FOR_GOOD_S:
+        if len(self._back) < NUM_SET_BACK or stamp - self._back[0] < SET_BACK_S:
             return t
         self._offset = self._latest - self._back[0]
         self._back.clear()

@@ -1,0 +1,1 @@
+"""Odometry: the clock of a drive, the history of its twists, and dead reckoning."""

@@ -1,0 +1,64 @@
+"""Dead reckoning of recorded odometry: the poses to which its twists lead."""
+
+from __future__ import annotations
+
+from typing import Protocol, Self
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Pose, Twist, advance
+from homeward.odometry.validity import validities
+
+
+class RecordedTwists(Protocol):
+    """Twists in order of time, as `homeward.drives.drive.Odometry` has them."""
+
+    @property
+    def t(self) -> np.ndarray:
+        """Stamps, (n,) [s]."""
+
+    @property
+    def v(self) -> np.ndarray:
+        """Speeds, (n,) [m/s]."""
+
+    @property
+    def omega(self) -> np.ndarray:
+        """Turn rates, (n,) [rad/s]."""
+
+    @property
+    def bridged(self) -> Self:
+        """The same with each unknown twist replaced by the last known one."""
+
+
+def dead_reckoning(odometry: RecordedTwists, t: np.ndarray) -> Pose:
+    """Return the poses to which twists lead along arcs, from the origin at the first of them.
+
+    Parameters
+    ----------
+    odometry : RecordedTwists
+        At least one twist; each is valid for `validities`. Where the motion is unknown, the last
+        known twist is used.
+    t : ndarray, shape (n,)
+        Times [s].
+
+    Returns
+    -------
+    Pose
+        x [m], y [m], heading [rad], each of shape (n,).
+    """
+    end = dead_reckoning_unwrapped(odometry, t)
+    return end._replace(heading=wrap(end.heading))
+
+
+def dead_reckoning_unwrapped(odometry: RecordedTwists, t: np.ndarray) -> Pose:
+    """Return what `dead_reckoning` does, headings counted beyond a turn."""
+    odometry, valid = odometry.bridged, validities(odometry.t)
+    twists, held = Twist(odometry.v, odometry.omega), valid[:-1]
+    heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
+    steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
+    x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
+    last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
+    since = np.clip(t - odometry.t[last], 0.0, valid[-1])
+    begun = Pose(x[last], y[last], heading[last])
+    return advance(begun, Twist(*(a[last] for a in twists)), since)

@@ -1,0 +1,244 @@
+"""History of twists, with late ones inserted, and dead reckoning at any time in it."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.angles import wrap
+from homeward.frames import Pose, Twist, advance
+from homeward.odometry.validity import TwistValidity
+
+STEADY_S = 0.5
+"""Averaging time of the speed: longer than the noise of samples, shorter than changes of speed [s].
+"""
+
+MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
+"""Mean speed [m/s] and turn rate [rad/s] over `STEADY_S` from which odometry indicates a motion:
+several standard deviations of jitter and bias at standstill, and a slower robot moves less in a
+second than a pose is uncertain."""
+MEAN_S = 0.07
+"""Averaging time of the twist that the derivative by the lag uses: noise of single samples would
+count as information on the lag, and a longer mean trails behind where the robot accelerates [s]."""
+
+
+class Driven(NamedTuple):
+    """Wheel motion up to some time, whatever its direction."""
+
+    moving: float = 0.0
+    """Time in motion [s]."""
+    path: float = 0.0
+    """[m]"""
+    turned: float = 0.0
+    """[rad]"""
+
+    def since(self, then: Driven) -> Driven:
+        """Return the wheel motion since an earlier time."""
+        return Driven(*(now - before for now, before in zip(self, then, strict=True)))
+
+
+class OdometrySample(NamedTuple):
+    """A twist, valid from its stamp to the next, and dead reckoning at its stamp.
+
+    A twist of unknown motion has the speeds zero, and `until` not after `t`.
+    """
+
+    t: float
+    """[s]"""
+    v: float
+    """[m/s]"""
+    omega: float
+    """[rad/s]"""
+    until: float
+    """Time up to which the motion is known: by this twist, or, where that is before `t`, by an
+    earlier one [s]."""
+    heading: float
+    """By odometry alone, counted beyond a turn [rad]."""
+    path: float
+    """Signed path by odometry alone, backward negative [m]."""
+    steady: float
+    """Mean speed just before, free of sample noise [m/s]."""
+    x: float
+    """By odometry alone [m]."""
+    y: float
+    """By odometry alone [m]."""
+    driven: Driven
+    """Wheel motion since the first twist."""
+    is_pose_given: bool
+    """Whether the robot reported the pose at this stamp."""
+
+    def valid_for(self, t: float) -> float:
+        """Return for how long the twist is valid before `t` [s]."""
+        return max(min(t, self.until) - self.t, 0.0)
+
+    def pose(self, t: float) -> Pose:
+        """Return the dead-reckoned pose at `t` [s]."""
+        begun, dt = Pose(self.x, self.y, self.heading), self.valid_for(t)
+        return advance(begun, Twist(self.v, self.omega), dt) if dt else begun
+
+    def reckoned(self, t: float) -> tuple[float, float]:
+        """Return heading [rad] and signed path [m] at `t` [s]."""
+        dt = max(min(t, self.until) - self.t, 0.0)
+        return self.heading + self.omega * dt, self.path + self.v * dt
+
+    def driven_until(self, t: float) -> Driven:
+        """Return the wheel motion up to `t` [s]."""
+        dt, (moving, path, turned) = self.valid_for(t), self.driven
+        if not (self.v or self.omega):
+            return self.driven
+        return Driven(moving + dt, path + abs(self.v) * dt, turned + abs(self.omega) * dt)
+
+
+_stamp = attrgetter("t")
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+class TwistHistory:
+    """The single history of twists, shared by all that need any of it."""
+
+    def __init__(self) -> None:
+        self._samples: deque[OdometrySample] = deque()
+        self._validity = TwistValidity()
+
+    def __bool__(self) -> bool:
+        """Whether there was a twist at all."""
+        return bool(self._samples)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest twist [s]; minus infinity if there was none."""
+        return self._samples[-1].t if self._samples else -math.inf
+
+    def add(self, t: float, v: float, omega: float, pose: Pose | None = None) -> None:
+        """Insert a twist, which may be late; one with the stamp of another replaces it.
+
+        NaN for `v` or `omega`: the motion is unknown until the next twist. A robot that integrates
+        its odometry itself reports the `pose` at the stamp, which replaces the dead-reckoned one.
+        """
+        validity = self._validity.add(t)
+        if math.isnan(v) or math.isnan(omega):
+            v = omega = validity = 0.0
+        later = []
+        while self._samples and self._samples[-1].t > t:
+            later.append(self._samples.pop())
+        same = self._samples.pop() if self._samples and self._samples[-1].t == t else None
+        self._append(t, v, omega, validity, pose, same)
+        for old in reversed(later):
+            given = old.pose(old.t) if old.is_pose_given else None
+            self._append(*old[:3], old.until - old.t, given)
+
+    def _append(
+        self,
+        t: float,
+        v: float,
+        omega: float,
+        validity: float,
+        pose: Pose | None,
+        same: OdometrySample | None = None,
+    ) -> None:
+        """Append a twist that is valid for a time [s]; 0: the motion is unknown.
+
+        It is reckoned from the last one, or from one of the `same` stamp that it replaces.
+        """
+        last = self._samples[-1] if self._samples else same
+        x, y, heading = ORIGIN
+        known, path, driven = -math.inf, 0.0, Driven()
+        if last is not None:
+            (x, y, _), (heading, path) = last.pose(t), last.reckoned(t)
+            known, driven = last.until, last.driven_until(t)
+        until = t + validity if validity > 0.0 else min(known, t)
+        if pose is not None:
+            x, y, heading = pose.x, pose.y, heading + wrap(pose.heading - heading)
+        steady = (path - self.path(t - STEADY_S)) / STEADY_S if self._samples else 0.0
+        reckoned = heading, path, steady, x, y, driven
+        self._samples.append(OdometrySample(t, v, omega, until, *reckoned, pose is not None))
+
+    def before(self, t: float) -> OdometrySample | None:
+        """Return the twist that is valid at `t` [s], or was last; None before the first."""
+        after = bisect_right(self._samples, t, key=_stamp)
+        return self._samples[after - 1] if after else None
+
+    def _at(self, t: float) -> OdometrySample | None:
+        """Return the twist from which to reckon `t` [s]; before the first that one, if any."""
+        return self.before(t) or (self._samples[0] if self._samples else None)
+
+    def unknown_time(self, t: float) -> float:
+        """Return for how long the motion has been unknown at `t` [s]; infinite without twists."""
+        twist = self.before(t)
+        return math.inf if twist is None else max(t - twist.until, 0.0)
+
+    def heading(self, t: float) -> float:
+        """Return the heading at `t` [s], by odometry alone [rad]."""
+        return self.reckoned(t)[0]
+
+    def path(self, t: float) -> float:
+        """Return the signed path up to `t` [s], by odometry alone [m]."""
+        return self.reckoned(t)[1]
+
+    def pose(self, t: float) -> Pose:
+        """Return the pose at `t` [s], by odometry alone; its heading is not wrapped."""
+        twist = self._at(t)
+        return ORIGIN if twist is None else twist.pose(t)
+
+    def driven(self, t: float) -> Driven:
+        """Return the wheel motion up to `t` [s]."""
+        twist = self._at(t)
+        return Driven() if twist is None else twist.driven_until(t)
+
+    def moves(self, t: float) -> bool:
+        """Return whether odometry indicates a motion at `t` [s], beyond jitter at standstill.
+
+        A twist that has been valid for long without a successor is no evidence.
+        """
+        if t - self.newest > 0.5 * STEADY_S:
+            return False
+        (heading, path), (before, start) = self.reckoned(t), self.reckoned(t - STEADY_S)
+        fast = abs(path - start) / STEADY_S > MOVING_SPEED
+        return fast or abs(heading - before) > MOVING_TURN_RATE * STEADY_S
+
+    def mean(self, t: float, over: float = MEAN_S) -> tuple[float, float]:
+        """Return the mean speed [m/s] and turn rate [rad/s] in the last `over` [s] before `t` [s].
+
+        Only time after the first twist counts. Before that, the first twist is the mean.
+        """
+        if not self._samples:
+            return 0.0, 0.0
+        first = self._samples[0]
+        since = max(t - over, first.t)
+        if t <= since:
+            return first.v, first.omega
+        (heading, path), (before, start) = self.reckoned(t), self.reckoned(since)
+        return (path - start) / (t - since), (heading - before) / (t - since)
+
+    def steady_speed(self, t: float) -> float:
+        """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
+        return (self.path(t) - self.path(t - STEADY_S)) / STEADY_S
+
+    def reckoned(self, t: float) -> tuple[float, float]:
+        """Return heading [rad] and signed path [m] at `t` [s] from odometry alone."""
+        twist = self._at(t)
+        return (0.0, 0.0) if twist is None else twist.reckoned(t)
+
+    def reckoned_at(self, times: list[float]) -> np.ndarray | None:
+        """Return `reckoned` at k times [s], newest first, (2, k); None before the first twist."""
+        if self.before(times[0]) is None:
+            return None
+        return np.array([self.reckoned(t) for t in times]).T
+
+    def between(self, begin: float, end: float) -> list[OdometrySample]:
+        """Return the twists that are valid from `begin` until `end` [s], at least in part."""
+        first = len(self._samples)
+        while first > 0 and self._samples[first - 1].t >= begin:
+            first -= 1
+        valid = (self._samples[i] for i in range(max(first - 1, 0), len(self._samples)))
+        return [twist for twist in valid if twist.t < end]
+
+    def forget(self, t: float) -> None:
+        """Drop the twists that ended before `t` [s]."""
+        while len(self._samples) > 1 and self._samples[1].t < t:
+            self._samples.popleft()
