@@ -12,7 +12,7 @@ from homeward.drives.drive import Drive, KnownLandmarks, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.frames import Twist
-from homeward.localizer.geometry import rotation
+from homeward.geometry.se2 import rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.factors import add_odometry, step_row

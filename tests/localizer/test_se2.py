@@ -8,7 +8,7 @@ import pytest
 
 from homeward import frames
 from homeward.frames import Pose
-from homeward.localizer.geometry import between, compose, lever, rotation, sight
+from homeward.geometry.se2 import between, compose, lever, rotation, sight
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 3)
 POSES = np.array([[0.4, -1.2, 2.9], [3.0, 0.5, -0.7], [0.0, 0.0, 0.0]])

@@ -15,7 +15,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose, position_sigma
-from homeward.localizer.geometry import between, compose, lever, rotation, sight
+from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.output.map_snapshot import align, rotated
 
 DATUM = 3

@@ -15,7 +15,7 @@ from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import NO_BEARINGS_S, Estimate, Status
 from homeward.frames import Pose
-from homeward.localizer.geometry import compose, sight
+from homeward.geometry.se2 import compose, sight
 from homeward.localizer.localizer import Localizer
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome

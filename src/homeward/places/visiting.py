@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.errors import HomewardError
 from homeward.frames import Pose
-from homeward.localizer.geometry import compose, rotation
+from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.map_snapshot import MAX_TESTED, moved_probabilities
 from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED

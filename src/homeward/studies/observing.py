@@ -17,7 +17,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError, InputError
 from homeward.frames import Pose, bearing, between, compose
-from homeward.localizer.geometry import lever
+from homeward.geometry.se2 import lever
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth

@@ -16,10 +16,8 @@ from homeward.drives.drive import DriveSettings, HomeBearing, Odometry, Sighting
 from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
 from homeward.errors import InputError
 from homeward.frames import Pose
+from homeward.geometry.least_squares import GNC_SCHEDULE, robust_weight
 
-TOLERATES = 1.0, 0.5, 0.25, 0.1, 0.0, 0.0
-"""Shares of what odometry may be off by, a priori, which sightings may be off in each step: at
-first none is denied for it, at last all of it is known."""
 HARD_STEPS = 4
 """Afterwards sightings count fully or not at all, for so many steps."""
 MAJORITY = 0.6
@@ -105,10 +103,9 @@ def spin(
     """
     turn = Turn.within(interval, odometry, sightings, settings)
     x, drift = turn.first_guess(), turn.drift()
-    for tolerated in TOLERATES:  # graduated non-convexity, by the weights of Geman and McClure
-        gate = np.hypot(GATE * turn.sigmas, tolerated * drift)
-        weights = 1.0 / (1.0 + (turn.residuals(x) / gate) ** 2) ** 2
-        x, covariance = turn.step(x, weights, turn.sigmas)
+    for share_of_drift in GNC_SCHEDULE:
+        gate = np.hypot(GATE * turn.sigmas, share_of_drift * drift)
+        x, covariance = turn.step(x, robust_weight((turn.residuals(x) / gate) ** 2), turn.sigmas)
     for _ in range(HARD_STEPS):
         off = np.abs(turn.residuals(x))
         sigmas = turn.believed_sigmas(off)

@@ -15,10 +15,10 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, Odometry, Sightings
-from homeward.drives.home.least_squares import LeastSquares
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
 from homeward.frames import Pose
+from homeward.geometry.least_squares import LeastSquares
 from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
 from homeward.odometry.validity import twist_validity
 

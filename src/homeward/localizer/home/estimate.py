@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import lever, rotation
+from homeward.geometry.se2 import lever, rotation
 from homeward.localizer.home.evidence import Evidence, log_odds, moved_share
 from homeward.localizer.home.linearisation import (
     HOME,

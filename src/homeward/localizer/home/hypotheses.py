@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import between, compose
+from homeward.geometry.se2 import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, USUAL, Assumption, HomeProblem

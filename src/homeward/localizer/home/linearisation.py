@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import compose, lever, sight
+from homeward.geometry.se2 import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 
 HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)

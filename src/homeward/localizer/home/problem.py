@@ -12,7 +12,7 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
-from homeward.localizer.geometry import between, lever, rotation
+from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.tunables import GIVEN_WRONG, HOME_DISTANCE, MAX_RANGE, MINIMAL, NOISE_SCALES
 
 POSE_AND_YAW = 4

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from homeward.localizer.geometry import LEAST_SQUARE
+from homeward.geometry.se2 import LEAST_SQUARE
 from homeward.localizer.home.linearisation import Linear, inverted
 from homeward.localizer.home.problem import POSE_AND_YAW
 from homeward.localizer.tunables import MIN_INFORMATION_SHARE

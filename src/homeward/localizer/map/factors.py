@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.localizer.geometry import between, lever, rotation
+from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from homeward.angles import wrap
 from homeward.estimator import Innovation
-from homeward.localizer.geometry import sight
+from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA

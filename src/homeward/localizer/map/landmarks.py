@@ -11,7 +11,7 @@ from heapq import nlargest
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import sight
+from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.by_id import MAX_IDS, ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.localizer.geometry import composition
+from homeward.geometry.se2 import composition
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motion.preintegration import NC, Motion

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import sight
+from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (

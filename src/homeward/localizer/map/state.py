@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
-from homeward.localizer.geometry import composition, rotation
+from homeward.geometry.se2 import composition, rotation
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import CLOSE, GATE
 

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.localizer.geometry import between, composition
+from homeward.geometry.se2 import between, composition
 
 ODOMETRY_CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
 CALIBRATION = (*ODOMETRY_CALIBRATION, "camera_yaw", "camera_x", "camera_y")

@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.estimator import Estimate, Status
-from homeward.localizer.geometry import between, compose, lever, rotation, sight
+from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import Pose
-from homeward.localizer.geometry import composition
+from homeward.geometry.se2 import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME, inverted

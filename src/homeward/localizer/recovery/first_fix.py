@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import bdtr, bdtrc
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import between, compose, sight
+from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise

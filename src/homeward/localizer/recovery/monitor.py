@@ -17,7 +17,7 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.estimator import CHECKED, Innovation
-from homeward.localizer.geometry import compose
+from homeward.geometry.se2 import compose
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.geometry import between, compose, sight
+from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.first_fix import FirstFix, survey_lines

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.geometry.least_squares import GNC_SCHEDULE, robust_loss, robust_weight
 from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import (
     INLIER,
@@ -19,9 +20,8 @@ from homeward.vision.geometry.epipolar import (
     residuals,
 )
 
-LOOSENESS = (1.0, 0.5, 0.25, 0.1, 0.0, 0.0, 0.0)
-"""Error added to directions in each iteration, as a share of the tilt's sigma: graduated from loose
-to strict, since a first guess fits far worse than places are known."""
+SCHEDULE = (*GNC_SCHEDULE, 0.0)
+"""Error added to directions in each iteration, as a share of the tilt's sigma [1]."""
 LONGEST_STEP = 0.3
 """Largest change of an angle in one iteration [rad]: near home, theta is hardly determined."""
 SAME = 0.002
@@ -116,7 +116,7 @@ def _irls(
 ) -> np.ndarray:
     """Do what `irls` does, in NumPy."""
     prior = prior_information(tilt_sigma)
-    for looseness in LOOSENESS:
+    for looseness in SCHEDULE:
         found = residuals(x, pairs, looseness * tilt_sigma)
         weight = _weight(found, scale) * counts
         weighted = (found.jacobian * weight[..., None]).swapaxes(1, 2)
@@ -137,7 +137,7 @@ def _irls_compiled(
     count, wide = pairs.columns.shape
     counted = np.zeros((len(x), wide))
     counted[:, : len(pairs)] = counts
-    looseness = np.array(LOOSENESS) * tilt_sigma
+    looseness = np.array(SCHEDULE) * tilt_sigma
     prior = np.diag(prior_information(tilt_sigma)).copy()
     given = (pairs.columns, counted, looseness, prior, scale, LONGEST_STEP, LIMITS)
     return not native.irls(len(x), wide, count, len(looseness), x, *given)
@@ -182,10 +182,11 @@ def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -
 
 
 def _loss(found: Residuals, scale: float) -> np.ndarray:
-    """Return Geman and McClure's loss of each motion, (m,): what `irls` makes small."""
-    return np.asarray(scale**2 * (1.0 - np.sqrt(_weight(found, scale))).sum(axis=-1))
+    """Return the loss of each motion, (m,), that `irls` minimises; 1 for an impossible match."""
+    losses = np.where(found.possible, robust_loss((found.value / scale) ** 2), 1.0)
+    return np.asarray(scale**2 * losses.sum(axis=-1))
 
 
 def _weight(found: Residuals, scale: float) -> np.ndarray:
-    """Return Geman and McClure's weights; impossible matches do not count."""
-    return np.asarray(found.possible / (1.0 + (found.value / scale) ** 2) ** 2)
+    """Return the robust weights; impossible matches do not count."""
+    return np.asarray(found.possible * robust_weight((found.value / scale) ** 2))

@@ -14,6 +14,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Columns
 from homeward.frames import Pose
+from homeward.geometry.least_squares import robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
 from homeward.vision.geometry.jackknife import leave_windows_out
@@ -140,8 +141,8 @@ def _fit(
     for _ in range(10):
         residual, jacobian, variance = predict_bearings(anchors, x)
         off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
-        weight = _weight(residual**2 / variance) / variance
-        told = _weight(off @ known @ off / off.size) * across.T @ known
+        weight = robust_weight(residual**2 / (INLIER**2 * variance)) / variance
+        told = robust_weight(off @ known @ off / (INLIER**2 * off.size)) * across.T @ known
         information = (jacobian.T * weight) @ jacobian + told @ across
         information[3:, 3:] += upright
         slope = (jacobian.T * weight) @ residual + told @ off
@@ -156,20 +157,11 @@ def _fit(
     if not np.isfinite(x).all():
         return None
     residual, jacobian, variance = predict_bearings(anchors, x)
-    unlike = _loss(residual**2 / variance) + np.log(variance / anchors.sigma**2)
-    of_direction = off.size * _loss(off @ known @ off / off.size)
+    unlike = robust_loss(residual**2 / (INLIER**2 * variance)) * INLIER**2
+    unlike += np.log(variance / anchors.sigma**2)
+    of_direction = INLIER**2 * off.size * robust_loss(off @ known @ off / (INLIER**2 * off.size))
     loss = float(unlike[anchors.mapped].sum() + of_direction + x[3:] @ upright @ x[3:])
     return _Fit(x, information, weight, residual, variance, jacobian, loss)
-
-
-def _loss(squares: np.ndarray) -> np.ndarray:
-    """Return Geman and McClure's loss of squared residuals over their variances."""
-    return squares / (1.0 + squares / INLIER**2)
-
-
-def _weight(squares: np.ndarray) -> np.ndarray:
-    """Return the weights that it gives."""
-    return np.asarray((1.0 + squares / INLIER**2) ** -2)
 
 
 def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import betaln
 
-from homeward.localizer.geometry import lever, rotation
+from homeward.geometry.se2 import lever, rotation
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,

@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from homeward.localizer.geometry import compose
+from homeward.geometry.se2 import compose
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal

@@ -1,0 +1,1 @@
+"""SE(2) with Jacobians, and robust least squares."""
