@@ -13,7 +13,7 @@ from vision_scene import look as draw
 from vision_scene import make_room
 
 from homeward.angles import wrap
-from homeward.report.images.comparison import describe, picture
+from homeward.report.images import describe, picture
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.features.detection import MOST_FEATURES
 

@@ -7,9 +7,13 @@ from homeward.angles import wrap
 from homeward.drives.cameras.camera import tilt_matrix
 from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
 from homeward.vision.geometry.jackknife import jackknife_covariance
-from homeward.vision.geometry.ransac import estimate_motion
+from homeward.vision.geometry.ransac import (
+    coefficients,
+    estimate_motion,
+    msac_costs,
+    two_point_motions,
+)
 from homeward.vision.geometry.refinement import MOST_OTHERS, SAME, refine
-from homeward.vision.geometry.two_point import coefficients, msac_costs, two_point_motions
 
 SIGMA = 0.002
 

@@ -12,7 +12,7 @@ from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of
 from homeward.simulation.render.room.presets import load_room
-from homeward.vision.cameras.partial import PartialPanorama
+from homeward.vision.cameras.panoramic import PartialPanorama
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import look
 from homeward.vision.recorded.recording import see_recording

@@ -8,7 +8,7 @@ pytest.importorskip("cv2")
 import cv2
 from vision_scene import align_features
 
-from homeward.vision.features.pyramid import Pyramid
+from homeward.vision.features.patch_alignment import Pyramid
 
 WIDTH, HEIGHT = 256, 96
 

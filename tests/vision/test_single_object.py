@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from homeward.drives.cameras.camera import unit_vectors
-from homeward.vision.geometry.a_contrario import assess
+from homeward.vision.geometry.a_contrario import assess, covariance_factor, dominant_object, explain
 from homeward.vision.geometry.epipolar import Motion, Pairs
 from homeward.vision.geometry.ransac import estimate_motion
-from homeward.vision.geometry.single_object import covariance_factor, dominant_object, explain
 
 SIGMA = 0.002
 

@@ -9,7 +9,7 @@ from vision_scene import align_features
 
 from homeward.vision import Equirectangular, compare, look
 from homeward.vision.compiled import compiled
-from homeward.vision.features.pyramid import Pyramid
+from homeward.vision.features.patch_alignment import Pyramid
 from homeward.vision.geometry.epipolar import Pairs, residuals
 from homeward.vision.geometry.refinement import irls
 

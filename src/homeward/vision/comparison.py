@@ -17,12 +17,19 @@ from homeward.vision.features.matching import RATIO, match
 from homeward.vision.features.moved_groups import moved_groups
 from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
 from homeward.vision.features.self_similarity import self_similar
-from homeward.vision.geometry.a_contrario import WITHIN, Acceptance, assess, assess_unrepeated
+from homeward.vision.geometry.a_contrario import (
+    WITHIN,
+    Acceptance,
+    assess,
+    assess_unrepeated,
+    covariance_factor,
+    dominant_object,
+    explain,
+)
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
 from homeward.vision.geometry.jackknife import jackknife_covariance
 from homeward.vision.geometry.ransac import APART, estimate_motion
 from homeward.vision.geometry.refinement import Fit, irls, refine
-from homeward.vision.geometry.single_object import covariance_factor, dominant_object, explain
 from homeward.vision.geometry.tilt import Tilt
 
 LARGEST_DIRECTION_SIGMA = np.radians(30.0)

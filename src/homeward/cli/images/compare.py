@@ -34,7 +34,7 @@ def compare(
     The folder gets comparison.png with both panoramas and what was matched, matches.csv and
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
-    from homeward.report.images.comparison import (
+    from homeward.report.images import (
         PICTURE,
         RESULT,
         as_dict,

@@ -52,7 +52,7 @@ def see(
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.choosing import with_home
     from homeward.errors import InputError, speaking_of
-    from homeward.report.images.sightings import describe_sightings
+    from homeward.report.images import describe_sightings
     from homeward.report.output import check_output
     from homeward.vision.recorded.recording import see_recording
 

@@ -17,8 +17,7 @@ from homeward.simulation.log import Log
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import trace
 from homeward.simulation.render.shading.picture import NOTHING
-from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.cameras.partial import PartialPanorama
+from homeward.vision.cameras.panoramic import Panorama, PartialPanorama
 from homeward.vision.features.detection import View, look
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming

@@ -14,7 +14,7 @@ from homeward.vision.cameras.grey import as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.pyramid import Pyramid, enlarged
+from homeward.vision.features.patch_alignment import Pyramid, enlarged
 from homeward.vision.opencv import opencv
 
 CONTRAST = 0.02

@@ -4,6 +4,9 @@ The number of false alarms (Moisan and Stival, "A probabilistic criterion to det
 matches between two images", IJCV 2004) is how often random matches are expected to agree as well.
 What a random match does is learnt from the pair of images itself: each direction at home is paired
 with the directions now of other matches.
+
+All matches on one object err together: if it was moved, or moves along, they agree on a motion as
+well as any. So a motion that rests on one object is reported with a larger covariance.
 """
 
 from __future__ import annotations
@@ -14,10 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.vision.cameras.panoramic import SECTORS, sector_of
+from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, squares
 
+REACH = WINDOW * math.pi / SECTORS
+"""What lies within this of one direction may be one object [rad]."""
 LARGEST_LOG_FALSE_ALARMS = -4.0
 """Largest number of false alarms that is accepted (logarithm to base 10)."""
 MOST_PER_SECTOR = 4
@@ -179,3 +184,44 @@ def random_fit_probability(motion: Motion, pairs: Pairs, heading: float | None =
 
 def _capped(sectors: np.ndarray) -> int:
     return int(np.minimum(np.bincount(sectors, minlength=SECTORS), MOST_PER_SECTOR).sum())
+
+
+def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
+    """Return which inliers, (n,) bool, are on one object that the motion rests on.
+
+    None of them, where no object has most of them, or the others suffice by themselves.
+
+    Parameters
+    ----------
+    fit, pairs, heading
+        As for `homeward.vision.geometry.a_contrario.assess`.
+    """
+    rows = np.flatnonzero(fit.inlier)
+    thing = np.zeros(len(pairs), bool)
+    if not rows.size:
+        return thing
+    near = pairs.home_vectors[rows] @ pairs.home_vectors[rows].T > math.cos(REACH)
+    thing[rows[near[near.sum(axis=1).argmax()]]] = True
+    if 2 * thing.sum() <= rows.size:
+        return np.zeros(len(pairs), bool)
+    others = Fit(fit.motion, fit.inlier & ~thing, fit.information, fit.parallax, fit.scale)
+    return np.zeros(len(pairs), bool) if assess(others, pairs, heading).accepted else thing
+
+
+def covariance_factor(thing: np.ndarray, fit: Fit) -> float:
+    """Return the factor of the covariance where all inliers on one object, (n,), count once."""
+    agree, on_it = int(fit.inlier.sum()), int(thing.sum())
+    return agree / (agree - on_it + 1) if on_it else 1.0
+
+
+def explain(acceptance: Acceptance, thing: np.ndarray, pairs: Pairs) -> str:
+    """Return the reason of an acceptance, with where the object is that the motion rests on."""
+    if not thing.any():
+        return acceptance.reason
+    x, y, z = pairs.home_vectors[thing].mean(axis=0)
+    up = math.degrees(math.atan2(z, math.hypot(x, y)))
+    where = "overhead" if up > 45.0 else f"{math.degrees(math.atan2(y, x)):.0f} deg from its axis"
+    return (
+        f"{acceptance.reason}; {int(thing.sum())} of them lie on one object ({where} at home): "
+        "if it was moved, or moves with the robot, this answer is wrong"
+    )

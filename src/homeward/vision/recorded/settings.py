@@ -14,8 +14,12 @@ from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
 from homeward.drives.text.files import is_there
 from homeward.drives.text.settings import read_settings
-from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
-from homeward.vision.cameras.partial import PartialPanorama
+from homeward.vision.cameras.panoramic import (
+    Cylindrical,
+    Equirectangular,
+    Panorama,
+    PartialPanorama,
+)
 from homeward.vision.cameras.ring import Ring
 
 IMAGE_SETTINGS = "images.yaml"

@@ -1,1 +1,0 @@
-"""What is told of panoramas: what two have in common, and what was found along a drive."""
