@@ -13,7 +13,7 @@ $(VENV)/installed: $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "homeward needs Python 3.11 or later; make PYTHON=/path/to/it"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,filters,gpu,live,report,scale,view,vision]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,filters,gpu,live,report,scale,vision]'
 	touch $@
 
 demo: install

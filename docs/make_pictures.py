@@ -12,17 +12,13 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 from rerun.experimental import ViewerClient
 
-from homeward.drives.images import Images
 from homeward.observability.study import observe
 from homeward.report.canvas import png
 from homeward.report.observe.figures import draw_family
 from homeward.report.plan.figures import draw_begin
 from homeward.report.run.folder import write_run
-from homeward.report.viewer.recording import write_recording
-from homeward.report.viewer.run_log import TIMELINE
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.room.presets import load_room
 from homeward.studies.planning.analysis import analyse
@@ -52,8 +48,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         write_run(Path(scratch) / "run", drive, track, settings.model_dump(mode="json"))
         _picture_page(Path(scratch) / "run" / "report.html", IMAGES / "sample-report.png")
-        write_recording(Path(scratch) / "run.rrd", drive, track, Images(np.empty(0), []))
-        _picture_recording(Path(scratch) / "run.rrd", IMAGES / "sample-recording.png")
+        _picture_recording(Path(scratch) / "run", IMAGES / "sample-recording.png")
 
 
 def _picture_room(file: Path) -> None:
@@ -100,17 +95,18 @@ def _picture_page(page: Path, file: Path) -> None:
     )
 
 
-def _picture_recording(recording: Path, file: Path) -> None:
-    """Draw a recording in Rerun's viewer, at a moment of its drive."""
+def _picture_recording(run: Path, file: Path) -> None:
+    """Draw a run in Rerun's viewer, at a moment of its drive."""
     size = f"{VIEWER_SIZE[0]}x{VIEWER_SIZE[1]}"
-    words = [str(RERUN), "--headless", "--port", str(PORT), "--window-size", size, str(recording)]
+    words = [str(RERUN), "--headless", "--port", str(PORT), "--window-size", size]
+    words += [str(run / "rerun.rbl"), str(run / "run.mcap")]
     with subprocess.Popen(words, stderr=subprocess.DEVNULL) as viewer:
         try:
             time.sleep(SETTLE_S)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{PORT}/proxy")
             # A software renderer is slow with its first frame.
             time.sleep(SETTLE_S)
-            client.set_time(TIMELINE, duration=VIEWER_MOMENT_S, play_state="paused")
+            client.set_time("message_log_time", timestamp=VIEWER_MOMENT_S, play_state="paused")
             time.sleep(SETTLE_S)
             file.write_bytes(client.take_screenshot())
         finally:

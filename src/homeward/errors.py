@@ -74,7 +74,6 @@ _OF_EXTRAS = {
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
     **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),
     **dict.fromkeys(("dask", "distributed", "h5netcdf", "xarray"), ("studies", "scale")),
-    "rerun": ("views of a run", "view"),
     "websockets": ("WebSockets", "live"),
 }
 """What a package serves for, as a plural, and the extra that brings it."""

@@ -188,6 +188,7 @@ BAD_INPUTS = [
     (["render", "study", "--set", "furnish.boxes=100"], "boxes"),
     (["reproduce", "--set", "runs=0"], "runs"),
     (["study", "nowhere"], "nowhere"),
+    (["view", "short"], "rerun FOLDER/rerun.rbl FOLDER/run.mcap"),
     (["observe", "--landmarks", "0"], "landmarks"),
     (["observe", "bad"], "bearings.csv, row 3"),
     (["observe", "sample", "--window", "0"], "window"),
@@ -279,11 +280,11 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    for package in ("bokeh.plotting", "casadi", "dask", "rerun", "rosbags.typesys", "websockets"):
+    for package in ("bokeh.plotting", "casadi", "dask", "rosbags.typesys", "websockets"):
         told = without(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(told)))
     assert without(ModuleNotFoundError(name="nobody")) is None
-    told = {"bags", "filters", "gpu", "live", "report", "scale", "view", "vision"}
+    told = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
     # Without a compiler the interpreter stands in.
     assert named == told == set(extras) - {"bench", "compiler", "dev", "docs"}
     line = str(needs_extra("images", "vision"))

@@ -28,7 +28,7 @@ def said(*words, status=0):
     return json.loads(done.stdout)
 
 
-WRITE = {"studio", "view", "render", "convert", "export", "live"}
+WRITE = {"studio", "render", "convert", "export", "live"}
 """What these make are files, pages or a talk."""
 WRITE |= {f"place {name}" for name in ("view", "merge", "forget", "undo")}
 

@@ -17,6 +17,8 @@ FILES = {
     "report.html",
     "run.mcap",
     "run.yaml",
+    "foxglove.json",
+    "rerun.rbl",
 }
 SETTINGS = {"estimator": "robust", "gate": 0.999, "start": None, "note": "</pre><script>"}
 START = 1248272343.9173

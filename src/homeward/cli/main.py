@@ -15,7 +15,6 @@ from homeward.cli.drives.live import live
 from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
-from homeward.cli.drives.view import view
 from homeward.cli.export import export
 from homeward.cli.images.compare import compare
 from homeward.cli.images.render import render
@@ -33,6 +32,7 @@ from homeward.errors import HomewardError, InputError, without
 REMOVED = {
     "camera": "calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file in "
     "images.yaml or the topics file (camera: {file: camera.yaml})",
+    "view": "open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
 """What to use instead of commands that earlier versions had."""
 
@@ -98,7 +98,6 @@ COMMANDS = (
     tune,
     live,
     studio,
-    view,
     simulate,
     render,
     reproduce,

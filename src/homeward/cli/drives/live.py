@@ -37,14 +37,6 @@ def live(
     record: Annotated[
         Path | None, typer.Option(help="Keep the session in this folder, which ends as a drive.")
     ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(
-            metavar="rerun|ADDRESS|FILE.rrd",
-            help="Show the session in Rerun as it goes: rerun opens its viewer, rerun+http://HOST:9876"
-            "/proxy is one on another machine. Needs the extra view.",
-        ),
-    ] = None,
     replay: Annotated[
         Path | None,
         typer.Option(help="Repeat the session.jsonl of a recording, and compare every answer."),
@@ -88,18 +80,11 @@ def live(
     if update and place is None:
         raise InputError("--update needs a --place")
     visited = None if place is None else visiting(place, update, told.estimator)
-    if view is not None:
-        from homeward.live import viewer
-
-        stream = viewer.open_stream(view)
     session = Session(told, known, homes, visited)
     # After it: of a session that cannot begin no folder is left.
     recorder = None if record is None else Recorder(record, told, known, homes, visited)
     if recorder is not None:
         session.watch(recorder.keep)
-    if view is not None:
-        drawing = viewer.LiveView(stream, session.localisation.landmarks, known.sensor)
-        session.watch(drawing.keep)
     server = Server(session, os.environ.get(TOKEN) or None)
 
     def opened(ports: list[int]) -> None:
@@ -109,8 +94,6 @@ def live(
     try:
         asyncio.run(server.serve(at_tcp, at_websocket, stdio, None if stdio else opened))
     finally:
-        if view is not None:
-            stream.disconnect()
         try:
             if recorder is not None and (words := recorder.close()) is not None:
                 typer.echo(words, err=True)

@@ -31,6 +31,7 @@ from homeward.drives.text.files import is_there
 from homeward.errors import HomewardError, InputError
 
 if TYPE_CHECKING:
+    from homeward.drives.images import Images
     from homeward.places.place import Place
     from homeward.scoring import Metrics
     from homeward.studies.several_runs import Outcome
@@ -215,7 +216,7 @@ def _run(
     from homeward.report.place.words import route_words, visit_words
     from homeward.report.run.folder import PAGE, missing_extra, write_run
     from homeward.scoring import score
-    from homeward.studies.single_run import finish, prepare
+    from homeward.studies.single_run import drive_path, finish, prepare
     from homeward.studies.visits import ToStore, check_update, save_visit
 
     store, lack = ToStore(*names), missing_extra()
@@ -226,8 +227,9 @@ def _run(
         if update:
             check_update(complete, drive, store)
         folder = _output_folder(out, drive.name, settings.drive)
+        images, unread = _images(drive_path(complete))
         track = finish(drive, estimator, complete, tell)
-        summary = write_run(folder, drive, track, complete.model_dump(mode="json"))
+        summary = write_run(folder, drive, track, complete.model_dump(mode="json"), images)
         if update and settings.place is not None:
             try:
                 after, reasons = save_visit(complete, drive, estimator, track, store)
@@ -244,7 +246,7 @@ def _run(
     else:
         for paragraph in words:
             say(paragraph)
-        for line in (*drive.remark_lines, *track.notes):
+        for line in (*drive.remark_lines, *track.notes, *unread):
             warn(line)
         if lack is None:
             say(f"Report: {folder / PAGE}")
@@ -255,6 +257,16 @@ def _run(
         raise lost
     if not track.has_pose.any():
         raise no_answer()
+
+
+def _images(drive: Path) -> tuple[Images | None, list[str]]:
+    """Return the camera images of a drive; None and a warning where they cannot be read."""
+    from homeward.drives.images import read_images
+
+    try:
+        return read_images(drive, {}), []
+    except InputError as error:
+        return None, [f"run.mcap has no images: {error}"]
 
 
 def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from homeward.drives.drive import Drive
+from homeward.drives.images import Images
 from homeward.errors import InputError, without
 from homeward.report.files import write_estimate, write_landmarks, write_metrics, write_trajectory
 from homeward.report.output import whole_folder
@@ -22,13 +23,16 @@ SETTINGS_FILE = "run.yaml"
 ESTIMATE = "estimate.csv"
 PAGE, RECORDING = "report.html", "run.mcap"
 """These need the extra report."""
+VIEWS = ("foxglove.json", "rerun.rbl")
+"""A layout for Foxglove and a blueprint for Rerun, copied next to `RECORDING`. Rerun applies the
+blueprint (docs/make_blueprint.py) only to a recording whose file name is run."""
 
 
 def missing_extra() -> InputError | None:
     """Return what to say of a run that gets no `PAGE` and no `RECORDING`; None where it does."""
     try:
-        import_module("homeward.report.run.mcap")
         import_module("homeward.report.run.page")
+        import_module("homeward.report.run.mcap")
     except ModuleNotFoundError as error:
         if (told := without(error)) is None:
             raise
@@ -36,14 +40,20 @@ def missing_extra() -> InputError | None:
     return None
 
 
-def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str, Any]) -> str:
-    """Write everything that a run leaves behind, and return its summary in words.
+def write_run(
+    directory: Path,
+    drive: Drive,
+    track: Track,
+    settings: Mapping[str, Any],
+    images: Images | None = None,
+) -> str:
+    """Write the output files of a run, and return its summary in words.
 
-    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap, report.html
-    and run.yaml; without the extra report neither log nor page. They replace those of an earlier
-    run; nothing else in the folder is touched.
-    `settings` is every setting used, as plain data; run.yaml holds it, and the versions of
-    everything under ``versions``.
+    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap with `VIEWS`,
+    report.html and run.yaml; without the extra report neither log nor page. They replace those of
+    an earlier run; nothing else in the folder is touched.
+    `settings` is every setting used, as plain data; run.yaml contains it, and the versions of
+    everything under ``versions``. `images` are written to run.mcap.
 
     Returns
     -------
@@ -67,18 +77,12 @@ def write_run(directory: Path, drive: Drive, track: Track, settings: Mapping[str
             from homeward.report.run.mcap import write_recording
             from homeward.report.run.page import write_page
 
-            write_recording(scratch / RECORDING, drive, track)
+            write_recording(scratch / RECORDING, drive, track, images)
+            for name in VIEWS:
+                view = files("homeward.report").joinpath("templates", name)
+                (scratch / name).write_bytes(view.read_bytes())
             write_page(scratch / PAGE, drive, track, metrics, settings)
         write_settings(scratch / SETTINGS_FILE, settings)
-    for file in () if pages else (RECORDING, PAGE):  # none of another run should stay
+    for file in () if pages else (RECORDING, PAGE, *VIEWS):  # none of another run should stay
         (directory / file).unlink(missing_ok=True)
     return summary
-
-
-def is_written_as(directory: Path, track: Track) -> bool:
-    """Return whether a run folder holds just the estimates of a track."""
-    with tempfile.TemporaryDirectory() as scratch:
-        write_estimate(Path(scratch) / ESTIMATE, track)
-        again = (Path(scratch) / ESTIMATE).read_bytes()
-    written = directory / ESTIMATE
-    return written.is_file() and written.read_bytes() == again

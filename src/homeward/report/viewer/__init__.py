@@ -1,1 +1,0 @@
-"""A run in Rerun's viewer."""
