@@ -30,9 +30,14 @@ def mounted(mount, seed, told):
     return rig
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
-    "mount", [Pose(0.2, 0.0, 0.0), Pose(-0.1, 0.15, 0.0), Pose(0.15, 0.0, 0.3), Pose(0.0, 0.0, 0.2)]
+    ("mount", "seed"),
+    [
+        (Pose(0.2, 0.0, 0.0), 0),
+        (Pose(-0.1, 0.15, 0.0), 1),
+        (Pose(0.15, 0.0, 0.3), 0),
+        (Pose(0.0, 0.0, 0.2), 1),
+    ],
 )
 def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     rig = mounted(mount, seed, {})
@@ -58,7 +63,7 @@ def test_only_what_nobody_told_is_named():
     assert float(found.removeprefix("yaw: ").removesuffix(".")) == pytest.approx(0.3, abs=0.03)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
     rig.drive(60)

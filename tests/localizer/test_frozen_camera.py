@@ -44,8 +44,7 @@ def _distance(answer, truth):
     return math.sqrt(off @ np.linalg.solve(answer.covariance[:2, :2], off))
 
 
-@pytest.mark.parametrize("law", [straight, eight])
-@pytest.mark.parametrize("share", [1.0, 0.6])
+@pytest.mark.parametrize(("law", "share"), [(straight, 1.0), (eight, 0.6)])
 def test_a_frozen_camera_is_named_and_its_bearings_are_not_used(law, share):
     rig = Rig(ring(8, 1, 3.0, 5.0), promise=None)
     rig.drive(40.0)
@@ -60,8 +59,7 @@ def test_a_frozen_camera_is_named_and_its_bearings_are_not_used(law, share):
     assert rig.answers[-1][0].status is Status.LOCALISED
 
 
-@pytest.mark.parametrize("law", [straight, eight])
-@pytest.mark.parametrize("jitter", [1e-6, 0.002])
+@pytest.mark.parametrize(("law", "jitter"), [(straight, 1e-6), (eight, 0.002)])
 def test_a_camera_that_is_frozen_but_for_jitter_is_not_relied_on(law, jitter):
     rig = Rig(ring(8, 1, 3.0, 5.0), promise=None)
     rig.drive(40.0)

@@ -223,8 +223,7 @@ def test_a_distance_that_is_wrong_is_named_and_does_no_harm():
     assert abs(rig.scale()[0]) < 3.0
 
 
-@pytest.mark.parametrize("off", [0, 1, 3])
-@pytest.mark.parametrize("frame", ["home", "own"])
+@pytest.mark.parametrize(("frame", "off"), [("home", 0), ("own", 1), ("home", 3), ("own", 3)])
 def test_wrong_surveys_are_named_and_do_no_harm(frame, off):
     nees, late = [], []
     for seed in range(2):

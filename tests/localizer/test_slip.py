@@ -52,7 +52,7 @@ def beyond(answers):
     return np.mean(off)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_spinning_wheels_leave_a_pose_and_no_false_one(seed):
     rig = Rig(ring(8, seed), seed, promise=None)
     rig.drive(40, see=ahead)
@@ -72,7 +72,7 @@ def test_spinning_wheels_leave_a_pose_and_no_false_one(seed):
     assert rig.error() < 0.1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_pose_is_right_2_s_after_a_slip(seed):
     rig = Rig(ring(8, seed), seed, promise=None)
     rig.drive(40, see=ahead)
