@@ -44,7 +44,7 @@ from homeward.simulation.render.scene import tag_places
 from homeward.simulation.sensing import Wheels
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.comparison import compare
-from homeward.vision.features.detection import look
+from homeward.vision.features.detection import extract
 from homeward.vision.opencv import opencv
 from homeward.vision.tags.front_end import TagFrontEnd, family_of
 
@@ -235,7 +235,7 @@ def overlap(
         with suppress(InputError):  # something stands there
             now_picture = eye.look(0.0, robot, 1)
     pictures = eye.home_picture(), now_picture
-    home, now = (look(wide.panorama(picture), wide, wide.seen) for picture in pictures)
+    home, now = (extract(wide.panorama(picture), wide, wide.seen) for picture in pictures)
     seen = compare(home, now, wide)
     if not seen.accepted:
         return None

@@ -40,7 +40,7 @@ from homeward.simulation.render.room.presets import PLANS, room
 from homeward.simulation.render.room.settings import RenderScenario
 from homeward.track import track_of
 from homeward.vision.comparison import compare
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 from homeward.vision.opencv import opencv
 
 NEAR_HOME = 0.02
@@ -91,7 +91,7 @@ def pair(number: int, width: int) -> Pair:
     eye = Eye(scenario(number, width, (0.3, 3.0), moved=0))
     camera = panorama_of(eye)
     robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-    home, now = (look(p, camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
+    home, now = (extract(p, camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
     seen = compare(home, now, camera)
     # The point that home's feature shows, and the bearing that it has from the other place.
     view, surfaces = eye.home_view, eye.then.at(eye.scenario.home_time, eye.home_view)[0]
@@ -170,7 +170,7 @@ def homing(number: int, width: int) -> Homing:
     return result
 
 
-def at_edge(eye: Eye, home: View, moved: frozenset[str]) -> np.ndarray:
+def at_edge(eye: Eye, home: Features, moved: frozenset[str]) -> np.ndarray:
     """Say of each feature of home's picture whether it lies on or beside a moved box.
 
     Beside it is where it is no farther off than the feature is large: of what is seen there, the

@@ -21,7 +21,7 @@ from benchmarks.panoramas.antworld import Grid, antworld, chained
 from benchmarks.timing import clock, in_turns
 from homeward.angles import wrap
 from homeward.scoring import normalised_squared
-from homeward.vision import Comparison, Equirectangular, compare, look
+from homeward.vision import Comparison, Equirectangular, compare, extract
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 
@@ -44,10 +44,10 @@ def route() -> None:
     folder = data() / "alife_outdoor_panoramas" / "robot_data"
     count = len(list(folder.glob("snapshot_*.png")))
     step = 6.8 / count
-    views = [look(read_grey(folder / f"snapshot_{k}.png"), ROUTE) for k in range(0, count, 2)]
+    views = [extract(read_grey(folder / f"snapshot_{k}.png"), ROUTE) for k in range(0, count, 2)]
     for gap in (5, 10, 20):
         told = [
-            abs(seen.homewards) > math.pi / 2
+            abs(seen.home_direction) > math.pi / 2
             for k in range(gap, len(views))
             if (seen := compare(views[k - gap], views[k], ROUTE)).knows_direction
         ]
@@ -64,10 +64,10 @@ def speed(rounds: int = 15) -> None:
     plain, camera = opencv().SIFT_create(), Equirectangular()
     for width, most in ((512, 35), (768, 60)):
         home, now, _ = rendered("office", 1, width)
-        first, second = look(home, camera), look(now, camera)
+        first, second = extract(home, camera), extract(now, camera)
         calls: dict[str, Callable[[], object]] = {
             "SIFT": lambda image=now: plain.detectAndCompute(image, None),
-            "features": lambda image=now: look(image, camera),
+            "features": lambda image=now: extract(image, camera),
             "comparison": lambda a=first, b=second: compare(a, b, camera),
         }
         timed = {name: lambda call=call: clock(call) for name, call in calls.items()}
@@ -123,7 +123,7 @@ def strangers(seeds: int, light: str) -> None:
     from homeward.simulation.render.room.presets import PLANS
 
     views = [
-        (name, seed, *(look(p, Equirectangular()) for p in rendered(name, seed, 512, light)[:2]))
+        (name, seed, *(extract(p, Equirectangular()) for p in rendered(name, seed, 512, light)[:2]))
         for name in PLANS
         for seed in range(seeds)
     ]
@@ -144,7 +144,7 @@ def strangers(seeds: int, light: str) -> None:
 
 def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Comparison:
     camera = Equirectangular(tilt_sigma=tilt_sigma)
-    return compare(look(home, camera), look(now, camera), camera)
+    return compare(extract(home, camera), extract(now, camera), camera)
 
 
 def relit(scenario: Any, light: str) -> Any:

@@ -54,7 +54,7 @@ from homeward.frames import Polar, from_polar
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import compiled as rays
 from homeward.simulation.render.room.presets import room
-from homeward.vision import Equirectangular, compare, look
+from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.compiled import compiled as vision
 
 eye = Eye(room("office", 1))
@@ -62,9 +62,10 @@ start = eye.scenario.start
 pose = from_polar(Polar(start.R, start.theta, start.alpha))
 pictures = [np.asarray(p) for p in (eye.home_picture(), eye.look(0.0, pose, 1))]
 greys = [np.rint(p.mean(axis=2)).astype(np.uint8) for p in pictures]
-found = compare(*(look(grey, Equirectangular()) for grey in greys), Equirectangular())
+found = compare(*(extract(grey, Equirectangular()) for grey in greys), Equirectangular())
 files = [program()._name for program in (rays, vision)]
-numbers = {"heading": found.heading, "homewards": found.homewards, "covariance": found.covariance}
+numbers = {"heading": found.heading, "home_direction": found.home_direction}
+numbers["covariance"] = found.covariance
 np.savez(sys.argv[1], *pictures, files=files, **numbers)
 """
 
@@ -155,7 +156,7 @@ def test_what_came_compiled_answers_as_what_is_compiled_here(wheel, core, tmp_pa
     print(f"\n{wheel.name}: answers are equal", "bit for bit" if equal else "but for rounding")
     for key in ("arr_0", "arr_1"):  # of other vectors another last digit may come
         assert np.mean(came[key] != made[key]) < 1e-3
-    for key in ("heading", "homewards", "covariance"):
+    for key in ("heading", "home_direction", "covariance"):
         np.testing.assert_allclose(came[key], made[key], rtol=1e-5)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.mrclam import data
 from benchmarks.panoramas.baselines import compass, min_warping
 from homeward.angles import wrap
-from homeward.vision import Equirectangular, View, compare, look
+from homeward.vision import Equirectangular, Features, compare, extract
 from homeward.vision.cameras.image_files import read_grey
 
 CAMERA = Equirectangular(horizon=0.8, tilt_sigma=0.005)
@@ -39,10 +39,10 @@ class Grid:
     def image(self, k: int) -> np.ndarray:
         return read_grey(self.files[k])
 
-    def _view(self, k: int) -> View:
-        return look(self.image(k), CAMERA)
+    def _view(self, k: int) -> Features:
+        return extract(self.image(k), CAMERA)
 
-    def homewards(self, home: int, now: int) -> float:
+    def home_direction(self, home: int, now: int) -> float:
         """Return the true direction of home from the camera's axis [rad]."""
         x, y = self.place[home] - self.place[now]
         return math.atan2(y, x) - NORTH
@@ -73,17 +73,17 @@ def antworld(count: int) -> None:
         for home, now in pairs:
             seen, truth = (
                 compare(grid.view(home), grid.view(now), CAMERA),
-                grid.homewards(home, now),
+                grid.home_direction(home, now),
             )
             if seen.knows_direction:
-                off.append(degrees_off(seen.homewards, truth))
+                off.append(degrees_off(seen.home_direction, truth))
                 heading.append(degrees_off(seen.heading, 0.0))
             else:
                 refused += 1
         for home, now in pairs[: max(count // 4, 10)]:
             a, b = grid.image(home), grid.image(now)
             turned.append(degrees_off(compass(a, b), 0.0))
-            warped.append(degrees_off(min_warping(a, b)[1], grid.homewards(home, now)))
+            warped.append(degrees_off(min_warping(a, b)[1], grid.home_direction(home, now)))
         print(
             f"antworld, {steps / 10:.1f} m: accepted {1 - refused / count:.0%} of {count}; "
             f"direction home {np.mean(off):.1f} deg mean, {np.median(off):.1f} median, "
@@ -129,7 +129,7 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
         goal = min([goal, *(g - 1 for g in reached)])
         known = [g for g in window if seen[g].knows_direction and g <= goal + 1]
         if known:
-            way, unseen = seen[known[0]].homewards + NORTH, 0
+            way, unseen = seen[known[0]].home_direction + NORTH, 0
         else:
             leg = np.subtract(path[goal], path[goal + 1])
             turned = seen[accepted[0]].heading if accepted else 0.0

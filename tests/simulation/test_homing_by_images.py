@@ -11,7 +11,7 @@ from homeward.simulation.files import changed_scenario
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import ImageLoop, panorama_of
 from homeward.simulation.render.room.presets import room
-from homeward.vision.features.detection import look
+from homeward.vision.features.detection import extract
 from homeward.vision.front_end import FrontEnd
 
 
@@ -48,7 +48,7 @@ def test_a_camera_of_another_kind_comes_home(projection):
 def test_in_another_room_home_is_never_found():
     here, there = eye("classroom", 100, **{"trajectory.duration": 6.0}), eye("gallery", 100)
     loop, camera = ImageLoop(here), panorama_of(there)
-    loop.front_end = FrontEnd(look(there.home_picture(), camera), camera)
+    loop.front_end = FrontEnd(extract(there.home_picture(), camera), camera)
     drive = loop.run(make_estimator("robust", loop.drive))
     assert drive.ending is Ending.TIME_UP
     assert not any(e.status is Status.LOCALISED for e in drive.estimates)

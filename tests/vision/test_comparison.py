@@ -14,7 +14,7 @@ from vision_scene import make_room
 
 from homeward.angles import wrap
 from homeward.report.images import describe, picture
-from homeward.vision import Equirectangular, compare, look
+from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.detection import MOST_FEATURES
 
 CAMERA = Equirectangular()
@@ -30,23 +30,23 @@ def room():
 
 @pytest.fixture(scope="module")
 def home(room):
-    return look(draw(room, 3.0, 3.0, 0.4, seed=1), CAMERA)
+    return extract(draw(room, 3.0, 3.0, 0.4, seed=1), CAMERA)
 
 
 def test_heading_and_direction_home(room, home):
-    seen = compare(home, look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA)
+    seen = compare(home, extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA)
     assert seen.accepted
     theta = np.arctan2(0.5, 1.2) - 0.4
     assert abs(wrap(seen.heading - 1.6)) < max(4 * seen.heading_sigma, 0.01)
     assert abs(wrap(seen.direction - theta)) < max(4 * seen.direction_sigma, 0.01)
-    assert abs(wrap(seen.homewards - (theta + np.pi - 1.6))) < 0.03
+    assert abs(wrap(seen.home_direction - (theta + np.pi - 1.6))) < 0.03
     assert seen.heading_sigma < 0.02
     assert seen.direction_sigma < 0.05
 
 
 @pytest.mark.parametrize("seed", range(3, 9))
 def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, home, seed):
-    seen = compare(home, look(draw(room, 3.0, 3.0, 1.4, seed=seed), CAMERA), CAMERA)
+    seen = compare(home, extract(draw(room, 3.0, 3.0, 1.4, seed=seed), CAMERA), CAMERA)
     assert seen.accepted
     assert abs(wrap(seen.heading - 1.0)) < 0.005
     assert not seen.knows_direction
@@ -54,7 +54,7 @@ def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, 
 
 
 def test_an_uncertain_direction_is_not_taken_for_being_there(room, home):
-    seen = compare(home, look(draw(room, 4.0, 3.5, 0.4, seed=2), CAMERA), CAMERA)
+    seen = compare(home, extract(draw(room, 4.0, 3.5, 0.4, seed=2), CAMERA), CAMERA)
     assert seen.knows_direction
     uncertain = replace(seen, covariance=np.diag([1.0, 0.01]))
     assert not uncertain.knows_direction
@@ -77,8 +77,8 @@ def test_the_home_image_itself_is_home(home):
 @pytest.mark.parametrize("columns", [1, 100, 255, 400])
 def test_rolling_the_image_turns_the_heading_and_nothing_else(room, home, columns):
     image = draw(room, 4.0, 3.5, 2.0, seed=2)
-    still = compare(home, look(image, CAMERA), CAMERA)
-    rolled = compare(home, look(np.roll(image, columns, axis=1), CAMERA), CAMERA)
+    still = compare(home, extract(image, CAMERA), CAMERA)
+    rolled = compare(home, extract(np.roll(image, columns, axis=1), CAMERA), CAMERA)
     turn = columns * 2 * np.pi / image.shape[1]
     # The scene goes to the right: the camera has turned to the left.
     assert abs(wrap(rolled.heading - still.heading - turn)) < 0.01
@@ -89,7 +89,9 @@ def views_of(seed, x, y):
     """Return views of a room from home and from another place [m], where the robot has turned."""
     room = make_room(seed)
     places = ((3.0, 3.0, 0.4), (x, y, 2.0))
-    return [look(draw(room, *place, seed=noise), CAMERA) for noise, place in enumerate(places, 1)]
+    return [
+        extract(draw(room, *place, seed=noise), CAMERA) for noise, place in enumerate(places, 1)
+    ]
 
 
 def without_neighbours(patch):
@@ -124,7 +126,7 @@ def test_what_lies_beside_the_matches_makes_the_direction_better():
 def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
     room, home, monkeypatch, largest, sure
 ):
-    now = look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
+    now = extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
     monkeypatch.setattr(COMPARE, "LARGEST_DIRECTION_SIGMA", largest)
     seen = compare(home, now, CAMERA)
     without_neighbours(monkeypatch)
@@ -175,14 +177,14 @@ def test_a_second_look_must_confirm_the_heading_that_it_began_with(
 def test_where_the_first_look_tells_there_is_no_second(room, home, monkeypatch):
     once = COMPARE.compare_once
     monkeypatch.setattr(COMPARE, "compare_once", lambda a, b, camera: once(a, b, camera))
-    assert compare(home, look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).knows_direction
+    assert compare(home, extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).knows_direction
     assert not compare(home, home, CAMERA).shows_parallax
 
 
 def test_light_does_not_matter(room, home):
     image = draw(room, 4.2, 3.5, 2.0, seed=2)
     darker = (0.6 * image.astype(float) + 40).astype(np.uint8)
-    seen = compare(home, look(darker, CAMERA), CAMERA)
+    seen = compare(home, extract(darker, CAMERA), CAMERA)
     assert seen.accepted
     assert abs(wrap(seen.heading - 1.6)) < 0.02
 
@@ -191,7 +193,7 @@ def test_a_picture_as_rich_as_can_be_is_compared_by_its_strongest_features():
     """Of noise there are features everywhere: what a comparison takes must stay bounded."""
     noise = np.tile(np.random.default_rng(0).normal(128, 300, (512, 1024)), 3)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.0)[:, 1024:2048].clip(0, 255).astype(np.uint8)
-    views = [look(np.roll(smooth, columns, axis=1), CAMERA) for columns in (0, 256)]
+    views = [extract(np.roll(smooth, columns, axis=1), CAMERA) for columns in (0, 256)]
     assert max(map(len, views)) <= MOST_FEATURES
     assert len(views[0]) > 0.8 * MOST_FEATURES
     seen = compare(*views, CAMERA)
@@ -200,14 +202,14 @@ def test_a_picture_as_rich_as_can_be_is_compared_by_its_strongest_features():
 
 
 def test_another_room_has_not_enough_in_common(home):
-    seen = compare(home, look(draw(make_room(7), 3.0, 3.0, 0.4), CAMERA), CAMERA)
+    seen = compare(home, extract(draw(make_room(7), 3.0, 3.0, 0.4), CAMERA), CAMERA)
     assert not seen.accepted
     assert "not enough in common" in seen.acceptance.reason
 
 
 def test_upside_down_is_not_accepted(room, home):
     image = draw(room, 3.5, 3.0, 0.4)[::-1, ::-1].copy()
-    assert not compare(home, look(image, CAMERA), CAMERA).accepted
+    assert not compare(home, extract(image, CAMERA), CAMERA).accepted
 
 
 def test_a_known_tilt_taken_out_and_an_unknown_one_taken_up(room, home):
@@ -215,7 +217,7 @@ def test_a_known_tilt_taken_out_and_an_unknown_one_taken_up(room, home):
     image = draw(room, 4.2, 3.5, 2.0, seed=2, tilt=tilt)
     known = Equirectangular(roll=tilt[0], pitch=tilt[1], tilt_sigma=0.005)
     for camera in (known, CAMERA):
-        seen = compare(home, look(image, camera), camera)
+        seen = compare(home, extract(image, camera), camera)
         assert seen.accepted
         assert abs(wrap(seen.direction - (np.arctan2(0.5, 1.2) - 0.4))) < 0.03
 
@@ -225,17 +227,17 @@ def test_a_box_that_moved_is_told(room, home):
     away = np.array([0.0, 0.9 if low[1] < 3 else -0.9, 0.0])
     changed = make_room(1)
     changed.boxes[1] = (low + away, high + away, print_)
-    seen = compare(home, look(draw(changed, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
+    seen = compare(home, extract(draw(changed, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
     assert seen.accepted
     assert abs(wrap(seen.heading - 0.5)) < 0.02
-    still = compare(home, look(draw(room, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
+    still = compare(home, extract(draw(room, 3.5, 3.2, 0.9, seed=5), CAMERA), CAMERA)
     assert seen.moved.sum() >= still.moved.sum()
     assert still.moved.sum() <= 4
 
 
 @pytest.mark.parametrize("believed", [True, False])
 def test_the_picture_and_the_sentence_count_the_same(room, home, believed):
-    now = look(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
+    now = extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
     seen = compare(home, now, CAMERA)
     if not believed:
         words = f"not enough in common: {seen.acceptance.reason}, which may be chance"

@@ -17,7 +17,7 @@ from homeward.angles import wrap
 from homeward.drives.folder import read_folder
 from homeward.drives.images import REPEATED_IMAGES, read_images
 from homeward.drives.opening import open_drive
-from homeward.vision import Equirectangular, look
+from homeward.vision import Equirectangular, extract
 from homeward.vision.front_end import PROVEN, FrontEnd
 from homeward.vision.recorded.folder import home_image, see_folder
 from homeward.vision.recorded.settings import ImageSettings
@@ -77,7 +77,7 @@ def test_most_landmarks_are_where_their_bearings_say(drive):
 
 
 def test_home_bearings_come_from_the_home_image(drive, folder):
-    home = look(cv2.imread(str(folder / "home.png"), 0), Equirectangular())
+    home = extract(cv2.imread(str(folder / "home.png"), 0), Equirectangular())
     assert len(drive.home) > 10
     for name, seen in drive.home.items():
         assert seen.bearing == pytest.approx(home.azimuth[int(name[1:])])
@@ -101,7 +101,7 @@ def test_run_takes_an_image_folder(folder, tmp_path):
 def test_landmarks_keep_their_names_where_home_is_out_of_sight(room):
     """Home is of another room: only the chain of keyframes is left, and it holds."""
     camera = Equirectangular()
-    front_end = FrontEnd(look(draw(make_room(7), *HOME), camera), camera)
+    front_end = FrontEnd(extract(draw(make_room(7), *HOME), camera), camera)
     glances = [front_end.see(frame(1, k)) for k in range(FRAMES)]
     assert not front_end.home_bearings
     last, before = set(glances[-1].bearings), set(glances[-3].bearings)
@@ -111,7 +111,7 @@ def test_landmarks_keep_their_names_where_home_is_out_of_sight(room):
 def test_what_is_followed_by_keyframes_is_no_surer_than_home_saw_it():
     """How far a keyframe's patch is from home's point lasts: it is in every sigma from there on."""
     camera, last, followed = Equirectangular(), {}, 0
-    front_end = FrontEnd(look(draw(make_room(3), 3.0, 3.0, 0.4), camera), camera)
+    front_end = FrontEnd(extract(draw(make_room(3), 3.0, 3.0, 0.4), camera), camera)
     for k in range(FRAMES):
         seen = front_end.see(frame(3, k))
         by_home = seen.home.home_row[seen.home.agrees | seen.home.moved] if seen.home else []
@@ -126,7 +126,7 @@ def test_what_is_followed_by_keyframes_is_no_surer_than_home_saw_it():
 
 def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
     camera = Equirectangular()
-    front_end = FrontEnd(look(draw(room, *HOME), camera), camera)
+    front_end = FrontEnd(extract(draw(room, *HOME), camera), camera)
     for k in range(PROVEN + 1):
         seen = front_end.see(frame(1, k))
     blind = front_end.see(np.full((128, 512), 50, np.uint8))
@@ -275,7 +275,7 @@ def test_compare_says_when_there_is_not_enough_in_common(folder, tmp_path):
 def test_a_bearing_is_that_of_the_patch_that_home_saw(room):
     """Not of the feature that the frame finds by itself, which noise and size move about."""
     camera = Equirectangular()
-    front_end = FrontEnd(look(draw(room, *HOME, seed=99), camera), camera)
+    front_end = FrontEnd(extract(draw(room, *HOME, seed=99), camera), camera)
     for k in range(PROVEN):
         glance = front_end.see(frame(1, k))
     seen = glance.home
@@ -296,7 +296,7 @@ def test_a_bearing_is_that_of_the_patch_that_home_saw(room):
 def test_names_are_handed_on_at_the_place_of_the_patch(room):
     """What keyframes hand on stays where it was: its bearings still meet in one point."""
     camera, lines = Equirectangular(), {}
-    front_end = FrontEnd(look(draw(make_room(7), *HOME), camera), camera)
+    front_end = FrontEnd(extract(draw(make_room(7), *HOME), camera), camera)
     for k in range(FRAMES):
         x, y, heading = way(k)
         glance = front_end.see(frame(1, k))

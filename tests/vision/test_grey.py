@@ -10,7 +10,7 @@ from vision_scene import look as draw
 from vision_scene import make_room
 
 from homeward.errors import InputError
-from homeward.vision import Equirectangular, Mask, compare, look
+from homeward.vision import Equirectangular, Mask, compare, extract
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.ring import Ring, find_ring
 from homeward.vision.front_end import FrontEnd
@@ -41,7 +41,7 @@ WIDE = np.repeat(PICTURE, 2, axis=1)
 )
 def test_what_is_the_same_picture_gives_the_same_features(same):
     np.testing.assert_allclose(as_grey(same), PICTURE, atol=0)
-    one, other = look(PICTURE, CAMERA), look(same, CAMERA)
+    one, other = extract(PICTURE, CAMERA), extract(same, CAMERA)
     np.testing.assert_array_equal(one.descriptor, other.descriptor)
 
 
@@ -88,12 +88,12 @@ NO_PICTURES = [
 @pytest.mark.parametrize(
     "take",
     [
-        lambda image: look(image, CAMERA),
+        lambda image: extract(image, CAMERA),
         lambda image: CAMERA.panorama(image),
         RING.panorama,
         find_ring,
         Mask.of,
-        FrontEnd(look(PICTURE, CAMERA), CAMERA).see,
+        FrontEnd(extract(PICTURE, CAMERA), CAMERA).see,
     ],
 )
 def test_what_is_no_picture_is_refused_in_one_line(take, image, words):
@@ -103,11 +103,11 @@ def test_what_is_no_picture_is_refused_in_one_line(take, image, words):
 
 
 def test_a_frame_of_another_size_than_home_is_refused_and_changes_nothing():
-    home = look(PICTURE, CAMERA)
+    home = extract(PICTURE, CAMERA)
     front_end, other = FrontEnd(home, CAMERA), FrontEnd(home, CAMERA)
     small = cv2.resize(PICTURE, (256, 64), interpolation=cv2.INTER_AREA)
     with pytest.raises(InputError, match="256x64 pixels where home has 512x128"):
-        compare(home, look(small, CAMERA), CAMERA)
+        compare(home, extract(small, CAMERA), CAMERA)
     for k in range(7):
         with pytest.raises(InputError, match="256x64 pixels where home has 512x128"):
             front_end.see(small)

@@ -10,7 +10,7 @@ from homeward.errors import InputError
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.cameras.panoramic import Equirectangular
 from homeward.vision.comparison import compare
-from homeward.vision.features.detection import look, read_view
+from homeward.vision.features.detection import extract, read_features
 
 
 def picture(width=256, height=64, seed=0):
@@ -125,27 +125,27 @@ def test_another_size_than_home(tmp_path):
     pytest.importorskip("cv2")
     Image.fromarray(picture()).save(tmp_path / "home.png")
     Image.fromarray(picture(512, 128)).save(tmp_path / "a.png")
-    _, home = read_view(tmp_path / "home.png", Equirectangular())
+    _, home = read_features(tmp_path / "home.png", Equirectangular())
     with pytest.raises(InputError, match="512x128 pixels where home has 256x64"):
-        read_view(tmp_path / "a.png", Equirectangular(), like=home)
+        read_features(tmp_path / "a.png", Equirectangular(), like=home)
 
 
 def test_a_rotated_image(tmp_path):
     Image.fromarray(picture().T.copy()).save(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"a\.png: 64x256 pixels: taller than wide"):
-        read_view(tmp_path / "a.png", Equirectangular())
+        read_features(tmp_path / "a.png", Equirectangular())
 
 
 def test_nothing_but_grey_has_nothing_in_common():
     pytest.importorskip("cv2")
     camera = Equirectangular()
-    grey, other = look(np.full((64, 256), 99, np.uint8), camera), look(picture(), camera)
+    grey, other = extract(np.full((64, 256), 99, np.uint8), camera), extract(picture(), camera)
     for a, b in ((grey, grey), (grey, other), (other, grey)):
         seen = compare(a, b, camera)
         assert not seen.accepted
         assert "not enough in common" in seen.acceptance.reason
         assert np.isnan(seen.heading)
-        assert np.isnan(seen.homewards)
+        assert np.isnan(seen.home_direction)
 
 
 @pytest.mark.parametrize("entries", [0, 1])

@@ -13,10 +13,10 @@ from vision_scene import make_room
 from homeward.angles import wrap
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
-from homeward.vision import Equirectangular, Mask, compare, look
+from homeward.vision import Equirectangular, Mask, compare, extract
 from homeward.vision.cameras.image_files import read_mask
 from homeward.vision.cameras.ring import Ring
-from homeward.vision.features.detection import read_view
+from homeward.vision.features.detection import read_features
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.recorded.settings import read_image_settings
 
@@ -56,14 +56,14 @@ def files(pictures, tmp_path_factory):
 
 def test_what_turns_with_the_camera_is_taken_for_home(pictures):
     """The defect that masks are for."""
-    home, now = (look(image, CAMERA) for image in pictures)
+    home, now = (extract(image, CAMERA) for image in pictures)
     seen = compare(home, now, CAMERA)
     assert abs(seen.heading) < np.radians(0.1)
 
 
 def test_with_a_mask_heading_and_direction_are_right(pictures):
     mask = Mask.of(PAINTED)
-    home, now = (look(image, CAMERA, mask) for image in pictures)
+    home, now = (extract(image, CAMERA, mask) for image in pictures)
     seen = compare(home, now, CAMERA)
     assert abs(wrap(seen.heading - TURN)) < np.radians(0.5)
     assert abs(wrap(seen.direction - (np.arctan2(0.4, 0.9) - 0.4))) < np.radians(2.0)
@@ -77,7 +77,7 @@ def turning(k):
 def test_the_front_end_masks_frames_as_home_was():
     """Home is another room: frames are compared with each other, and turn all the same."""
     home = on_robot(draw(make_room(1), 3.0, 3.0, 0.4))
-    front_end = FrontEnd(look(home, CAMERA, Mask.of(PAINTED)), CAMERA)
+    front_end = FrontEnd(extract(home, CAMERA, Mask.of(PAINTED)), CAMERA)
     before, *_, last = [front_end.see(turning(k)).bearings for k in range(14)][-3:]
     turned = [wrap(before[name] - last[name]) for name in before.keys() & last.keys()]
     assert len(turned) > 10
@@ -91,7 +91,7 @@ def test_no_feature_and_no_corner_is_left_out_in_part(pictures, width):
         cv2.resize(a, (width, width // 4), interpolation=cv2.INTER_AREA)
         for a in (pictures[0], PAINTED)
     )
-    view, without = look(image, CAMERA, Mask.of(painted)), look(image, CAMERA)
+    view, without = extract(image, CAMERA, Mask.of(painted)), extract(image, CAMERA)
     row, column = np.nonzero(painted < 128)
     for part, other in ((view.patches[0], without.patches[0]), (features(view), features(without))):
         assert nearest(part, column, row, width) > 0
@@ -123,7 +123,7 @@ def test_the_strongest_corner_is_not_one_that_is_left_out():
     """Else a deck of high contrast leaves no corner in a dim room."""
     image = np.random.default_rng(0).integers(100, 110, (HEIGHT, WIDTH)).astype(np.uint8)
     image[HORIZON:] = np.kron(np.indices((5, 64)).sum(0) % 2 * 255, np.ones((9, 8)))[:43]
-    corners = [len(look(image, CAMERA, m).corners()) for m in (None, Mask.of(PAINTED))]
+    corners = [len(extract(image, CAMERA, m).corners()) for m in (None, Mask.of(PAINTED))]
     assert corners[1] > 2 * corners[0]
 
 
@@ -191,10 +191,10 @@ def test_a_mask_that_cannot_be_used_is_named_in_one_line(files, tmp_path, make, 
 
 def test_a_mask_of_another_shape_is_refused_online(pictures):
     with pytest.raises(InputError, match="a mask of 256x128 pixels for a panorama of 512x128"):
-        look(pictures[0], CAMERA, Mask.of(PAINTED[:, :256]))
+        extract(pictures[0], CAMERA, Mask.of(PAINTED[:, :256]))
 
 
 def test_a_frame_is_masked_as_home_was(files):
-    _, home = read_view(files / "home.png", CAMERA, mask=files / "mask.png")
-    _, now = read_view(files / "now.png", CAMERA, like=home)
+    _, home = read_features(files / "home.png", CAMERA, mask=files / "mask.png")
+    _, now = read_features(files / "now.png", CAMERA, like=home)
     assert now.mask is home.mask is not None

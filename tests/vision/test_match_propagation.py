@@ -8,7 +8,7 @@ pytest.importorskip("cv2")
 import cv2
 from vision_scene import align_features
 
-from homeward.vision import Equirectangular, look
+from homeward.vision import Equirectangular, extract
 from homeward.vision.features.match_propagation import propagate_matches
 
 WIDTH, HEIGHT = 512, 128
@@ -24,7 +24,7 @@ def blots(seed):
 
 
 def seen(image):
-    return look(image, Equirectangular())
+    return extract(image, Equirectangular())
 
 
 def turned(image, columns):

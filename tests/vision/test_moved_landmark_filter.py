@@ -11,7 +11,7 @@ from vision_scene import make_room
 
 from homeward.estimator import LandmarkEstimate
 from homeward.frames import Pose
-from homeward.vision import Equirectangular, VisualHoming, compare, look
+from homeward.vision import Equirectangular, VisualHoming, compare, extract
 from homeward.vision.front_end import home_name
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
 
@@ -54,13 +54,13 @@ def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, v
 def test_features_of_a_box_that_was_moved_are_called_moved_after_some_pictures():
     """Not after the first of them, and no other feature that contradicts the motion."""
     room, camera, moved_filter = make_room(6), Equirectangular(), MovedLandmarkFilter()
-    home = look(draw(room, 3.0, 3.0, 0.4), camera)
+    home = extract(draw(room, 3.0, 3.0, 0.4), camera)
     low, high, texture = room.boxes[3]
     away = np.array([0.5 if low[0] < 4 else -0.5, 0.3 if low[1] < 3 else -0.3, 0.0])
     room.boxes[3] = low + away, high + away, texture
     moved, stray = [], set()
     for k in range(4):
-        now = look(draw(room, 3.1 + 0.05 * k, 3.1, 0.9, seed=k), camera)
+        now = extract(draw(room, 3.1 + 0.05 * k, 3.1, 0.9, seed=k), camera)
         seen = compare(home, now, camera)
         moved_filter.add_comparison(seen)
         moved.append(set(seen.home_row[seen.moved].tolist()))

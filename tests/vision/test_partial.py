@@ -14,7 +14,7 @@ from homeward.simulation.render.loop import panorama_of
 from homeward.simulation.render.room.presets import load_room
 from homeward.vision.cameras.panoramic import PartialPanorama
 from homeward.vision.comparison import compare
-from homeward.vision.features.detection import look
+from homeward.vision.features.detection import extract
 from homeward.vision.recorded.recording import see_recording
 
 LENSES = {
@@ -68,7 +68,7 @@ def test_two_pictures_tell_how_the_camera_turned_and_went(lens):
     eye = Eye(room(lens))
     camera, robot = panorama_of(eye), Pose(0.1, 0.2, 0.15)
     home, now = (
-        look(camera.panorama(picture), camera, camera.seen)
+        extract(camera.panorama(picture), camera, camera.seen)
         for picture in (eye.home_picture(), eye.look(0.0, robot, 1))
     )
     seen = compare(home, now, camera)

@@ -12,7 +12,7 @@ from vision_scene import make_room
 cv2 = pytest.importorskip("cv2")
 
 from homeward.errors import InputError  # noqa: E402
-from homeward.vision import Equirectangular, compare, look  # noqa: E402
+from homeward.vision import Equirectangular, compare, extract  # noqa: E402
 from homeward.vision.cameras.image_files import read_grey  # noqa: E402
 from homeward.vision.cameras.panoramic import Cylindrical  # noqa: E402
 from homeward.vision.checks.camera_settings import better_settings  # noqa: E402
@@ -149,7 +149,7 @@ def pair():
 
 
 def said_against(pictures, camera=CAMERA):
-    views = tuple(look(picture, camera) for picture in pictures)
+    views = tuple(extract(picture, camera) for picture in pictures)
     return better_settings(compare(*views, camera), tuple(pictures), views, camera)
 
 

@@ -11,7 +11,7 @@ from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, TURN, WIDTH, on_robot
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.vision import Mask, compare, look
+from homeward.vision import Mask, compare, extract
 from homeward.vision.checks.self_occlusion import SelfOcclusionDetector, find_self_occlusion
 
 STEP = 0.2
@@ -27,7 +27,7 @@ def frame(k, seed=7, steps=1.0):
 def told(frames, headings, mask=None):
     along = SelfOcclusionDetector()
     for image, heading in zip(frames, headings, strict=True):
-        along.see(look(image, CAMERA, mask), heading)
+        along.see(extract(image, CAMERA, mask), heading)
     return along.found
 
 
@@ -64,7 +64,7 @@ def test_without_a_turn_nothing_is_known():
 
 
 def between(*images, mask=None):
-    home, now = (look(image, CAMERA, mask) for image in images)
+    home, now = (extract(image, CAMERA, mask) for image in images)
     return find_self_occlusion(compare(home, now, CAMERA), CAMERA)
 
 

@@ -15,7 +15,7 @@ from vision_scene import make_room
 from homeward.angles import wrap
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.room.presets import room
-from homeward.vision import Equirectangular, compare, look
+from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.match_propagation import thinned
 from homeward.vision.features.self_similarity import self_similar
 from homeward.vision.geometry.a_contrario import assess, assess_unrepeated
@@ -32,7 +32,7 @@ def seen_in(name, seed):
     camera = made.camera.model_copy(update={"width": 2048, "height": 512})
     eye = Eye(made.model_copy(update={"camera": camera}))
     start = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-    home, now = (look(p, CAMERA) for p in (eye.home_picture(), eye.look(0.0, start, 1)))
+    home, now = (extract(p, CAMERA) for p in (eye.home_picture(), eye.look(0.0, start, 1)))
     return start.heading, home, now
 
 
@@ -76,7 +76,7 @@ def painted(at, times):
 
 
 def test_a_ceiling_recurs_where_its_painting_does():
-    view = look(draw(painted(2.8, 4), 4.0, 3.0, 0.3, width=1024, height=512), CAMERA)
+    view = extract(draw(painted(2.8, 4), 4.0, 3.0, 0.3, width=1024, height=512), CAMERA)
     overhead = thinned(np.flatnonzero(view.elevation > np.radians(40)), 50)
     assert len(overhead) == 50
     assert self_similar(view, overhead, CAMERA).mean() > 0.8
@@ -85,14 +85,14 @@ def test_a_ceiling_recurs_where_its_painting_does():
 def test_a_painted_floor_alone_is_known_again_where_it_is_painted_but_once():
     floor = painted(0.0, 1)
     places = (3.0, 3.0, 0.4), (3.6, 3.1, 1.4)
-    home, now = (look(draw(floor, *p, width=1024, height=512), CAMERA) for p in places)
+    home, now = (extract(draw(floor, *p, width=1024, height=512), CAMERA) for p in places)
     seen = compare(home, now, CAMERA)
     assert seen.accepted, seen.acceptance.reason
     assert abs(wrap(seen.heading - 1.0)) < 0.02
 
 
 def test_nothing_to_ask_and_nothing_to_compare_with():
-    plain = look(np.full((128, 512), 90, np.uint8), CAMERA)
+    plain = extract(np.full((128, 512), 90, np.uint8), CAMERA)
     assert self_similar(plain, np.zeros(0, int), CAMERA).shape == (0,)
 
 

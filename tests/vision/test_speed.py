@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from homeward.vision import Equirectangular, look
+from homeward.vision import Equirectangular, extract
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library's memory")
@@ -18,7 +18,7 @@ def test_memory_is_not_taken_anew_for_every_image():
     pages = []
     for _ in range(4):
         before = getrusage(RUSAGE_SELF).ru_minflt
-        look(image, Equirectangular())
+        extract(image, Equirectangular())
         pages.append(getrusage(RUSAGE_SELF).ru_minflt - before)
     # Pyramids are some 180 MB.
     assert min(pages) < 1000, pages

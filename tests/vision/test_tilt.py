@@ -11,7 +11,7 @@ from homeward.frames import Pose
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.loop import panorama_of
 from homeward.simulation.render.room.presets import room
-from homeward.vision import Equirectangular, compare, look
+from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.front_end import PROVEN, FrontEnd
 from homeward.vision.geometry.epipolar import Motion
 from homeward.vision.geometry.tilt import AS_HOME, Tilt
@@ -70,7 +70,7 @@ def test_bearings_of_shaken_pictures_are_those_of_level_ones(jitter):
     camera = made.camera.model_copy(update={"tilt_sigma": jitter})
     eye = Eye(made.model_copy(update={"camera": camera}))
     known = panorama_of(eye)
-    front_end = FrontEnd(look(eye.home_picture(), known), known)
+    front_end = FrontEnd(extract(eye.home_picture(), known), known)
     off = []
     for k in range(PROVEN + 3):
         alpha = 0.2 * k
@@ -93,7 +93,9 @@ def test_a_tilted_pair_tells_its_tilt_as_well_as_it_says():
         camera = made.camera.model_copy(update={"tilt_sigma": JITTER})
         eye = Eye(made.model_copy(update={"camera": camera}))
         robot = made.start.in_home_frame(made.home.pose)
-        views = [look(p, panorama_of(eye)) for p in (eye.home_picture(), eye.look(0.0, robot, 1))]
+        views = [
+            extract(p, panorama_of(eye)) for p in (eye.home_picture(), eye.look(0.0, robot, 1))
+        ]
         seen = compare(*views, Equirectangular(tilt_sigma=JITTER))
         assert seen.accepted
         whole = eye.home_view.rotation.T @ eye.view(robot, 1).rotation

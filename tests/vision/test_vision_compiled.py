@@ -7,7 +7,7 @@ pytest.importorskip("cv2")
 
 from vision_scene import align_features
 
-from homeward.vision import Equirectangular, compare, look
+from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.compiled import compiled
 from homeward.vision.features.patch_alignment import Pyramid
 from homeward.vision.geometry.epipolar import Pairs, residuals
@@ -120,7 +120,7 @@ def test_motions_without_matches_stay_where_they_are(both):
 def test_comparisons_are_alike(both):
     rng = np.random.default_rng(2)
     image = blots(rng, (128, 512))
-    views = [look(np.roll(image, shift, axis=1), Equirectangular()) for shift in (0, 40)]
+    views = [extract(np.roll(image, shift, axis=1), Equirectangular()) for shift in (0, 40)]
     native, plain = both(compare, *views, Equirectangular())
     assert native.accepted
     assert plain.accepted

@@ -19,11 +19,11 @@ from homeward.report.output import whole_folder
 from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
 from homeward.report.words import count, listing
 from homeward.vision.comparison import Comparison
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 
 Images = tuple[np.ndarray, np.ndarray]
 """Panoramas at home and now, uint8 (height, width)."""
-Views = tuple[View, View]
+Views = tuple[Features, Features]
 RESULT, MATCHES, PICTURE = "comparison.json", "matches.csv", "comparison.png"
 MOST_LINES = 60
 """Matches joined by a line in the picture: more hide the images."""
@@ -35,8 +35,8 @@ def describe(seen: Comparison) -> str:
         return f"No answer: {seen.acceptance.reason}."
     heading = f"Heading change: {_turn(seen.heading)} +- {_deg(seen.heading_sigma)}."
     if seen.knows_direction:
-        home = f"Home lies {_turn(seen.homewards)} of the camera's axis"
-        home += f" +- {_deg(seen.homewards_sigma)}."
+        home = f"Home lies {_turn(seen.home_direction)} of the camera's axis"
+        home += f" +- {_deg(seen.home_direction_sigma)}."
     else:
         home = "The direction home is not known: home is too near, or too few features agree."
     text = f"{heading} {home} {seen.acceptance.reason[0].upper()}{seen.acceptance.reason[1:]}."
@@ -76,8 +76,8 @@ def as_dict(seen: Comparison) -> dict[str, object]:
         values |= {"heading_change_rad": seen.heading, "heading_sigma_rad": seen.heading_sigma}
     if seen.knows_direction:
         values |= {
-            "direction_home_rad": seen.homewards,
-            "direction_home_sigma_rad": seen.homewards_sigma,
+            "direction_home_rad": seen.home_direction,
+            "direction_home_sigma_rad": seen.home_direction_sigma,
             "direction_from_home_rad": seen.direction,
             "direction_from_home_sigma_rad": seen.direction_sigma,
         }
@@ -143,10 +143,10 @@ def _draw_matches(
         axes.plot(x[:, some], y[:, some], color=colour, linewidth=0.4, alpha=0.6)
 
 
-def _mark_home(axes: Axes, seen: Comparison, now: View, top: float) -> None:
+def _mark_home(axes: Axes, seen: Comparison, now: Features, top: float) -> None:
     """Mark where home lies in the panorama now."""
     height, width = now.shape
-    column = (now.axis - seen.homewards / (2 * math.pi)) * width % width
+    column = (now.axis - seen.home_direction / (2 * math.pi)) * width % width
     axes.plot([column, column], [top - 0.5, top + height - 0.5], color=VERMILLION, linewidth=0.9)
     axes.text(column, top - 0.02 * height, "home", ha="center", va="bottom", color=VERMILLION)
 

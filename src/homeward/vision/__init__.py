@@ -1,15 +1,15 @@
 """Bearings from panoramic images, and visual homing. It needs the extra `vision` (OpenCV 5).
 
->>> home, now = look(home_image, camera), look(image, camera)
+>>> home, now = extract(home_image, camera), extract(image, camera)
 >>> seen = compare(home, now, camera)
->>> seen.accepted, seen.heading, seen.homewards
+>>> seen.accepted, seen.heading, seen.home_direction
 """
 
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring, find_ring
 from homeward.vision.comparison import Comparison, compare
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming
 from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
@@ -18,15 +18,15 @@ __all__ = [
     "Comparison",
     "Cylindrical",
     "Equirectangular",
+    "Features",
     "FrontEnd",
     "Mask",
     "Panorama",
     "Ring",
     "TagBearings",
     "TagFrontEnd",
-    "View",
     "VisualHoming",
     "compare",
+    "extract",
     "find_ring",
-    "look",
 ]

@@ -11,7 +11,7 @@ from homeward.angles import wrap
 from homeward.one_thread import one_thread
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 from homeward.vision.features.match_propagation import propagate_matches, thinned
 from homeward.vision.features.matching import RATIO, match
 from homeward.vision.features.moved_groups import moved_groups
@@ -108,7 +108,7 @@ class Comparison:
     @property
     def knows_direction(self) -> bool:
         """Whether the direction is known, and not only the heading, as near home."""
-        return self.shows_parallax and self.homewards_sigma < LARGEST_DIRECTION_SIGMA
+        return self.shows_parallax and self.home_direction_sigma < LARGEST_DIRECTION_SIGMA
 
     @property
     def shows_parallax(self) -> bool:
@@ -116,19 +116,19 @@ class Comparison:
         return self.accepted and self.parallax > LEAST_PARALLAX
 
     @property
-    def homewards(self) -> float:
+    def home_direction(self) -> float:
         """Direction of home from the camera's axis now [rad]; NaN when not accepted."""
         return float(wrap(self.direction + np.pi - self.heading))
 
     @property
-    def homewards_sigma(self) -> float:
+    def home_direction_sigma(self) -> float:
         """Its standard deviation [rad]."""
         away = np.array([1.0, -1.0])
         return float(np.sqrt(away @ self.covariance @ away)) if self.accepted else math.inf
 
 
 @one_thread()
-def compare(home: View, now: View, camera: Panorama) -> Comparison:
+def compare(home: Features, now: Features, camera: Panorama) -> Comparison:
     """Compare two views; in a second pass, where the first leaves the answer open.
 
     The second pass matches each feature only where it can lie by the heading of the first, so that
@@ -136,8 +136,8 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
 
     Parameters
     ----------
-    home, now : View
-        From `look`.
+    home, now : Features
+        From `extract`.
     camera : Panorama
         That took both.
 
@@ -153,58 +153,60 @@ def compare(home: View, now: View, camera: Panorama) -> Comparison:
         return seen
     again = compare_once(home, now, camera, seen.motion.alpha)
     confirmed = again.accepted and abs(wrap(again.heading - seen.motion.alpha)) < APART
-    return again if confirmed and again.homewards_sigma < seen.homewards_sigma else seen
+    return again if confirmed and again.home_direction_sigma < seen.home_direction_sigma else seen
 
 
 def compare_once(
-    home: View, now: View, camera: Panorama, heading: float | None = None
+    home: Features, now: Features, camera: Panorama, heading: float | None = None
 ) -> Comparison:
     """Compare two views in one pass; `heading` [rad] is that of now, where one is given."""
-    rows, pairs, laid, quality = _paired(home, now, camera, heading)
+    rows, pairs, alignment, quality = _aligned_matches(home, now, camera, heading)
     i, j = rows.T
     fit = estimate_motion(pairs, quality, camera.tilt_sigma)
-    acceptance = _asked(assess(fit, pairs, heading), fit, pairs, home, i, camera, heading)
+    acceptance = _test_self_similarity(
+        assess(fit, pairs, heading), fit, pairs, home, i, camera, heading
+    )
     agrees, moved = np.zeros((2, len(pairs)), bool)
-    spread = np.full((4, 4), np.inf)
+    covariance = np.full((4, 4), np.inf)
     if fit is not None:
         if acceptance.accepted:
             fits = fit.inlier
-            (column, row), there = propagate_matches(home, now, i[fits], laid.rows(fits))
+            (column, row), there = propagate_matches(home, now, i[fits], alignment.rows(fits))
             at_home = np.column_stack(camera.directions(column, row, home.shape))
-            beside = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
-            fit, spread = _sharpened(fit, pairs, beside, camera)
+            propagated = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
+            fit, covariance = _refined(fit, pairs, propagated, camera)
             # Propagated matches may have led to another motion, with fewer inliers.
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
             acceptance = acceptance.reassessed(fit.inlier, pairs)
-            acceptance = _asked(acceptance, fit, pairs, home, i, camera, heading)
+            acceptance = _test_self_similarity(acceptance, fit, pairs, home, i, camera, heading)
             thing = dominant_object(fit, pairs, heading)
-            spread = covariance_factor(thing, fit) * spread
+            covariance = covariance_factor(thing, fit) * covariance
             acceptance = replace(acceptance, reason=explain(acceptance, thing, pairs))
         agrees = fit.inlier
     if acceptance.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
     else:
-        spread = np.full((4, 4), np.inf)
+        covariance = np.full((4, 4), np.inf)
     return Comparison(
         acceptance=acceptance,
         pairs=pairs,
         home_row=i,
         now_row=j,
-        place=laid.place,
+        place=alignment.place,
         agrees=agrees,
         moved=moved,
         motion=None if fit is None else fit.motion,
-        covariance=spread[:2, :2],
-        tilt_covariance=spread[2:, 2:],
+        covariance=covariance[:2, :2],
+        tilt_covariance=covariance[2:, 2:],
         parallax=0.0 if fit is None else fit.parallax,
     )
 
 
-def _asked(
+def _test_self_similarity(
     acceptance: Acceptance,
     fit: Fit | None,
     pairs: Pairs,
-    home: View,
+    home: Features,
     rows: np.ndarray,
     camera: Panorama,
     heading: float | None,
@@ -220,8 +222,8 @@ def _asked(
     return assess_unrepeated(acceptance, fit, pairs, asked, recurs, heading)
 
 
-def _paired(
-    home: View, now: View, camera: Panorama, heading: float | None
+def _aligned_matches(
+    home: Features, now: Features, camera: Panorama, heading: float | None
 ) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
     """Match features: return rows, (n, 2), directions, aligned patches and qualities.
 
@@ -244,11 +246,11 @@ def _paired(
     turn = wrap(now.angle[j] - home.angle[i])
     at_home, at_now = np.hsplit(places[kept], 2)
     begun = similarity(at_now, growth, turn)
-    laid = align_patches(home.pyramid, now.pyramid, at_home, home.size[i], begun)
+    alignment = align_patches(home.pyramid, now.pyramid, at_home, home.size[i], begun)
     directions = np.column_stack([home.azimuth[i], home.elevation[i]])
-    pairs = _pairs(directions, now, laid, np.log(growth), camera)
-    found = laid.found
-    return rows[kept][found], pairs[found], laid.rows(found), quality[kept][found]
+    pairs = _pairs(directions, now, alignment, np.log(growth), camera)
+    found = alignment.found
+    return rows[kept][found], pairs[found], alignment.rows(found), quality[kept][found]
 
 
 def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:
@@ -258,24 +260,27 @@ def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:
 
 
 def _pairs(
-    at_home: np.ndarray, now: View, laid: Alignment, growth: np.ndarray, camera: Panorama
+    at_home: np.ndarray, now: Features, alignment: Alignment, growth: np.ndarray, camera: Panorama
 ) -> Pairs:
     """Return directions at home, (n, 2) [rad], with those of where their patches lie now."""
-    directions, slope = camera.directions_and_slope(laid.column, laid.row, now.shape)
-    return Pairs.of(at_home, directions, slope @ laid.spread @ slope.swapaxes(1, 2), growth)
+    directions, slope = camera.directions_and_slope(alignment.column, alignment.row, now.shape)
+    return Pairs.of(at_home, directions, slope @ alignment.spread @ slope.swapaxes(1, 2), growth)
 
 
-def _sharpened(fit: Fit, pairs: Pairs, beside: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
+def _refined(fit: Fit, pairs: Pairs, propagated: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
     """Fit the motion to matches and propagated ones; return it with its covariance, (4, 4).
 
     Propagated matches err with those they came from: so the covariance of matches alone is blended
     in, and the parallax is theirs. Where matches alone do not know the direction, another motion
     may be right, of which the propagated ones know nothing: then the covariance is that of matches.
     """
-    alone, everything = jackknife_covariance(fit, pairs, camera.tilt_sigma), pairs + beside
+    match_only_covariance, everything = (
+        jackknife_covariance(fit, pairs, camera.tilt_sigma),
+        pairs + propagated,
+    )
     forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, INLIER)
     found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
     together = jackknife_covariance(found, everything, camera.tilt_sigma)
-    share = ALONE if math.sqrt(alone[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
-    spread = share * alone + (1.0 - share) * together
-    return replace(found, parallax=fit.parallax), spread[:4, :4]
+    share = ALONE if math.sqrt(match_only_covariance[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
+    covariance = share * match_only_covariance + (1.0 - share) * together
+    return replace(found, parallax=fit.parallax), covariance[:4, :4]

@@ -16,7 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama, sector_of
 from homeward.vision.comparison import Comparison, compare
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
@@ -38,7 +38,7 @@ NO_LANDMARK = -1
 class Keyframe:
     """A view whose features are landmarks."""
 
-    view: View
+    view: Features
     landmark: np.ndarray
     """(n,) int: number of each feature's landmark, or `NO_LANDMARK`."""
     drift: np.ndarray
@@ -74,7 +74,7 @@ class FrontEnd:
 
     Parameters
     ----------
-    home : View
+    home : Features
         What the camera saw at home; frames are masked as it was.
     camera : Panorama
         That takes the panoramas.
@@ -82,7 +82,7 @@ class FrontEnd:
         How many landmarks at most are passed on from one frame.
     """
 
-    def __init__(self, home: View, camera: Panorama, most: int = 30) -> None:
+    def __init__(self, home: Features, camera: Panorama, most: int = 30) -> None:
         self.home, self.camera, self.most = home, camera, most
         self._keyframes = [Keyframe(home, np.arange(len(home)), np.zeros(len(home)))]
         self._sightings: dict[int, int] = {}
@@ -103,16 +103,16 @@ class FrontEnd:
         return {self._name(i): HomeBearing(*pair) for i, pair in enumerate(pairs)}
 
     def see(self, panorama: np.ndarray) -> FrameBearings:
-        """Take a panorama as `Panorama.panorama` gives it, of any kind that `look` takes.
+        """Take a panorama as `Panorama.panorama` gives it, of any kind that `extract` takes.
 
         Raises
         ------
         InputError
             When it is no picture, or not as large as home's; it is as if it had not been taken.
         """
-        return self.take(look(panorama, self.camera, self.home.mask))
+        return self.take(extract(panorama, self.camera, self.home.mask))
 
-    def take(self, view: View) -> FrameBearings:
+    def take(self, view: Features) -> FrameBearings:
         """Take the next frame of the drive; errors as of `see`."""
         require_like_home(view.shape, self.home.shape)
         landmark = np.full(len(view), NO_LANDMARK)
@@ -155,7 +155,7 @@ class FrontEnd:
             chosen |= {0, self._turn % (last + 1)}
         return sorted(chosen)
 
-    def _compare(self, k: int, view: View, landmark: np.ndarray) -> tuple[Comparison, View]:
+    def _compare(self, k: int, view: Features, landmark: np.ndarray) -> tuple[Comparison, Features]:
         """Compare with a keyframe, and take over its landmarks where they agree.
 
         Returned is also the view with these landmarks where the keyframe's patches lie: from frame
@@ -186,7 +186,7 @@ class FrontEnd:
 
     def _keep_chain(
         self,
-        view: View,
+        view: Features,
         landmark: np.ndarray,
         tilt: Tilt,
         fits: bool,
@@ -211,7 +211,7 @@ class FrontEnd:
         if len(self._keyframes) > MOST_KEYFRAMES:
             del self._keyframes[1]
 
-    def _choose(self, view: View, landmark: np.ndarray) -> np.ndarray:
+    def _choose(self, view: Features, landmark: np.ndarray) -> np.ndarray:
         """Choose the features to pass on: those known longest first, spread over all directions."""
         rows = np.flatnonzero(landmark != NO_LANDMARK)
         _, first = np.unique(landmark[rows], return_index=True)
@@ -243,8 +243,8 @@ class FrontEnd:
 
 
 def _moved_to(
-    view: View, features: np.ndarray, seen: Comparison, matches: np.ndarray, drift: np.ndarray
-) -> View:
+    view: Features, features: np.ndarray, seen: Comparison, matches: np.ndarray, drift: np.ndarray
+) -> Features:
     """Return a view with some of its features where a comparison found them."""
     parts = {k: getattr(view, k).copy() for k in ("column", "row", "azimuth", "elevation", "sigma")}
     parts["column"][features], parts["row"][features] = seen.place[matches].T

@@ -46,12 +46,12 @@ def compare(
     from homeward.vision.checks.seam import require_panoramas
     from homeward.vision.checks.self_occlusion import find_self_occlusion
     from homeward.vision.comparison import compare as compare_views
-    from homeward.vision.features.detection import read_view
+    from homeward.vision.features.detection import read_features
     from homeward.vision.recorded.settings import read_image_settings
 
     settings = read_image_settings(camera)
-    home_image, home_view = read_view(home, settings.panorama, mask=mask or settings.mask)
-    now_image, now_view = read_view(now, settings.panorama, like=home_view)
+    home_image, home_view = read_features(home, settings.panorama, mask=mask or settings.mask)
+    now_image, now_view = read_features(now, settings.panorama, like=home_view)
     if not (force or settings.force):
         require_panoramas([home_image, now_image], settings.panorama)
     check_output(out, RESULT)

@@ -18,7 +18,7 @@ from homeward.simulation.render.eye import Eye
 from homeward.simulation.render.rays.raycast import trace
 from homeward.simulation.render.shading.picture import NOTHING
 from homeward.vision.cameras.panoramic import Panorama, PartialPanorama
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.visual_homing import VisualHoming
 from homeward.vision.tags.front_end import TagFrontEnd
@@ -56,7 +56,7 @@ class ImageLoop:
             self._home = dict(stored)
         elif not blind:
             camera = panorama_of(eye)
-            there = look(camera.panorama(eye.home_picture()), camera, camera.seen)
+            there = extract(camera.panorama(eye.home_picture()), camera, camera.seen)
             self.front_end = FrontEnd(there, camera)
             self._home = self.front_end.all_home_bearings()
 
@@ -121,7 +121,7 @@ def moved_boxes(eye: Eye) -> dict[str, bool]:
     return {name: name in shown for name, box in boxes if box.stood is not None}
 
 
-def things_seen(eye: Eye, home: View) -> list[str]:
+def things_seen(eye: Eye, home: Features) -> list[str]:
     """Return the name of the thing on which each feature of the home view lies."""
     camera, view = eye.scenario.camera, eye.home_view
     surfaces, _ = eye.then.at(eye.scenario.home_time, view)

@@ -25,7 +25,7 @@ from homeward.studies.paper.world import CaseName, World, draw_world, fault_coun
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison, compare
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 
 SIDE = 3.8
 """Length of the room's walls [m]: landmarks are 1 to 2.5 m from home, as in the paper's layout."""
@@ -41,7 +41,7 @@ class Sight:
     camera: Panorama
     home_image: np.ndarray
     """(height, width), grey."""
-    home: View
+    home: Features
     landmarks: np.ndarray
     """(q,), rows of the home view."""
     moved: np.ndarray
@@ -73,7 +73,7 @@ class Sight:
         # A filter that diverged drives anywhere; inside of things nothing is seen.
         if sample % self.every or self.eye.now.blocked(centre.x, centre.y):
             return bearings, seen
-        now = look(self.eye.look(sample * dt, pose, sample + 1), self.camera)
+        now = extract(self.eye.look(sample * dt, pose, sample + 1), self.camera)
         compared = compare(self.home, now, self.camera)
         azimuth = dict(zip(*_matched(compared, now), strict=True))
         for i, row in enumerate(self.landmarks.tolist()):
@@ -118,7 +118,7 @@ def _draw_sight(case: CaseName, settings: PaperSettings, run: int) -> Sight:
     for attempt in range(TRIES):
         eye = Eye(_room(case, settings, (settings.seed * 1000 + run) * TRIES + attempt))
         camera, image = panorama_of(eye), as_grey(eye.home_picture())
-        home, first = look(image, camera), look(eye.look(0.0, start, 1), camera)
+        home, first = extract(image, camera), extract(eye.look(0.0, start, 1), camera)
         moved = _on_moved_boxes(eye, home)
         rows = _choose(compare(home, first, camera), home, moved, q, wanted)
         if rows.size == q and (best is None or moved[rows].sum() > best.moved.sum()):
@@ -146,7 +146,7 @@ def _room(case: CaseName, settings: PaperSettings, seed: int) -> RenderScenario:
     )
 
 
-def _matched(compared: Comparison, now: View) -> tuple[list[int], list[float]]:
+def _matched(compared: Comparison, now: Features) -> tuple[list[int], list[float]]:
     """Return the rows of the home view that were found again, and where [rad]."""
     found = compared.agrees | compared.moved
     if not compared.accepted:
@@ -154,14 +154,16 @@ def _matched(compared: Comparison, now: View) -> tuple[list[int], list[float]]:
     return compared.home_row[found].tolist(), now.azimuth[compared.now_row[found]].tolist()
 
 
-def _on_moved_boxes(eye: Eye, home: View) -> np.ndarray:
+def _on_moved_boxes(eye: Eye, home: Features) -> np.ndarray:
     """Say of each feature of the home view whether it lies on a box that has been moved since."""
     boxes = eye.scenario.boxes
     names = things_seen(eye, home)
     return np.array([n in boxes and boxes[n].stood is not None for n in names], bool)
 
 
-def _choose(compared: Comparison, home: View, moved: np.ndarray, q: int, wanted: int) -> np.ndarray:
+def _choose(
+    compared: Comparison, home: Features, moved: np.ndarray, q: int, wanted: int
+) -> np.ndarray:
     """Choose q features seen again from the start: some on moved boxes, the rest spread out."""
     rows = np.unique(compared.home_row[compared.agrees | compared.moved])
     if not compared.accepted or rows.size < q:
@@ -178,7 +180,7 @@ def _choose(compared: Comparison, home: View, moved: np.ndarray, q: int, wanted:
     return np.sort(chosen)
 
 
-def _places(eye: Eye, home: View, rows: np.ndarray) -> np.ndarray:
+def _places(eye: Eye, home: Features, rows: np.ndarray) -> np.ndarray:
     """Return where landmarks stand during the drive, (q, 2) in the home frame [m]."""
     view = eye.home_view
     surfaces, _ = eye.then.at(eye.scenario.home_time, view)

@@ -13,7 +13,7 @@ from scipy.stats import binom
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.cameras.ring import Ring
 from homeward.vision.comparison import Comparison, compare
-from homeward.vision.features.detection import View, look
+from homeward.vision.features.detection import Features, extract
 from homeward.vision.geometry.a_contrario import (
     LARGEST_LOG_FALSE_ALARMS,
     random_fit_probability,
@@ -33,7 +33,7 @@ epipolar plane by about 0.3 of the parallax: by 3 standard deviations where the 
 def better_settings(
     seen: Comparison,
     pictures: tuple[np.ndarray, np.ndarray],
-    views: tuple[View, View],
+    views: tuple[Features, Features],
     camera: Panorama,
 ) -> str | None:
     """Return in words which other setting suits two panoramas far better.
@@ -44,8 +44,8 @@ def better_settings(
         What came out.
     pictures : tuple of ndarray
         The panoramas at home and now, as `Panorama.panorama` gives them.
-    views : tuple of View
-        What `look` made of them.
+    views : tuple of Features
+        What `extract` made of them.
     camera : Panorama
         As it was told.
 
@@ -55,7 +55,7 @@ def better_settings(
         None where none does.
     """
     if not seen.accepted:
-        flipped = look(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
+        flipped = extract(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
         if compare(views[0], flipped, camera).accepted:
             return "the pictures agree only if one of them is mirrored: mirror it back"
     if isinstance(camera, Ring):
@@ -63,7 +63,7 @@ def better_settings(
     fits, best, most = _matches(seen), None, 0
     for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
-        home, now = (look(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
+        home, now = (extract(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
         gain = _gain(fits, found)
         if gain > most:

@@ -15,7 +15,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 from homeward.vision.features.matching import match
 from homeward.vision.geometry.a_contrario import assess
 from homeward.vision.geometry.ransac import estimate_motion
@@ -61,19 +61,19 @@ class SelfOcclusionDetector:
     """Detects self-occlusion along a drive, the turn being known from odometry."""
 
     def __init__(self) -> None:
-        self._before: deque[tuple[View, float]] = deque(maxlen=FRAMES)
+        self._before: deque[tuple[Features, float]] = deque(maxlen=FRAMES)
         """Frames a turn apart, and the heading of each [rad]."""
         self._elevations: list[np.ndarray] = []
         """Of what lay where it had lain [rad]."""
         self._of_room = 0
         """How many matches lay where they should."""
 
-    def see(self, view: View, heading: float) -> None:
+    def see(self, view: Features, heading: float) -> None:
         """Take the next frame.
 
         Parameters
         ----------
-        view : View
+        view : Features
             Of the frame.
         heading : float
             Of the robot by odometry, from wherever it counts [rad].
@@ -92,7 +92,7 @@ class SelfOcclusionDetector:
         elevation = np.concatenate([np.empty(0), *self._elevations])
         return _told(elevation, self._of_room)
 
-    def _compare(self, before: View, now: View, turned: float) -> None:
+    def _compare(self, before: Features, now: Features, turned: float) -> None:
         """Count what lies where it lay, and what lies where it should after a turn [rad]."""
         i, j = match(before.descriptor, now.descriptor)[0].T
         then, here = (

@@ -34,7 +34,7 @@ CORNER_LEAST = 0.01
 
 
 @dataclass(frozen=True)
-class View:
+class Features:
     """The features of one panorama, and its image pyramid. All arrays have n rows."""
 
     shape: tuple[int, int]
@@ -101,7 +101,7 @@ class View:
         return np.insert(place[inside], 2, CORNER_SIZE / times, axis=1)
 
 
-def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
+def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Features:
     """Find the features of a panorama.
 
     Parameters
@@ -132,7 +132,7 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     column, row, size, angle, descriptor = found
     azimuth, elevation = camera.directions(column, row, (height, width))
     sigma = pixel_sigma(size) * camera.column_angle(width)
-    return View(
+    return Features(
         (height, width),
         camera.axis,
         column,
@@ -148,12 +148,12 @@ def look(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> View:
     )
 
 
-def read_view(
+def read_features(
     path: Path,
     camera: Panorama,
-    like: View | None = None,
+    like: Features | None = None,
     mask: Path | None = None,
-) -> tuple[np.ndarray, View]:
+) -> tuple[np.ndarray, Features]:
     """Read an image, and find its features.
 
     Parameters
@@ -162,7 +162,7 @@ def read_view(
         As in `read_grey`.
     camera : Panorama
         That took it.
-    like : View, optional
+    like : Features, optional
         Of home: the panorama must have the same size and is masked as that was.
     mask : Path, optional
         Of home's picture, see `read_mask`.
@@ -170,7 +170,7 @@ def read_view(
     Returns
     -------
     panorama : ndarray of uint8, shape (height, width)
-    view : View
+    view : Features
 
     Raises
     ------
@@ -185,7 +185,7 @@ def read_view(
     masked = like.mask if like is not None else camera.seen
     if mask is not None:
         masked = read_mask(mask, camera, grey.shape)
-    return panorama, look(panorama, camera, masked)
+    return panorama, extract(panorama, camera, masked)
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:

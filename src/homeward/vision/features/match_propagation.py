@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 from homeward.vision.features.patch_alignment import STEPS, Alignment, align_patches, radius_of
 
 NEAR = 4.0
@@ -36,13 +36,13 @@ MOST_GROWTH = 10.0
 
 
 def propagate_matches(
-    home: View, now: View, known: np.ndarray, laid: Alignment
+    home: Features, now: Features, known: np.ndarray, laid: Alignment
 ) -> tuple[np.ndarray, Alignment]:
     """Align patches of home that lie beside matched features.
 
     Parameters
     ----------
-    home, now : View
+    home, now : Features
         The two panoramas.
     known : ndarray of int, shape (n,)
         Features of home that were matched.
@@ -76,7 +76,7 @@ def thinned(rows: np.ndarray, most: int) -> np.ndarray:
 
 
 def _beside(
-    home: View, now: View, others: np.ndarray, guides: np.ndarray, laid: Alignment
+    home: Features, now: Features, others: np.ndarray, guides: np.ndarray, laid: Alignment
 ) -> tuple[np.ndarray, Alignment]:
     """Return those of other patches that lie where a guide's map takes them, and where that is."""
     at_home, size = np.split(home.patches[0], [2], axis=1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 
 NEAR = 0.35
 """Largest angle between two features of one object [rad]."""
@@ -22,12 +22,14 @@ FEWEST = 4
 """Least number of matches that share one similarity."""
 
 
-def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+def moved_groups(
+    home: Features, now: Features, rows: np.ndarray, candidates: np.ndarray
+) -> np.ndarray:
     """Return which matches lie on objects that were moved.
 
     Parameters
     ----------
-    home, now : View
+    home, now : Features
         The two panoramas.
     rows : ndarray of int, shape (n, 2)
         Matched features of each.
@@ -64,7 +66,7 @@ def moved_groups(home: View, now: View, rows: np.ndarray, candidates: np.ndarray
     return moved
 
 
-def _offsets(view: View, rows: np.ndarray) -> np.ndarray:
+def _offsets(view: Features, rows: np.ndarray) -> np.ndarray:
     """Return from each feature (row) to each (column) the way in the image, x + iy [rad]."""
     scale = 2 * np.pi / view.shape[1]
     x, y = view.column[rows] * scale, view.row[rows] * scale
@@ -72,5 +74,5 @@ def _offsets(view: View, rows: np.ndarray) -> np.ndarray:
     return np.asarray(dx + 1j * (y[None, :] - y[:, None]))
 
 
-def _angular(view: View, pixels: np.ndarray) -> np.ndarray:
+def _angular(view: Features, pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels * 2 * np.pi / view.shape[1])

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.features.detection import View
+from homeward.vision.features.detection import Features
 from homeward.vision.features.match_propagation import LEAST_LIKENESS, MOST_GROWTH, thinned
 from homeward.vision.features.moved_groups import SCALE
 from homeward.vision.features.patch_alignment import STEPS, align_patches, areas, radius_of
@@ -25,12 +25,12 @@ APART = 1.5
 """Least distance of another feature, in radii of the patch: nothing recurs on itself."""
 
 
-def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+def self_similar(view: Features, rows: np.ndarray, camera: Panorama) -> np.ndarray:
     """Return which features are self-similar: seen elsewhere on their level plane, too.
 
     Parameters
     ----------
-    view : View
+    view : Features
         One panorama.
     rows : ndarray of int, shape (n,)
         Features of it.
@@ -50,7 +50,7 @@ def self_similar(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
     return found
 
 
-def _recur(view: View, rows: np.ndarray, others: np.ndarray, camera: Panorama) -> np.ndarray:
+def _recur(view: Features, rows: np.ndarray, others: np.ndarray, camera: Panorama) -> np.ndarray:
     """Return which of the rows, (n,), show what is seen at one of the others, (m,), too."""
     maps = _scale(view, others, camera) @ np.linalg.inv(_scale(view, rows, camera))[:, None]
     area = areas(maps.reshape(-1, 2, 2)).reshape(maps.shape[:2])
@@ -70,7 +70,7 @@ def _recur(view: View, rows: np.ndarray, others: np.ndarray, camera: Panorama) -
     return np.bincount(one[like], minlength=len(rows)) > 0
 
 
-def _scale(view: View, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+def _scale(view: Features, rows: np.ndarray, camera: Panorama) -> np.ndarray:
     """Return how features move with a step on their level plane, (n, 2, 2) [px by its height]."""
     directions, slope = camera.directions_and_slope(view.column[rows], view.row[rows], view.shape)
     azimuth, elevation = directions.T

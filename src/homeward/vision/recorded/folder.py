@@ -29,7 +29,7 @@ from homeward.vision.checks.camera_settings import better_settings
 from homeward.vision.checks.seam import require_panoramas
 from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDetector
 from homeward.vision.comparison import Comparison
-from homeward.vision.features.detection import read_view
+from homeward.vision.features.detection import read_features
 from homeward.vision.front_end import FrameBearings, FrontEnd
 from homeward.vision.homing.moved_landmark_filter import LASTING
 from homeward.vision.recorded.estimator import ImageDrive
@@ -90,7 +90,7 @@ def see_folder(
     blind = drive_beside(folder, images.t, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
-    picture, home = read_view(place, camera, mask=settings.mask)
+    picture, home = read_features(place, camera, mask=settings.mask)
     if camera.seen is None and not (force or settings.force):
         with speaking_of(folder):
             some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
@@ -197,7 +197,7 @@ def _check_camera_settings(
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
     like = [pair for pair in tried if pair[1].accepted][:1]
     for file, seen in like or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
-        picture, view = read_view(file, front_end.camera, like=front_end.home)
+        picture, view = read_features(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
         if words := better_settings(seen, (home, picture), views, front_end.camera):
             return {f"pair of pictures, home and {file.name}, suggests other settings: {words}": 1}
@@ -213,7 +213,7 @@ def _look_at_all(
     """Return what each image shows, and what turned with the camera; headings are by odometry."""
     glances, along = [], SelfOcclusionDetector()
     for k, (file, heading) in enumerate(zip(files, headings.tolist(), strict=True)):
-        _, view = read_view(file, front_end.camera, like=front_end.home)
+        _, view = read_features(file, front_end.camera, like=front_end.home)
         glances.append(front_end.take(view))
         along.see(view, heading)
         if progress is not None:
