@@ -4,7 +4,7 @@
 way points once in the warehouse of `benchmarks.places`, on the first drive of a new place, then
 moves 0, 10, 30 and 50 % of its 40 landmarks (half of them by 0.3 to 2 m, half anywhere) and drives
 it again: steered by the localiser in the place; by odometry alone, from the true pose; and from
-home to home, one each 2 m, by the bearings of each alone: the paper's A-EKF and law with a right
+home to home, one each 2 m, by the bearings of each alone: the paper's A-EKF with a right
 prior, and the law of Tron and Daniilidis with a right compass. And with the place, 30 % moved:
 pushed off by 1.5 m on the way, and begun elsewhere. Nothing is tuned to it.
 """

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control.goals import BearingGoal, Belief, PointGoal
 from homeward.control.laws import law_named
 from homeward.drives.drive import HomeBearing, Start
 from homeward.estimator import Counts, Estimate, Status
@@ -19,17 +20,16 @@ from homeward.registry import make_estimator
 from homeward.simulation.live_robot import LiveRobot
 from homeward.simulation.scenario import Homing, Scenario
 from homeward.simulation.sensing import Camera
-from homeward.simulation.trajectories import BearingControl, Control, HomingControl
+from homeward.simulation.trajectories import Control, GoalControl, exact, limits_of
 from homeward.simulation.world import build_world
 
 APART = 2.0
-"""Homes on the way are so far apart [m]: the paper's law turns at 1 rad/s, and wants to begin well
-above the speed times that away."""
+"""Homes on the way are so far apart [m]."""
 FIXED = 3
 """A home that sees fewer landmarks than fix a pose is none."""
 LEG_S = 60.0
 """A home that is not reached so long after the one before is never reached [s]."""
-AGAIN = Homing(speed=0.4, slowing=1.5, stop_radius=0.1, max_turn_rate=1.0, landmark_distance=4.0)
+AGAIN = Homing(speed=0.4, stop_radius=0.1, landmark_distance=4.0, drives_unlocalised=True)
 
 
 class DeadReckoning:
@@ -100,7 +100,7 @@ def from_home_to_home(
     homes : list of StoredHome
         Those on the way.
     by : str
-        a-ekf, the paper's filter and law; or a law by bearings, with a compass that is right.
+        a-ekf, the paper's filter; or a law by bearings, with a compass that is right.
 
     Returns
     -------
@@ -132,21 +132,23 @@ class _Leg:
     end: Pose
     """Where the robot believes it is."""
 
-    def believes(self) -> tuple[Pose | None, Mapping[str, float]]:
-        """Sense; return the pose in the frame of home, and directions there."""
+    def believes(self) -> Belief:
+        """Sense; return the estimate in the frame of home."""
         raise NotImplementedError
 
     def drive(self) -> bool:
         """Drive a step; return whether home is not reached yet."""
-        pose, seen = self.believes()
-        twist = self.control.twist(self.robot.t, pose, True, seen)
+        belief = self.believes()
+        twist = self.control.twist(self.robot.t, belief)
         self.robot.command(twist or Twist(0.0, 0.0), hold=2 * self.robot.period)
         return twist is not None
 
 
 class _filtered(_Leg):
     def __init__(self, robot: LiveRobot, home: StoredHome, believed: Pose, by: str) -> None:
-        super().__init__(robot, home, HomingControl(AGAIN, exact=False), believed)
+        super().__init__(
+            robot, home, GoalControl(PointGoal("home", 0.0, 0.0), limits_of(AGAIN)), believed
+        )
         there = to_polar(between(home.pose, believed))
         start = Start(
             R=max(float(there.R), 0.05),
@@ -161,35 +163,37 @@ class _filtered(_Leg):
         drive = dataclasses.replace(robot.drive, home=stored, settings=told)
         self._estimator = make_estimator(by, drive, {"engine": "interpreter"})
 
-    def believes(self) -> tuple[Pose | None, Mapping[str, float]]:
+    def believes(self) -> Belief:
         """See `_Leg`."""
         sensed = self.robot.step()
         self._estimator.odometry(sensed.t, *sensed.twist)
         if sensed.seen:
             self._estimator.bearings(sensed.t, sensed.seen)
-        pose = self._estimator.estimate(self.robot.t).pose
+        estimate = self._estimator.estimate(self.robot.t)
+        pose = estimate.pose
         if pose is not None:
             x, y, heading = self.home.pose
             c, s = math.cos(heading), math.sin(heading)
             self.end = Pose(
                 x + c * pose.x - s * pose.y, y + s * pose.x + c * pose.y, heading + pose.heading
             )
-        return pose, {}
+        return Belief(Status.LOCALISED, pose, estimate.covariance)
 
 
 class _faced(_Leg):
     def __init__(self, robot: LiveRobot, home: StoredHome, believed: Pose, by: str) -> None:
         slope = law_named(by)
         assert slope is not None
-        control = BearingControl(AGAIN, slope, home.seen)
+        goal = BearingGoal(slope, home.seen, AGAIN.landmark_distance)
+        control = GoalControl(goal, limits_of(AGAIN))
         super().__init__(robot, home, control, believed)
         self._seen: dict[str, float] = {}
 
-    def believes(self) -> tuple[Pose | None, Mapping[str, float]]:
+    def believes(self) -> Belief:
         """See `_Leg`."""
         looked = self.robot.pose.heading - self.home.pose.heading
         sensed = self.robot.step()
         if sensed.seen is not None:
             self._seen = {n: float(wrap(b + looked)) for n, b in sensed.seen.items()}
         compass = float(wrap(self.robot.pose.heading - self.home.pose.heading))
-        return Pose(0.0, 0.0, compass), self._seen
+        return exact(Pose(0.0, 0.0, compass), self._seen)

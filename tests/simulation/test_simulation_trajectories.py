@@ -5,6 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from homeward.control.goals import STAND, Belief, PointGoal
+from homeward.control.limits import Limits
+from homeward.estimator import Status
 from homeward.frames import Pose, Twist, advance
 from homeward.simulation.course import Ending
 from homeward.simulation.files import WAREHOUSE, load_scenario
@@ -15,8 +18,10 @@ from homeward.simulation.trajectories import (
     LOOKAHEAD,
     LOOKS_PER_ROUND,
     SEARCH_RADIUS,
-    SLOWEST,
+    STANDS_S,
     TURN_ACCELERATION,
+    GoalControl,
+    exact,
     make_control,
 )
 
@@ -99,33 +104,45 @@ def test_the_warehouse_robot_keeps_off_the_shelves():
         assert roomy.free(home.x + c * x - s * y, home.y + s * x + c * y)
 
 
-def test_without_a_pose_the_robot_drives_an_arc():
-    control = make_control(load_scenario("paper-homing"), Pose(1.0, 0.0, 0.0))
-    twist = control.twist(0.0, None)
+LOST = Belief(Status.WAITING, None, None)
+START = Pose(1.0, 0.0, math.pi)
+
+
+def homing(changes=None):
+    plain = {"trajectory.law": "lyapunov"}
+    return make_control(load_scenario("paper-homing", plain | (changes or {})), START)
+
+
+def drives(control, t, pose):
+    """Whether it speeds up; the first command of a drive is to stand."""
+    return [control.twist(t + dt, exact(pose)).v > 0.0 for dt in (0.0, 0.05)][-1]
+
+
+@pytest.mark.parametrize("law", ["paper", "lyapunov"])
+def test_without_a_pose_the_robot_drives_an_arc(law):
+    twist = homing({"trajectory.law": law}).twist(0.0, LOST)
     assert twist.v == 0.125
     assert twist.v / twist.omega == pytest.approx(SEARCH_RADIUS)
-    control = make_control(WAREHOUSE, Pose(1.0, 0.0, 0.0))
-    twist = [control.twist(t, None) for t in (0.0, 0.1, 2.0)][-1]
-    assert twist.v / twist.omega == pytest.approx(SEARCH_RADIUS)
 
 
-def test_the_search_widens_after_some_circles_and_begins_anew_after_a_pose():
-    control = make_control(load_scenario("paper-homing"), Pose(1.0, 0.0, 0.0))
+def test_the_search_widens_after_some_circles_and_begins_again_after_a_pose():
+    control = homing()
     around = 2 * math.pi * SEARCH_RADIUS / 0.125
     for t, wider in ((0.0, 1), (2.99, 1), (3.01, 2), (8.99, 2), (9.01, 4), (21.01, 8)):
-        assert control.twist(t * around, None).omega == pytest.approx(0.125 / SEARCH_RADIUS / wider)
-    control.twist(22.0 * around, Pose(1.0, 0.0, 0.0))
-    assert control.twist(23.0 * around, None).omega == pytest.approx(0.125 / SEARCH_RADIUS)
+        assert control.twist(t * around, LOST).omega == pytest.approx(0.125 / SEARCH_RADIUS / wider)
+    control.twist(22.0 * around, exact(Pose(1.0, 0.0, 0.0)))
+    assert control.twist(22.0 * around + 0.5 * STANDS_S, LOST) == STAND
+    assert control.twist(23.0 * around, LOST).omega == pytest.approx(0.125 / SEARCH_RADIUS)
 
 
-NARROW = {"estimator": "robust", "visibility.field_of_view": 1.2, "trajectory.slowing": 2.0}
+NARROW = {"estimator": "robust", "visibility.field_of_view": 1.2}
 
 
 def test_a_narrow_camera_looks_round_from_three_places_of_the_circle():
-    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, 0.0))
+    control = homing(NARROW)
     pose, looked, dt = Pose(0.0, 0.0, 0.0), [0.0], 0.05
     for step in range(round(90.0 / dt)):
-        twist = control.twist(step * dt, None)
+        twist = control.twist(step * dt, LOST)
         if twist.v == 0.0:
             looked[-1] += twist.omega * dt
         elif looked[-1]:
@@ -136,26 +153,21 @@ def test_a_narrow_camera_looks_round_from_three_places_of_the_circle():
     # One round of three looks, and back where it began.
     drive_s = 2.0 * math.pi * SEARCH_RADIUS / 0.125
     round_s = drive_s + 3 * 2.0 * math.pi / LOOK_RATE
-    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, 0.0))
-    pose = Pose(0.0, 0.0, 0.0)
+    control, pose = homing(NARROW), Pose(0.0, 0.0, 0.0)
     for step in range(round(round_s / dt)):
-        pose = advance(pose, control.twist(step * dt, None), dt)
+        pose = advance(pose, control.twist(step * dt, LOST), dt)
     assert math.hypot(pose.x, pose.y) < 0.05
 
 
 def test_a_narrow_camera_looks_round_once_at_home_before_it_stops():
-    control = make_control(load_scenario("paper-homing", NARROW), Pose(1.0, 0.0, math.pi))
-    there = Pose(0.03, 0.0, math.pi)
-    assert control.twist(0.0, Pose(0.5, 0.0, math.pi)).v > 0.0
+    control, there = homing(NARROW), exact(Pose(0.03, 0.0, math.pi))
+    assert drives(control, 0.0, Pose(0.5, 0.0, math.pi))
     assert control.twist(1.0, there) == Twist(0.0, LOOK_RATE)
     look_s = 2.0 * math.pi / LOOK_RATE
     assert control.twist(0.9 + look_s, there) == Twist(0.0, LOOK_RATE)
-    assert control.twist(1.1 + look_s, Pose(0.2, 0.0, math.pi)).v > 0.0  # the look told better
+    assert drives(control, 1.1 + look_s, Pose(0.2, 0.0, math.pi))
     assert control.twist(9.0 + look_s, there) is None
-    unsure = control.twist(10.0 + look_s, Pose(0.5, 0.0, math.pi), sure=False)
-    assert unsure == Twist(0.0, LOOK_RATE)  # wherever that is
-    truth = make_control(load_scenario("paper-homing", {"visibility.field_of_view": 1.2}), there)
-    assert truth.twist(0.0, there) is None
+    assert homing(NARROW | {"estimator": "truth"}).twist(0.0, there) is None
 
 
 def test_a_drive_may_begin_with_a_turn_on_the_spot():
@@ -173,35 +185,45 @@ def test_a_point_behind_is_turned_to_as_hard_as_allowed():
     start = scenario.start.in_home_frame(scenario.home.pose)
     away = Pose(start.x, start.y, start.heading + math.pi)
     control = make_control(scenario, start)
-    assert abs(control.twist(0.1, away).omega) == pytest.approx(0.1 * TURN_ACCELERATION)
-    assert abs(control.twist(5.0, away).omega) == 0.7
+    assert abs(control.twist(0.1, exact(away)).omega) == pytest.approx(0.1 * TURN_ACCELERATION)
+    assert abs(control.twist(5.0, exact(away)).omega) == 0.7
 
 
-def test_homing_by_an_estimate_goes_on_to_the_nearest_point_and_stops_only_when_sure():
-    start = Pose(1.0, 0.0, math.pi)
-    by_estimate = make_control(load_scenario("paper-homing", {"estimator": "ekf"}), start)
-    distances = [0.2, 0.04, 0.03, 0.02, 0.022, 0.04]
-    stopped = [by_estimate.twist(t, Pose(d, 0.0, math.pi)) is None for t, d in enumerate(distances)]
-    assert stopped == [False, False, False, False, False, True]
-    unsure = by_estimate.twist(9.0, Pose(0.03, 0.0, math.pi), sure=False)
-    assert unsure.v / unsure.omega == pytest.approx(SEARCH_RADIUS)
-    by_truth = make_control(load_scenario("paper-homing"), start)
-    assert by_truth.twist(0.0, Pose(0.04, 0.0, math.pi)) is None
+def test_unlocalised_at_home_it_has_not_arrived_and_searches():
+    control, there = homing({"estimator": "ekf"}), Pose(0.03, 0.0, math.pi)
+    unsure = Belief(Status.UNVERIFIED, there, np.zeros((3, 3)))
+    assert drives(control, 0.0, Pose(0.2, 0.0, math.pi))
+    assert control.twist(0.2, unsure) == STAND
+    searching = control.twist(0.3 + STANDS_S, unsure)
+    assert searching.v / searching.omega == pytest.approx(SEARCH_RADIUS)
+    assert control.twist(0.4 + STANDS_S, exact(there)) is None
 
 
-def test_a_robot_told_to_slow_down_comes_to_home_itself():
-    plain = {"estimator": "truth", "seed": 2}
-    slow = {"trajectory.slowing": 2.0, "trajectory.stop_radius": 0.005}
-    simulation = simulate(load_scenario("paper-homing", plain | slow))
-    assert simulation.ending is Ending.DONE
-    assert simulation.final_distance < 0.005
-    control = make_control(load_scenario("paper-homing", slow), Pose(1.0, 0.0, math.pi))
-    speeds = [control.twist(t, Pose(d, 0.0, math.pi)).v for t, d in enumerate([1.0, 0.1, 0.006])]
-    assert speeds == pytest.approx([0.125, 0.05, SLOWEST * 0.125])
+@pytest.mark.parametrize(
+    ("changes", "drives_on"),
+    [
+        ({}, False),
+        ({"trajectory.drives_unlocalised": True}, True),
+        ({"trajectory.law": "paper"}, True),
+    ],
+)
+def test_by_a_pose_that_is_not_localised_only_those_drive_that_are_told_to(changes, drives_on):
+    control, belief = homing(changes), Belief(Status.UNVERIFIED, START, np.eye(3))
+    twists = [control.twist(t, belief) for t in (0.0, 0.05, 0.1)]
+    towards_home = abs(twists[-1].omega) < 1e-9
+    assert towards_home == drives_on
 
 
-def test_a_slow_robot_stops_at_the_first_sure_pose_within_its_radius():
-    changes = {"estimator": "ekf", "trajectory.slowing": 2.0}
-    control = make_control(load_scenario("paper-homing", changes), Pose(1.0, 0.0, math.pi))
-    assert control.twist(0.0, Pose(0.04, 0.0, math.pi), sure=False) is not None
-    assert control.twist(0.1, Pose(0.04, 0.0, math.pi)) is None
+def test_where_something_is_in_the_way_it_stands_and_does_not_search():
+    goal, limits = PointGoal("home", 0.0, 0.0), Limits(patience=math.inf)
+    control = GoalControl(goal, limits, blocked=(1.0, 9.0))
+    assert drives(control, 0.5, START)
+    assert [control.twist(t, LOST) for t in (1.0, 4.0, 8.9)] == [STAND] * 3
+    assert drives(control, 9.1, START)
+
+
+def test_way_points_by_an_estimate_are_driven_as_a_route():
+    changes = {"estimator": "robust", "trajectory.duration": 30.0}
+    scenario = load_scenario("warehouse", changes)
+    control = make_control(scenario, scenario.start.in_home_frame(scenario.home.pose))
+    assert isinstance(control, GoalControl)

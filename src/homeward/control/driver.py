@@ -47,7 +47,7 @@ class Driver:
     def go(self, now: float, goal: Goal | None = None) -> None:
         """Begin to drive; without a goal as soon as `aim` is given one."""
         self._goal = self._controller = None
-        self._twist, self._sure, self.value = STAND, -math.inf, None
+        self._twist, self._sure, self.value, self._last = STAND, -math.inf, None, now
         self._enter(State.HELD, "", now)
         self.aim(goal)
 

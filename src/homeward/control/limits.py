@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field
@@ -38,7 +39,8 @@ class Limits(Strict):
 
     def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
         """Return the twist nearest to the wanted one that is reached from the last in `dt` [s]."""
-        dv, domega = (max(a * dt, 0.0) for a in (self.acceleration, self.turn_acceleration))
+        limits = self.acceleration, self.turn_acceleration
+        dv, domega = (a if math.isinf(a) else a * dt for a in limits)
         return Twist(
             max(last.v - dv, min(last.v + dv, wanted.v)),
             max(last.omega - domega, min(last.omega + domega, wanted.omega)),

@@ -30,7 +30,7 @@ from homeward.live.messages import (
 )
 from homeward.live.server import HELLO_S, Address
 from homeward.simulation.live_robot import STAND, LiveRobot
-from homeward.simulation.trajectories import Control, Search
+from homeward.simulation.trajectories import Control, Search, exact
 
 LOOKS_ROUND_S = 8.0
 """It drives in circles for so long at least, and until it is localised [s]."""
@@ -118,7 +118,7 @@ class Player:
         if not self._asked and not self._turning:
             self.robot.command(self._search.twist(self.robot.t), hold=1.0)
         elif self._driven is not None and not self._stored:
-            twist = self._driven.twist(self.robot.t, self.robot.pose)
+            twist = self._driven.twist(self.robot.t, exact(self.robot.pose))
             self.robot.command(twist or STAND, hold=1.0)
             if twist is None:
                 self._stored = True

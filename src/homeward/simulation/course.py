@@ -99,7 +99,7 @@ def drive_course(
     for step, (t, until) in enumerate(zip_longest(odometry, odometry[1:])):
         if progress is not None and step % STEPS_PER_TELLING == 0:
             progress(t / course.trajectory.duration)
-        twist = control.twist(t, *log.believed(t, pose), log.seen)
+        twist = control.twist(t, log.believed(t, pose))
         if twist is None or until is None:
             break
         log.odometry(t, wheels.measure(twist))

@@ -9,10 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.control.goals import Belief
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
-from homeward.estimator import Estimate, Estimator, Status
+from homeward.estimator import Estimate, Estimator
 from homeward.frames import Pose, Twist
 from homeward.simulation.scenario import Course
+from homeward.simulation.trajectories import exact
 from homeward.simulation.world import Stream, generator, quantise
 
 
@@ -56,12 +58,12 @@ class Log:
         self.last_words = ""
         """Why the robot gave up."""
 
-    def believed(self, t: float, true: Pose) -> tuple[Pose | None, bool]:
-        """Return the pose that steers, the estimator's or the truth, and whether it is sure."""
+    def believed(self, t: float, true: Pose) -> Belief:
+        """Return the estimate that steers: the estimator's, or the truth."""
         if self._estimator is None:
-            return true, True
+            return exact(true, self.seen)
         estimate = self._estimator.estimate(t)
-        return estimate.pose, estimate.status in (Status.LOCALISED, Status.COASTING)
+        return Belief(estimate.status, estimate.pose, estimate.covariance, self.seen)
 
     def odometry(self, t: float, twist: Twist) -> None:
         """Log a measured twist."""
@@ -83,7 +85,7 @@ class Log:
         if self.estimates and self.estimates[-1].t == t:
             pose = self.estimates[-1].pose  # it has just answered
         else:
-            pose, _ = self.believed(t, true)
+            pose = self.believed(t, true).pose
         if pose is not None:
             turn = self._yaw + pose.heading
             self.seen = {i: float(wrap(b + turn)) for i, b in self._latest.items()}

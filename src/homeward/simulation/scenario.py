@@ -231,22 +231,22 @@ class Homing(Trajectory):
     """Drive home by a homing law."""
 
     kind: Literal["homing"] = "homing"
-    law: str = "paper"
-    """paper: turn by the error, at constant speed; lyapunov: down the squared distance, with a
-    proof; both need a pose. By bearings and a compass (the heading of the pose) alone: alv, the
-    average landmark vector; tron, the squared angles of Tron and Daniilidis; or one of another
-    package, ``package.module:function`` or an entry point of homeward.laws."""
-    max_turn_rate: Positive = math.pi
+    law: str = "lyapunov"
+    """lyapunov: down the squared distance, with a proof, as `homeward live` drives; paper: turn by
+    the error, at constant speed, without limits of acceleration and certainty. Both need a pose. By
+    bearings and a compass (the heading of the pose) alone: alv, the average landmark vector; tron,
+    the squared angles of Tron and Daniilidis; or one of another package,
+    ``package.module:function`` or an entry point of homeward.laws."""
+    max_turn_rate: Positive = 1.0
     """[rad/s]"""
     landmark_distance: Positive = 1.5
     """About how far landmarks are from home [m]; laws that see no distance tell by it where they
     are near enough to stop."""
     stop_radius: Positive = STOP_RADIUS
-    """The drive ends where the robot believes itself within this distance of home [m], and, steered
-    by an estimator, surely so and, at constant speed, as near as it gets."""
-    slowing: NonNegative = 0.0
-    """Near home the speed is at most the distance divided by this [s]; 0: constant, as the paper
-    has it."""
+    """The drive ends where the robot is localised within this distance of home [m]."""
+    drives_unlocalised: bool = False
+    """Whether the robot drives by any pose; else it searches while it is not localised, or less
+    certain than the limits of `homeward live` demand. The paper's law always does."""
 
 
 class Circle(Trajectory):

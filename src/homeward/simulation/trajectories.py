@@ -1,26 +1,31 @@
-"""Ways to drive: from the time and the pose believed to a command, until the drive is done."""
+"""Control of a simulated robot: from the time and its estimate to a command, until it is done.
+
+A robot with a goal is driven by `homeward.control`, as a real one is; only what it does without a
+pose, a search, and drives that follow a script on the true pose are made here.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Protocol, assert_never
 
 import numpy as np
 
-from homeward.control.following import COAST_S, Follower, Path, State
-from homeward.control.laws import Slope, homing, law_named, steer, way_home
+from homeward.control.driver import Driver
+from homeward.control.following import Path
+from homeward.control.goals import UNSEEN, BearingGoal, Belief, Goal, PointGoal, RouteGoal, State
+from homeward.control.laws import law_named
+from homeward.control.limits import Limits
+from homeward.control.watchdog import Fault
 from homeward.errors import InputError
-from homeward.frames import Polar, Pose, Twist, bearing, between, to_polar
+from homeward.estimator import Status
+from homeward.frames import Pose, Twist, bearing, between
 from homeward.simulation.repeating import place_of
 from homeward.simulation.scenario import ByPoints, Circle, Course, Homing, Repeat, Teach, Waypoints
 
 Command = Twist | None
 """None where the drive is done."""
-Seen = Mapping[str, float]
-"""Id to direction in the home frame [rad] of what was seen last."""
-UNSEEN: Seen = MappingProxyType({})
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 SAME_CIRCLES = 3
@@ -32,14 +37,10 @@ LOOK_RATE = 0.6
 """At so much [rad/s]: in 10 s."""
 LOOKS_PER_ROUND = 3
 """From three places of a circle each landmark is seen from a base that is broad enough."""
-PAST_NEAREST = 0.005
-"""So much farther from home than at its nearest, an estimated pose has passed it [m]."""
-SLOWEST = 0.03
-"""Near home the speed falls to no less than this share of it."""
-LOOKS_S = 2.0
-"""One that stands without a pose looks round for so long before it searches [s]."""
+STANDS_S = 2.0
+"""A robot that loses its pose on the way stands for so long before it searches [s]."""
 LOOKAHEAD = 0.4
-"""The point on the line that the robot steers at is so far ahead [m]."""
+"""The point on the line that a scripted drive steers at is so far ahead [m]."""
 TURN_ACCELERATION = 1.0
 """Between way points the turn rate changes at most so fast [rad/s^2]."""
 LINE_STEP = 0.01
@@ -48,57 +49,73 @@ LONGEST_LINE = 1e5
 """[m]; its points are all held in memory."""
 
 
+def exact(pose: Pose, seen: Mapping[str, float] = UNSEEN) -> Belief:
+    """Return the belief of a robot that is given its true pose."""
+    return Belief(Status.LOCALISED, pose, np.zeros((3, 3)), seen)
+
+
 class Control(Protocol):
-    """Steers one drive."""
+    """Control of one drive."""
 
     gave_up: str = ""
     """Why, where it gave up."""
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
-        """Return the command.
-
-        Parameters
-        ----------
-        t : float
-            Now [s], later than at the call before.
-        pose : Pose or None
-            Where the robot believes it is in the home frame; None when it does not know.
-        sure : bool
-            Whether that pose is one to rely on.
-        seen : Seen
-            What was seen last.
-        """
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command at `t` [s], later than at the call before, in the home frame."""
 
 
 def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None = None) -> Control:
-    """Return what steers the drive of a scenario that begins at `start` in the home frame.
+    """Return the control of a scenario's drive that begins at `start` in the home frame.
 
     `home` has the home bearings [rad] by their ids.
     """
-    control = _make_control(scenario, start, home)
+    control = _make_control(scenario, start, home or {})
     spin = scenario.trajectory.spin
     return SpinFirst(spin, control) if spin else control
 
 
-def _make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None) -> Control:
+def _make_control(scenario: Course, start: Pose, home: Mapping[str, float]) -> Control:
+    truly = scenario.estimator == "truth"
     match scenario.trajectory:
-        case Homing() as trajectory if slope := law_named(trajectory.law):
-            return BearingControl(trajectory, slope, home or {})
-        case Homing() as trajectory:
-            return HomingControl(trajectory, scenario.estimator == "truth", scenario.view)
-        case Circle() as trajectory:
-            return CircleControl(trajectory)
-        case Waypoints() as trajectory:
-            return WaypointControl(trajectory, _line(trajectory, scenario.home.pose, start))
-        case Teach() as trajectory:
-            corners = _corners(trajectory, scenario.home.pose, start)
-            stops = [(i, None, trajectory.dwell, str(i)) for i in range(1, len(corners))]
-            return PathControl(trajectory, Path(corners, stops), True, scenario.view)
-        case Repeat() as trajectory:
-            path = place_of(trajectory).route(trajectory.route).path
-            return PathControl(trajectory, path, scenario.estimator == "truth", scenario.view)
+        case Homing() as drive:
+            looks = scenario.view < NARROW and not truly
+            return GoalControl(homing_goal(drive, home), limits_of(drive), scenario.view, looks)
+        case Circle() as drive:
+            return CircleControl(drive)
+        case Waypoints() as drive if truly:
+            return LineControl(drive, _line(drive, scenario.home.pose, start))
+        case Waypoints() | Teach() as drive:
+            corners = _corners(drive, scenario.home.pose, start)
+            dwell = drive.dwell if isinstance(drive, Teach) else None
+            stops = (
+                [] if dwell is None else [(i, None, dwell, str(i)) for i in range(1, len(corners))]
+            )
+            goal = RouteGoal("the way", Path(corners, stops))
+            return GoalControl(goal, limits_of(drive), scenario.view)
+        case Repeat() as drive:
+            goal = RouteGoal(drive.route, place_of(drive).route(drive.route).path)
+            return GoalControl(goal, limits_of(drive), scenario.view, blocked=drive.blocked)
         case other:
             assert_never(other)
+
+
+def homing_goal(drive: Homing, home: Mapping[str, float]) -> Goal:
+    """Return home as the goal of a drive, by its law; `home` has the home bearings [rad]."""
+    if slope := law_named(drive.law):
+        return BearingGoal(slope, home, drive.landmark_distance)
+    return PointGoal("home", 0.0, 0.0, law="paper" if drive.law == "paper" else "lyapunov")
+
+
+def limits_of(drive: Homing | Teach | Repeat | Waypoints) -> Limits:
+    """Return a robot's limits, with what a drive gives; the paper's robot has no others."""
+    given = {"speed": drive.speed, "turn_rate": drive.max_turn_rate, "patience": math.inf}
+    if isinstance(drive, Homing | Waypoints):
+        given["radius"] = drive.stop_radius
+    if isinstance(drive, Homing) and (drive.law == "paper" or drive.drives_unlocalised):
+        given |= {"coast": math.inf, "largest_sigma": math.inf}
+    if isinstance(drive, Homing) and drive.law == "paper":
+        given |= {"acceleration": math.inf, "turn_acceleration": math.inf}
+    return Limits(**given)
 
 
 class SpinFirst(Control):
@@ -107,11 +124,11 @@ class SpinFirst(Control):
     def __init__(self, rate: float, then: Control) -> None:
         self._rate, self._then, self._turns_s = rate, then, math.tau / abs(rate)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
+    def twist(self, t: float, belief: Belief) -> Command:
         """Return the command; see `Control`."""
         if t < self._turns_s + 1.0:
             return Twist(0.0, self._rate if t < self._turns_s else 0.0)
-        twist = self._then.twist(t, pose, sure, seen)
+        twist = self._then.twist(t, belief)
         self.gave_up = self._then.gave_up
         return twist
 
@@ -144,82 +161,65 @@ class Search:
         self._since = None
 
 
-class HomingControl(Control):
-    """The paper's homing law, until the robot believes itself at home.
-
-    A pose that is estimated is off by something like the stop radius: with one the robot goes on
-    inside that radius for as long as it gets nearer, unless it has slowed down, and it stops only
-    when it is sure. With a narrow camera it looks round there once, for what home saw behind it,
-    and wherever it is unsure.
-    """
-
-    def __init__(self, trajectory: Homing, exact: bool, view: float = math.tau) -> None:
-        self._trajectory, self._exact = trajectory, exact
-        self._nearest = math.inf
-        self._search = Search(trajectory.speed, view)
-        self._look_s = math.tau / LOOK_RATE if view < NARROW and not exact else 0.0
-        self._home_since: float | None = None
-
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
-        """Return the command; see `Control`."""
-        if pose is None or (self._look_s and not sure):
-            return self._search.twist(t)
-        polar = to_polar(pose)
-        arrived = self._trajectory.stop_radius > polar.R
-        if self._home_since is None and sure and arrived:
-            self._home_since = t
-        if self._home_since is not None and t < self._home_since + self._look_s:
-            return Twist(0.0, LOOK_RATE)
-        if not arrived:
-            self._nearest = math.inf
-        elif not sure:
-            return self._search.twist(t)
-        elif self._exact or self._trajectory.slowing or self._nearest + PAST_NEAREST < polar.R:
-            return None
-        else:
-            self._nearest = min(self._nearest, float(polar.R))
-        self._search.end()
-        most = self._trajectory.max_turn_rate
-        if self._trajectory.law == "lyapunov":
-            return steer(-pose.x, -pose.y, pose.heading, self._speed(polar), most)
-        v, omega = map(float, homing(polar, self._speed(polar)))
-        return Twist(v, max(-most, min(most, omega)))
-
-    def _speed(self, polar: Polar) -> float:
-        """Return how fast to drive: slowly near home, if so told, for the law turns at 1 rad/s."""
-        speed, slowing = self._trajectory.speed, self._trajectory.slowing
-        if not slowing:
-            return speed
-        return max(min(speed, float(polar.R) / slowing), SLOWEST * speed)
-
-
-class BearingControl(Control):
-    """A homing law by bearings and a compass alone, until the way home is short; no memory.
+class GoalControl(Control):
+    """The driver of `homeward.control`, and a search where it stands for want of a pose.
 
     Parameters
     ----------
-    trajectory : Homing
-        Speed, and how near is home.
-    slope : callable
-        Of `homeward.control.laws.LAWS`.
-    home : mapping of str to float
-        Home bearings [rad] by their ids.
+    goal : Goal
+        In the home frame.
+    limits : Limits
+        Of the driver.
+    view : float
+        Of the camera [rad].
+    looks_round : bool
+        Whether the robot looks round once where it arrives, for what home saw behind it, and goes
+        on from there.
+    blocked : (float, float), optional
+        When something is in the way [s].
     """
 
-    def __init__(self, trajectory: Homing, slope: Slope, home: Mapping[str, float]) -> None:
-        self._trajectory, self._slope, self._home = trajectory, slope, home
-        self._search = Search(trajectory.speed)
+    def __init__(
+        self,
+        goal: Goal,
+        limits: Limits,
+        view: float = math.tau,
+        looks_round: bool = False,
+        blocked: tuple[float, float] | None = None,
+    ) -> None:
+        self.driver, self._goal = Driver(limits), goal
+        self._search = Search(limits.speed, view)
+        self._blocked = blocked or (math.inf, math.inf)
+        self._looks_round, self._looks_until = looks_round, -math.inf
+        self._lost_since: float | None = None
+        self._has_driven = False
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
+    def twist(self, t: float, belief: Belief) -> Command:
         """Return the command; see `Control`."""
-        drive = self._trajectory
-        way = way_home(self._slope, seen, self._home, drive.landmark_distance)
-        if pose is None or way is None:
-            return self._search.twist(t)
-        self._search.end()
-        if math.hypot(*way) < drive.stop_radius:
+        driver = self.driver
+        if t < self._looks_until:
+            return Twist(0.0, LOOK_RATE)
+        if driver.state is State.IDLE:
+            driver.go(t, self._goal)
+        begin, end = self._blocked
+        faults = (Fault("blocked"),) if begin <= t < end else ()
+        twist = driver.command(t, belief, faults)
+        if driver.state is State.ARRIVED and self._looks_round:
+            self._looks_round, self._looks_until = False, t + math.tau / LOOK_RATE
+            driver.go(t, self._goal)
+            return Twist(0.0, LOOK_RATE)
+        if not driver.active:
+            self.gave_up = driver.reason if driver.state is State.FAILED else ""
             return None
-        return steer(*way, pose.heading, drive.speed, drive.max_turn_rate)
+        if driver.state is not State.HELD or not driver.is_lost:
+            self._lost_since = None
+            self._has_driven = self._has_driven or driver.state is State.DRIVING
+            self._search.end()
+            return twist
+        if self._lost_since is None:
+            self._lost_since = t
+        stands = self._has_driven and t < self._lost_since + STANDS_S
+        return twist if stands else self._search.twist(t)
 
 
 class CircleControl(Control):
@@ -228,35 +228,26 @@ class CircleControl(Control):
     def __init__(self, trajectory: Circle) -> None:
         self._twist = Twist(trajectory.speed, trajectory.omega)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
+    def twist(self, t: float, belief: Belief) -> Command:
         """Return the command; see `Control`."""
         return self._twist
 
 
-class WaypointControl(Control):
-    """Pure pursuit of a line: the arc through a point on it that runs ahead of the robot.
-
-    References
-    ----------
-    Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm", CMU-RI-TR-92-01.
-    """
+class LineControl(Control):
+    """Script of a drive along a line, at constant speed, by the true pose; no robot runs it."""
 
     def __init__(self, trajectory: Waypoints, line: np.ndarray) -> None:
         self._trajectory, self._line, self._aim = trajectory, line, 0
         self._last_t, self._last_omega = 0.0, 0.0
-        self._search = Search(trajectory.speed)
 
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
+    def twist(self, t: float, belief: Belief) -> Command:
         """Return the command; see `Control`."""
-        if pose is None:
-            wanted = self._search.twist(t).omega
-        else:
-            self._search.end()
-            distance = self._aim_ahead_of(pose)
-            error = float(bearing(pose, *self._line[self._aim]))
-            if self._is_done(error, distance):
-                return None
-            wanted = self._turn_rate(error, distance)
+        assert belief.pose is not None
+        distance = self._aim_ahead_of(belief.pose)
+        error = float(bearing(belief.pose, *self._line[self._aim]))
+        if self._is_done(error, distance):
+            return None
+        wanted = self._turn_rate(error, distance)
         change = TURN_ACCELERATION * (t - self._last_t)
         omega = max(self._last_omega - change, min(self._last_omega + change, wanted))
         self._last_t, self._last_omega = t, omega
@@ -284,44 +275,6 @@ class WaypointControl(Control):
         if abs(error) > math.pi / 2:
             return math.copysign(most, error)
         return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
-
-
-class PathControl(Control):
-    """Follows a path; where the pose is lost for long it is looked for on circles.
-
-    Parameters
-    ----------
-    trajectory : Teach or Repeat
-        Speed, turn rate, and when something is in the way.
-    path : Path
-        In the home frame.
-    exact : bool
-        Whether the pose is the truth, which needs no landmark in sight.
-    view : float
-        Of the camera [rad].
-    """
-
-    def __init__(self, trajectory: Teach | Repeat, path: Path, exact: bool, view: float) -> None:
-        self._follower = Follower(path, trajectory.speed, trajectory.max_turn_rate)
-        self._blocked = trajectory.blocked if isinstance(trajectory, Repeat) else None
-        self._exact, self._sure_at = exact, -math.inf
-        self._search = Search(trajectory.speed, view)
-
-    def twist(self, t: float, pose: Pose | None, sure: bool = True, seen: Seen = UNSEEN) -> Command:
-        """Return the command; see `Control`."""
-        begin, end = self._blocked or (math.inf, math.inf)
-        blocked, sure = begin <= t < end, sure and (self._exact or bool(seen))
-        twist = self._follower.twist(t, pose, sure, blocked)
-        if self._follower.over:
-            failed = self._follower.state is State.FAILED
-            self.gave_up = self._follower.reason if failed else ""
-            return None
-        if sure or self._sure_at == -math.inf:
-            self._sure_at = t
-        if blocked or t - self._sure_at < COAST_S + LOOKS_S:
-            self._search.end()
-            return twist
-        return self._search.twist(t)
 
 
 def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:

@@ -50,11 +50,6 @@ class Rival:
         except HomewardError as error:
             self.failure = str(error)
 
-    @property
-    def sure(self) -> bool:
-        """Whether its pose is one to rely on."""
-        return self.estimate.status in (Status.LOCALISED, Status.COASTING)
-
     def feed(self, t: float, twist: Twist, seen: Mapping[str, float] | None) -> None:
         """Take what was sensed at `t` [s]: odometry, and bearings where the camera looked."""
         if self.failure is not None:

@@ -6,18 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 
 from homeward.angles import wrap
-from homeward.frames import Pose, Twist
+from homeward.control.goals import Belief
+from homeward.frames import Twist
 from homeward.simulation.live_robot import STAND, LiveRobot
 from homeward.simulation.scenario import Homing, Scenario
-from homeward.simulation.trajectories import Control, make_control
+from homeward.simulation.trajectories import Control, exact, make_control
 from homeward.studio.messages import Keys, Steer
 from homeward.studio.rival import Rival
 from homeward.studio.scenes import with_start
 
 KEYS_HOLD_S, KEYS_TURN = 0.4, 1.0
 """Keys that are not said again for so long are let go [s]; they turn so fast [rad/s]."""
-SLOWING_S, LAW_TURN = 2.0, 1.0
-"""A law slows down so long before home [s], and turns so fast at most [rad/s]."""
 
 
 class Steering:
@@ -37,9 +36,7 @@ class Steering:
         now, home = with_start(self._scenario, self._robot.pose), self._robot.drive.home_bearings()
         drive = now.trajectory
         if asked.by == "law":
-            drive = Homing(
-                law=asked.law, speed=drive.speed, slowing=SLOWING_S, max_turn_rate=LAW_TURN
-            )
+            drive = Homing(law=asked.law, speed=drive.speed)
         now = now.model_copy(update={"trajectory": drive, "estimator": asked.believing})
         return make_control(now, self._robot.pose, home)
 
@@ -53,17 +50,19 @@ class Steering:
         t = self._robot.t
         if self._control is None:
             return self._keys if self.asked.by == "keys" and t < self._keys_until else STAND
-        pose, sure = self._believed(rivals)
-        turn = self._scenario.sensor.yaw + (0.0 if pose is None else pose.heading)
-        faced = {} if pose is None else {i: float(wrap(b + turn)) for i, b in seen.items()}
-        twist = self._control.twist(t, pose, sure, faced)
+        belief = self._believed(rivals)
+        if belief.pose is not None:
+            turn = self._scenario.sensor.yaw + belief.pose.heading
+            belief = belief._replace(seen={i: float(wrap(b + turn)) for i, b in seen.items()})
+        twist = self._control.twist(t, belief)
         if twist is None:
             self._control, self.done = None, True
         return twist or STAND
 
-    def _believed(self, rivals: Sequence[Rival]) -> tuple[Pose | None, bool]:
-        """Return the pose that steers, and whether it is one to rely on."""
+    def _believed(self, rivals: Sequence[Rival]) -> Belief:
+        """Return the estimate that steers."""
         for rival in rivals:
             if rival.name == self.asked.believing:
-                return rival.estimate.pose, rival.sure
-        return self._robot.pose, True
+                estimate = rival.estimate
+                return Belief(estimate.status, estimate.pose, estimate.covariance)
+        return exact(self._robot.pose)

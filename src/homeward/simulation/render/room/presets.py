@@ -28,10 +28,8 @@ HOME_FREE = 0.6
 """Home is so far from every wall [m]."""
 SPEED = 0.15
 """[m/s]"""
-SLOWING = 2.0
-"""The robot comes to home with this time constant [s] ..."""
 STOP_RADIUS = 0.005
-"""... and is there within this distance [m]."""
+"""The robot is home within this distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,9 @@ def room(
         odometry=OdometryErrors(
             speed_sigma=0.005, turn_sigma=0.005, speed_scale_sigma=0.005, turn_scale_sigma=0.01
         ),
-        trajectory=Homing(speed=SPEED, duration=120.0, slowing=SLOWING, stop_radius=STOP_RADIUS),
+        trajectory=Homing(
+            speed=SPEED, duration=120.0, stop_radius=STOP_RADIUS, drives_unlocalised=True
+        ),
     )
 
 
