@@ -157,7 +157,7 @@ class Lost:
 def test_one_that_never_knows_where_it_is_looks_round_and_gives_up(hall):
     made = simulate(scenario(hall), Lost())
     assert made.ending is Ending.GAVE_UP
-    assert "no pose to rely on" in made.reason
+    assert "lost, no pose" in made.reason
     truth = made.drive.truth
     assert np.hypot(truth.x, truth.y).max() < 1.5
     assert np.ptp(truth.x) > 0.9  # on circles, for the parallax
@@ -196,7 +196,7 @@ def test_a_hand_teaches_from_point_to_point_and_waits_there(hall):
     truth = simulate(taught).drive.truth
     poses = np.column_stack([truth.x, truth.y, truth.heading])
     ((row, dwell),) = stands(truth.t, poses)
-    assert dwell == pytest.approx(4.0, abs=0.8)
+    assert dwell == pytest.approx(4.0, abs=1.2)  # it starts and stops slowly
     assert poses[row, :2] == pytest.approx((2.5, 0.0), abs=0.04)
     assert poses[-1, :2] == pytest.approx((2.5, 2.0), abs=0.04)
 
