@@ -112,7 +112,7 @@ def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
 def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
     out = tmp_path / "out"
     ekf = ["--estimator", "ekf"]
-    result = call("run", short, "--start", "truth", "--out", out)
+    result = call("run", short, "--start", "truth", "--out", out, page=True)
     assert "taken from the truth" in result.stdout
     assert "taken from the truth" in (out / "report.html").read_text()
     # Without a prior in drive.yaml the truth is all there is to start from.
