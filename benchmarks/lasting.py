@@ -9,33 +9,26 @@ sigma, of the last three quarters of a drive, as medians over the seeds; NEES's 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from benchmarks.consistency.trial import random_way
+from benchmarks import monte_carlo
+from benchmarks.consistency.trial import wandering
+from benchmarks.monte_carlo import Run
 from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
 from homeward.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.scoring import errors
-from homeward.simulation.scenario import (
-    Noise,
-    OdometryErrors,
-    Rates,
-    Ring,
-    Scenario,
-    StartPose,
-    Visibility,
-    Waypoints,
-)
+from homeward.simulation.scenario import Noise, OdometryErrors, Rates, Ring, Scenario, Visibility
 from homeward.simulation.simulate import Simulation, simulate
-from homeward.track import Track, run
+from homeward.track import Track
+from homeward.track import run as follow
 
 ODOMETRY = OdometryErrors(speed_sigma=0.005, turn_sigma=0.005)
 WHITE = math.radians(0.4)
@@ -76,20 +69,20 @@ SLIP_M, TURN_SCALE, LAG_S = 0.09, 1.06, 0.2
 
 def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
     """Return a random way among landmarks, of white noise."""
-    points, direction = random_way([seed, 7], 260 if narrow else 80, 0.3, 2.5)
-    return Scenario(
-        name="lasting",
-        seed=seed,
+    view = math.radians(60.0 if narrow else 240.0)
+    return wandering(
+        seed,
+        7,
+        260 if narrow else 80,
+        (0.3, 2.5),
+        speed=0.25,
+        seconds=1800.0 if narrow else 460.0,
         landmarks=Ring(count=17, distance=(1.5, 4.5)),
-        visibility=Visibility(
-            probability=0.8, field_of_view=math.radians(60.0 if narrow else 240.0)
-        ),
+        visibility=Visibility(probability=0.8, field_of_view=view),
         noise=Noise(bearing_sigma=WHITE, home_sigma=WHITE),
         rates=Rates(odometry=20.0, bearings=5.0 if narrow else 10.0, truth=10.0),
         odometry=ODOMETRY,
         sensor=mount,
-        start=StartPose(x=points[0][0], y=points[0][1], heading=direction, prior=False),
-        trajectory=Waypoints(speed=0.25, duration=1800.0 if narrow else 460.0, points=points[1:]),
     )
 
 
@@ -197,46 +190,31 @@ def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
     }
 
 
-def rows(
-    names: list[str], seeds: range, final: bool
-) -> Iterator[tuple[str, int, dict[str, float]]]:
-    """Run all; give name, seed and figures of each."""
-    for name in names:
-        for seed in seeds:
-            drive, whole = drive_of(name, seed)
-            if final:
-                track = smooth(drive)
-            else:
-                robot = drive.settings.robot
-                track = run(drive, Localizer(drive.home, **robot))
-            yield name, seed, figures(track, drive, whole)
+def measured(final: bool, run: Run) -> dict[str, float]:
+    """Return the figures of one run."""
+    drive, whole = drive_of(run.scenario, run.seed)
+    if final:
+        return figures(smooth(drive), drive, whole)
+    return figures(follow(drive, Localizer(drive.home, **drive.settings.robot)), drive, whole)
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
     every = [*ALL_ROUND, *NARROW]
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first", type=int, default=0)
+    parser = monte_carlo.parser(__doc__, seeds=3, keep=True)
     parser.add_argument("--only", nargs="+", choices=every, default=every)
     parser.add_argument("--smooth", action="store_true")
-    parser.add_argument("--each", action="store_true")
     given = parser.parse_args()
-    seeds = range(given.first, given.first + given.seeds)
+    runs = monte_carlo.grid(given.only, ["robust"], range(given.first, given.first + given.seeds))
+    function = partial(measured, given.smooth)
+    found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
     columns = ("scale", "rmse", "nees", "beyond", "inside", "pose", "nis")
     print(f"{'':20}" + "".join(f"{c:>9}" for c in columns) + "    worst nees")
-    found: dict[str, list[dict[str, float]]] = {}
-    for name, seed, one in rows(given.only, seeds, given.smooth):
-        found.setdefault(name, []).append(one)
-        if given.each:
-            print(
-                f"  {name} {seed}: " + " ".join(f"{c} {one.get(c, math.nan):.3f}" for c in columns),
-                flush=True,
-            )
-        if seed == seeds[-1]:
-            of = {c: np.array([one.get(c, math.nan) for one in found[name]]) for c in columns}
-            line = "".join(f"{np.nanmedian(of[c]):9.3f}" for c in columns)
-            print(f"{name:20}{line}{np.nanmax(of['nees']):12.2f}", flush=True)
+    for name in given.only:
+        each = [one for run, one in found.items() if run.scenario == name]
+        of = {c: monte_carlo.column(each, c) for c in columns}
+        line = "".join(f"{np.nanmedian(of[c]):9.3f}" for c in columns)
+        print(f"{name:20}{line}{np.nanmax(of['nees']):12.2f}")
 
 
 if __name__ == "__main__":

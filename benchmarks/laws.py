@@ -7,15 +7,16 @@ pose have that of the robust localiser, which is told a start prior of 5 cm and 
 
 from __future__ import annotations
 
-import argparse
 import math
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from benchmarks import monte_carlo
+from benchmarks.monte_carlo import Run
 from homeward.control.laws import LAWS, STOP_RADIUS
 from homeward.registry import make_estimator
+from homeward.report.tables import markdown
 from homeward.simulation.files import load_scenario
 from homeward.simulation.simulate import prepare, simulate
 
@@ -35,8 +36,9 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 BASE = {"moved.count": 0, "noise.bearing_sigma": 0.02, "trajectory.duration": 90}
 
 
-def one(law: str, condition: str, seed: int) -> tuple[float, float]:
+def measured(run: Run) -> dict[str, float]:
     """Return the true distance from home at the end [m], and path length over the straight one."""
+    condition, law, seed = run
     rng = np.random.default_rng([seed, 7])
     theta, alpha = rng.uniform(-math.pi, math.pi, 2).tolist()
     start = {"start.theta": theta, "start.alpha": alpha}
@@ -49,32 +51,32 @@ def one(law: str, condition: str, seed: int) -> tuple[float, float]:
     truth = simulation.drive.truth
     assert truth is not None
     path = float(np.hypot(np.diff(truth.x), np.diff(truth.y)).sum())
-    return simulation.final_distance, path / float(np.hypot(truth.x[0], truth.y[0]))
+    straight = float(np.hypot(truth.x[0], truth.y[0]))
+    return {"end": simulation.final_distance, "path": path / straight}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = monte_carlo.parser(__doc__, keep=True)
     parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
-    arguments = parser.parse_args()
-    laws = arguments.laws
+    given = parser.parse_args()
+    runs = monte_carlo.grid(list(CONDITIONS), given.laws, range(given.runs))
+    found = monte_carlo.run_all(measured, runs, given.jobs, given.keep)
     print(
-        f"{arguments.runs} runs each; home: share that truly ends within {HOME_M:g} m of it; median"
+        f"{given.runs} runs each; home: share that truly ends within {HOME_M:g} m of it; median "
+        "and 95 % of the\ndistance there; median path over the straight line, of those at home\n"
     )
-    print("and 95 % of the distance there; median path over the straight line, of those at home\n")
-    print("| | " + " | ".join(laws) + " |\n|---|" + "---|" * len(laws))
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        for condition in CONDITIONS:
-            cells = []
-            for law in laws:
-                jobs = [pool.submit(one, law, condition, seed) for seed in range(arguments.runs)]
-                ended, path = np.array([job.result() for job in jobs]).T
-                home = ended < HOME_M
-                far = np.quantile(ended, [0.5, 0.95])
-                ratio = f"{np.median(path[home]):.2f}" if home.any() else "-"
-                cells.append(f"{home.mean():.0%}, {far[0]:.2f} and {far[1]:.2f} m, {ratio}")
-            print(f"| {condition} | " + " | ".join(cells) + " |", flush=True)
+    table = [["", *given.laws]]
+    for condition in CONDITIONS:
+        table.append([condition])
+        for law in given.laws:
+            each = [one for run, one in found.items() if run[:2] == (condition, law)]
+            ended, path = (monte_carlo.column(each, name) for name in ("end", "path"))
+            home = ended < HOME_M
+            far = np.quantile(ended, [0.5, 0.95])
+            ratio = f"{np.median(path[home]):.2f}" if home.any() else "-"
+            table[-1].append(f"{home.mean():.0%}, {far[0]:.2f} and {far[1]:.2f} m, {ratio}")
+    print(markdown(table, left=len(table[0])))
 
 
 if __name__ == "__main__":

@@ -9,28 +9,21 @@ three quarters of a drive, as medians over the seeds.
 
 from __future__ import annotations
 
-import argparse
 import math
+from functools import partial
 
 import numpy as np
 
-from benchmarks.consistency.trial import Leg, Trial, random_way, scaled, trial, untold
+from benchmarks import monte_carlo
+from benchmarks.consistency.trial import Leg, Trial, scaled, trial, untold, wandering
 from benchmarks.lasting import figures
+from benchmarks.monte_carlo import Run
 from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.simulation.scenario import (
-    Noise,
-    OdometryErrors,
-    Rates,
-    Ring,
-    Scenario,
-    StartPose,
-    Visibility,
-    Waypoints,
-)
+from homeward.simulation.scenario import OdometryErrors
 from homeward.simulation.simulate import Simulation, simulate
-from homeward.track import run
+from homeward.track import run as follow
 
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """So many times the usual deviations."""
@@ -50,51 +43,49 @@ def noise(times: float, size: float) -> OdometryErrors:
 
 def drive_of(size: float, times: float, seed: int) -> tuple[Trial, Simulation]:
     """Return a random way among landmarks, and what it was made of."""
-    points, direction = random_way([seed, 5], 60, 0.3, 2.0)
-    whole = simulate(
-        Scenario(
-            name="odometry-noise",
-            seed=seed,
-            landmarks=Ring(count=12, distance=(2.5, 5.0)),
-            visibility=Visibility(probability=0.8),
-            noise=Noise(bearing_sigma=0.01, home_sigma=0.01),
-            rates=Rates(odometry=20.0, bearings=5.0, truth=10.0),
-            odometry=noise(times, size),
-            start=StartPose(x=points[0][0], y=points[0][1], heading=direction, prior=False),
-            trajectory=Waypoints(speed=SPEED, duration=DRIVE_S, points=points[1:]),
-        )
+    scenario = wandering(
+        seed, 5, 60, (0.3, 2.0), speed=SPEED, seconds=DRIVE_S, odometry=noise(times, size)
     )
+    whole = simulate(scenario)
     return scaled(trial(Leg(whole)), size), whole
 
 
 def row(made: Trial, whole: Simulation, final: bool) -> list[float]:
-    """Return the figures of one drive: untold and told."""
+    """Return the figures of one drive, with the noise not specified and specified."""
     found: list[float] = []
     for drive in (untold(made, odometry=True).drive, made.drive):
         localizer = Localizer(drive.home, **drive.settings.robot)
-        track = smooth(drive) if final else run(drive, localizer)
+        track = smooth(drive) if final else follow(drive, localizer)
         of = figures(track, drive, whole)
         found += [of.get(key, math.nan) for key in ("rmse", "nees", "pose")]
     return found
 
 
+def measured(final: bool, run: Run) -> dict[str, np.ndarray]:
+    """Return the row of one run, whose scenario is a size and a noise."""
+    name, times = run.scenario.split(" x ")
+    return {"row": np.array(row(*drive_of(SIZES[name], float(times), run.seed), final))}
+
+
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=3)
+    parser = monte_carlo.parser(__doc__, seeds=3, keep=True)
     parser.add_argument("--only", nargs="+", choices=[*SIZES], default=[*SIZES])
     parser.add_argument("--times", nargs="+", type=float, default=TIMES)
     parser.add_argument("--smooth", action="store_true")
     given = parser.parse_args()
+    rows = [f"{name} x {times:g}" for name in given.only for times in given.times]
+    runs = monte_carlo.grid(rows, ["robust"], range(given.first, given.first + given.seeds))
+    function = partial(measured, given.smooth)
+    found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
     columns = ("ratio", "RMSE/size", "NEES", "told", "pose %", "told")
     print(f"{'':18}" + "".join(f"{c:>10}" for c in columns))
-    for name in given.only:
-        for times in given.times:
-            size = SIZES[name]
-            each = [row(*drive_of(size, times, s), given.smooth) for s in range(given.seeds)]
-            rmse, nees, pose, at_best, nees_told, pose_told = np.nanmedian(each, axis=0)
-            line = rmse / at_best, rmse / size, nees, nees_told, pose, pose_told
-            print(f"{name:10} x {times:<5g}" + "".join(f"{v:10.3f}" for v in line), flush=True)
+    for name in rows:
+        each = [one["row"] for run, one in found.items() if run.scenario == name]
+        rmse, nees, pose, at_best, nees_told, pose_told = np.nanmedian(each, axis=0)
+        size = SIZES[name.split(" x ")[0]]
+        line = rmse / at_best, rmse / size, nees, nees_told, pose, pose_told
+        print(f"{name:18}" + "".join(f"{v:10.3f}" for v in line))
 
 
 if __name__ == "__main__":

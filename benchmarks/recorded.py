@@ -8,15 +8,15 @@ walking through; written as folders of images, and read from them.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from functools import partial
-from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.render import FAR_OFF, IMAGES_PER_S, PROCESSES, scenario
+from benchmarks import monte_carlo
+from benchmarks.monte_carlo import Run
+from benchmarks.render import FAR_OFF, IMAGES_PER_S, scenario
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Status
@@ -25,7 +25,7 @@ from homeward.scoring import errors
 from homeward.simulation.render.dataset import write_rendered
 from homeward.simulation.render.eye import Eye
 from homeward.simulation.scenario import Circle
-from homeward.track import run
+from homeward.track import run as follow
 from homeward.vision.opencv import opencv
 from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.folder import see_folder
@@ -52,7 +52,7 @@ def recorded(number: int, width: int, course: str) -> ImageDrive | None:
 
 def rows(drive: Drive) -> np.ndarray:
     """Return for each row of a run, (n, 4): sure or not, a pose or not, error [m], NEES."""
-    track = run(drive, make_estimator("robust", drive))
+    track = follow(drive, make_estimator("robust", drive))
     found = np.full((track.t.size, 4), np.nan)
     found[:, 0] = [status is Status.LOCALISED for status in track.status]
     found[:, 1] = track.has_pose
@@ -61,27 +61,28 @@ def rows(drive: Drive) -> np.ndarray:
     return found
 
 
-def both(number: int, width: int, course: str) -> dict[str, np.ndarray] | None:
-    """Return the rows of one drive's runs."""
-    drive = recorded(number, width, course)
+def measured(width: int, run: Run) -> dict[str, np.ndarray]:
+    """Return the rows of one drive by both estimators; nothing where it runs into something."""
+    drive = recorded(run.seed, width, run.scenario)
     if drive is None:
-        return None
+        return {}
     alone = Drive(**{f: getattr(drive, f) for f in Drive.__dataclass_fields__})
     return {WITHOUT: rows(alone), WITH: rows(drive)}
 
 
 def main() -> None:
     """Print every figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = monte_carlo.parser(__doc__, keep=True)
     parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="number of the first drive")
     parser.add_argument("--width", type=int, default=512)
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.drives)
+    runs = monte_carlo.grid([HOMING, CIRCLE], ["robust"], numbers)
+    function = partial(measured, options.width)
+    found = monte_carlo.run_all(function, runs, options.jobs, options.keep, width=options.width)
     for course in (HOMING, CIRCLE):
-        with Pool(PROCESSES) as pool:
-            made = pool.map(partial(both, width=options.width, course=course), numbers, 1)
-        done = [m for m in made if m is not None]
+        done = [one for run, one in found.items() if run.scenario == course and one]
         print(f"{len(done)} {course}, {options.width}x{options.width // 4}")
         for name in (WITHOUT, WITH):
             sure, pose, position, nees = np.concatenate([m[name] for m in done]).T

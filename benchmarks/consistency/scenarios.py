@@ -27,11 +27,11 @@ from benchmarks.consistency.trial import (
     Leg,
     Trial,
     lagging,
-    random_way,
     scaled,
     slipping,
     trial,
     untold,
+    wandering,
 )
 from homeward.drives.drive import Mount
 from homeward.frames import Pose
@@ -86,20 +86,9 @@ class Named:
 
 
 def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> Scenario:
-    """Return a random way among landmarks all round home, told and white noise, no start prior."""
-    points, direction = random_way([seed, 0], 40, 0.5, 2.0)
-    given: dict[str, Any] = {
-        "name": "consistency",
-        "seed": seed,
-        "landmarks": Ring(count=12, distance=(2.5, 5.0)),
-        "visibility": Visibility(probability=0.8),
-        "noise": Noise(bearing_sigma=0.01, home_sigma=0.01),
-        "rates": Rates(odometry=20.0, bearings=5.0, truth=10.0),
-        "odometry": OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
-        "start": StartPose(x=points[0][0], y=points[0][1], heading=direction / 2, prior=False),
-        "trajectory": Waypoints(speed=0.3, duration=seconds, points=points[1:]),
-    }
-    return Scenario(**(given | changes))
+    """Return a random path of the gate."""
+    changes = {"name": "consistency"} | changes
+    return wandering(seed, 0, 40, (0.5, 2.0), speed=0.3, seconds=seconds, turned=0.5, **changes)
 
 
 def _room(seed: int, **changes: Any) -> Trial:

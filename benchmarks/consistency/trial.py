@@ -7,10 +7,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, OdometryNoise, Sensor, Sightings, Truth
+from homeward.simulation.scenario import (
+    Noise,
+    OdometryErrors,
+    Rates,
+    Ring,
+    Scenario,
+    StartPose,
+    Visibility,
+    Waypoints,
+)
 from homeward.simulation.simulate import Simulation
 from homeward.studies.study.trial import Trial, drive_bound
 
@@ -29,20 +40,52 @@ class Leg:
     """Whether the robot was carried to where it begins."""
 
 
-def random_way(
-    key: list[int], count: int, nearest: float, farthest: float
-) -> tuple[list[tuple[float, float]], float]:
-    """Return so many random points round home [m], and a random direction to begin with [rad].
+def wandering(
+    seed: int,
+    stream: int,
+    count: int,
+    reach: tuple[float, float],
+    *,
+    speed: float,
+    seconds: float,
+    turned: float = 1.0,
+    **changes: Any,
+) -> Scenario:
+    """Return a random path among 12 landmarks all round home, with white noise and no start prior.
 
-    `key` seeds them.
+    Parameters
+    ----------
+    seed, stream : int
+        Seed of the scenario, and of the path together with the stream.
+    count : int
+        Number of waypoints.
+    reach : tuple of float
+        Smallest and largest distance of waypoints from home [m].
+    speed, seconds : float
+        Of the drive [m/s, s].
+    turned : float
+        The heading at the start, over the direction of the first waypoint.
+    **changes
+        Other fields of the scenario.
     """
-    rng = np.random.default_rng(key)
-    far = rng.uniform(nearest, farthest, count)
-    way = rng.uniform(-math.pi, math.pi, count)
+    rng = np.random.default_rng([seed, stream])
+    far, way = rng.uniform(*reach, count), rng.uniform(-math.pi, math.pi, count)
     points = [
         (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(far, way, strict=True)
     ]
-    return points, float(way[0])
+    heading = float(way[0]) * turned
+    given: dict[str, Any] = {
+        "name": "wandering",
+        "seed": seed,
+        "landmarks": Ring(count=12, distance=(2.5, 5.0)),
+        "visibility": Visibility(probability=0.8),
+        "noise": Noise(bearing_sigma=0.01, home_sigma=0.01),
+        "rates": Rates(odometry=20.0, bearings=5.0, truth=10.0),
+        "odometry": OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
+        "start": StartPose(x=points[0][0], y=points[0][1], heading=heading, prior=False),
+        "trajectory": Waypoints(speed=speed, duration=seconds, points=points[1:]),
+    }
+    return Scenario(**(given | changes))
 
 
 def trial(*legs: Leg) -> Trial:
