@@ -126,17 +126,6 @@ def column(figures: Iterable[Mapping[str, Any]], name: str) -> np.ndarray:
     return np.array([np.nan if v is None else v for v in values], float)
 
 
-def known(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> float:
-    """Return a statistic of the values that are known; NaN where none is."""
-    some = values[~np.isnan(values)]
-    return float(statistic(some)) if some.size else np.nan
-
-
-def geometric_mean(values: np.ndarray) -> float:
-    """Return the geometric mean."""
-    return float(np.exp(np.mean(np.log(values))))
-
-
 def grid(scenarios: Sequence[str], estimators: Sequence[str], seeds: Iterable[int]) -> list[Run]:
     """Return all runs of a grid; the first seeds come first, so that all scenarios start early."""
     return [Run(s, e, seed) for seed in seeds for s in scenarios for e in estimators]

@@ -11,10 +11,11 @@ from homeward.report.canvas import png
 from homeward.report.paper.layout_figures import FIGURES
 from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.blocks.finish import Work
+from homeward.studies.blocks.store import store_of
 from homeward.studies.paper.layouts import LayoutSettings, open_store
 from homeward.studies.paper.reproduction import study_layouts
 from homeward.studies.study.plan import make_plan
-from homeward.studies.study.results import open_study, run_study
+from homeward.studies.study.results import run_study
 from homeward.studies.study.settings import load_study
 
 IMAGES = Path(__file__).parent / "images"
@@ -31,7 +32,7 @@ def layouts(out: Path) -> None:
 def tuning(name: str, out: Path) -> None:
     """Draw the map of a tuning study."""
     plan = make_plan(load_study(name))
-    results = run_study(plan, Work(open_study(plan, out / name)))
+    results = run_study(plan, Work(store_of(plan.study, out / name)))
     for grid in grids(results):
         keep(name, draw_maps(results, grid))
 

@@ -9,11 +9,18 @@ import numpy as np
 
 from benchmarks.leaderboard.families import Family
 from benchmarks.leaderboard.runs import Row
-from benchmarks.monte_carlo import column, geometric_mean, known
+from benchmarks.monte_carlo import column
 from homeward.report.tables import markdown
-from homeward.studies.study.statistics import Interval, adjusted, interval, paired
-from homeward.studies.study.summary import number, share
-from homeward.studies.study.tabulated import probability, with_interval
+from homeward.studies.study.statistics import (
+    Interval,
+    adjusted,
+    geometric_mean,
+    interval,
+    known,
+    mean,
+    paired,
+)
+from homeward.studies.study.summary import number, probability, share, with_interval
 
 LEAST_POSE = 0.5
 """A run with a pose for less of the time has failed."""
@@ -65,12 +72,12 @@ def overall(found: Sequence[Entry]) -> list[list[str]]:
             e.name,
             f"{share(float(e.failed.mean()))} of {e.failed.size}",
             share(1.0 - float(np.nan_to_num(e.column("pose")).mean())),
-            share(known(e.column("wrong"), np.mean)),
+            share(mean(e.column("wrong"))),
             "" if e is first else with_interval(ratio(e.rmse, first.rmse)),
             probability(value),
-            number(known(e.column("to_bound"), geometric_mean)),
+            number(geometric_mean(e.column("to_bound"))),
             number(known(e.column("nees"), np.median)),
-            share(known(e.column("named"), np.mean)),
+            share(mean(e.column("named"))),
             number(known(e.column("seconds"), np.median)),
         ]
         for e, value in zip(found, p, strict=True)

@@ -15,7 +15,7 @@ from homeward.report.study.maps import draw_maps, grids
 from homeward.report.study.page import PAGE, write_study
 from homeward.studies.planning.analysis import analyse
 from homeward.studies.planning.settings import Plan
-from homeward.studies.study.tabulated import summary, table
+from homeward.studies.study.summary import summary, table
 
 LONG = "the one whose label says everything that there is to say of it, and then some more"
 

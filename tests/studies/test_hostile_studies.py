@@ -14,10 +14,10 @@ from homeward.errors import InputError
 from homeward.report.canvas import plain
 from homeward.report.output import check_output
 from homeward.report.study.page import PAGE, write_study
-from homeward.studies.blocks.store import BlockStore
+from homeward.studies.blocks.store import MARKER, BlockStore, store_of
 from homeward.studies.single_run import sample_drive
 from homeward.studies.study.plan import block_name
-from homeward.studies.study.results import MARKER, _gather, open_study
+from homeward.studies.study.results import _gather
 
 SETTINGS = {"runs": 1}
 
@@ -80,7 +80,7 @@ def test_a_damaged_block_counts_as_missing(tmp_path, spoil):
 @pytest.mark.parametrize("arrays", [{}, {"position_rmse": np.zeros((7, 7))}])
 def test_a_whole_block_of_something_else_is_told_of(tmp_path, arrays):
     plan = plan_of(tmp_path)
-    store = open_study(plan, tmp_path / "out")
+    store = store_of(plan.study, tmp_path / "out")
     store.save(block_name(0, 0), arrays)
     with pytest.raises(InputError, match="is not of this study"):
         _gather(plan, store)

@@ -12,10 +12,11 @@ from studies.chores import in_this_process
 from homeward.drives.text.files import shipped_yaml
 from homeward.report.paper.map import cells, draw_map, headline
 from homeward.studies.blocks.finish import Work
+from homeward.studies.blocks.store import store_of
 from homeward.studies.paper import map as maps
 from homeward.studies.paper.layouts import changed
 from homeward.studies.paper.many import run_many
-from homeward.studies.paper.map import FAR_M, open_map, run_map, with_engine
+from homeward.studies.paper.map import FAR_M, run_map, with_engine
 from homeward.studies.paper.map_settings import load_map
 from homeward.studies.paper.world import draw_world
 from homeward.studies.study.settings import load_study
@@ -46,7 +47,7 @@ def written(folder, **changes):
 
 def computed(folder, name="out", **changes):
     settings = with_engine(load_map(str(written(folder, **changes)), {}))
-    return run_map(settings, Work(open_map(settings, folder / name)))
+    return run_map(settings, Work(store_of(settings, folder / name)))
 
 
 def test_a_cell_is_the_layout_study_in_distribution(tmp_path):

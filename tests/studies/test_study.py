@@ -23,14 +23,15 @@ from homeward.report.study.page import headline, write_study
 from homeward.scoring import score
 from homeward.simulation.simulate import simulate
 from homeward.studies.blocks.finish import Where
+from homeward.studies.blocks.store import store_of
 from homeward.studies.study import runs as runs_module
 from homeward.studies.study.plan import make_plan
 from homeward.studies.study.quantities import RUN, SERIES
-from homeward.studies.study.results import _gather, open_study, to_dataset, write_netcdf
+from homeward.studies.study.results import _gather, to_dataset, write_netcdf
 from homeward.studies.study.runs import run_block, run_seed
 from homeward.studies.study.settings import StudySettings, load_study
-from homeward.studies.study.summary import lines, over_time, quantiles, wilson
-from homeward.studies.study.tabulated import summary, table
+from homeward.studies.study.statistics import quantiles, wilson
+from homeward.studies.study.summary import lines, over_time, summary, table
 from homeward.track import run as follow
 
 QUICK = {
@@ -57,7 +58,7 @@ def plan_of(folder, **changes):
 
 def computed(plan, folder):
     """Return the results of a plan computed in this process."""
-    store = open_study(plan, folder)
+    store = store_of(plan.study, folder)
     for name, block in plan.blocks().items():
         store.save(name, run_block(block))
     return _gather(plan, store)

@@ -144,7 +144,8 @@ def _study(
         write_layouts,
     )
     from homeward.studies.blocks.finish import Where, Work
-    from homeward.studies.paper.layouts import MARKER, open_store
+    from homeward.studies.blocks.store import MARKER
+    from homeward.studies.paper.layouts import open_store
     from homeward.studies.paper.reproduction import layout_settings, study_layouts
 
     where = Where(*places)

@@ -48,9 +48,10 @@ def study(
     from homeward.report.output import check_output
     from homeward.report.study.page import DATA, PAGE, headline, write_study
     from homeward.studies.blocks.finish import Where, Work
+    from homeward.studies.blocks.store import MARKER, store_of
     from homeward.studies.paper.map_settings import load_map
     from homeward.studies.study.plan import make_plan
-    from homeward.studies.study.results import MARKER, open_study, run_study
+    from homeward.studies.study.results import run_study
     from homeward.studies.study.settings import load_study
     from homeward.studies.study.summary import failures, lines
 
@@ -64,7 +65,7 @@ def study(
         import_module(package)
     plan = make_plan(load_study(study, changes))
     check_output(folder, MARKER)
-    store = open_study(plan, folder)
+    store = store_of(plan.study, folder)
     with resumable(), progress(plan.study.name) as tell:
         results = run_study(plan, Work(store, where, tell))
         rows = write_study(folder, results)
@@ -86,11 +87,12 @@ def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> No
     from homeward.report.output import check_output
     from homeward.report.paper.map import FIGURE, TABLE, headline, write_map
     from homeward.studies.blocks.finish import Where, Work
-    from homeward.studies.paper.map import MARKER, open_map, run_map, with_engine
+    from homeward.studies.blocks.store import MARKER, store_of
+    from homeward.studies.paper.map import run_map, with_engine
 
     settings = with_engine(settings)
     check_output(folder, MARKER)
-    store = open_map(settings, folder)
+    store = store_of(settings, folder)
     if settings.engine == "cuda" and where == Where():
         where = Where(workers=1)  # one process feeds a GPU
     with resumable(), progress(settings.name) as tell:

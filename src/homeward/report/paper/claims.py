@@ -15,7 +15,7 @@ from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed, better_shares
 from homeward.studies.paper.world import CaseName
-from homeward.studies.study.summary import root_mean_square
+from homeward.studies.study.statistics import root_mean_square
 
 Readings = Mapping[tuple[CaseName, Reading], Outcome]
 MOST = 0.5

@@ -20,7 +20,7 @@ from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Star
 from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.tables import TO_PAPER_UNITS, better_shares, printed_of
 from homeward.studies.paper.world import CaseName
-from homeward.studies.study.summary import quantiles
+from homeward.studies.study.statistics import quantiles
 
 ROWS = (*FILTERS, ROBUST, BOUND)
 TITLES = {

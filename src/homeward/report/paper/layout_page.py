@@ -19,8 +19,9 @@ from homeward.report.paper.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import percent
+from homeward.studies.blocks.store import MARKER
 from homeward.studies.paper.cases import FILTERS, PI_HT
-from homeward.studies.paper.layouts import BOUND, MARKER, ROBUST, STUDIED, Reading
+from homeward.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading
 from homeward.studies.paper.reproduction import LayoutStudy
 from homeward.studies.paper.tables import (
     TO_PAPER_UNITS,
@@ -32,7 +33,7 @@ from homeward.studies.paper.tables import (
     printed_order_shares,
 )
 from homeward.studies.paper.world import CaseName
-from homeward.studies.study.summary import wilson
+from homeward.studies.study.statistics import wilson
 
 CLAIMED = ("PI-EKF", "A-EKF", "EKF")
 """The order that the paper tells of, least error first."""

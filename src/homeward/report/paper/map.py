@@ -15,7 +15,8 @@ from homeward.report.canvas import new_figure, png, style
 from homeward.report.output import whole_folder
 from homeward.report.palette import INK, VERMILLION
 from homeward.report.study.maps import GOOD_TO_BAD
-from homeward.studies.paper.map import FAR_M, MARKER, MapResults
+from homeward.studies.blocks.store import MARKER
+from homeward.studies.paper.map import FAR_M, MapResults
 
 FIGURE, TABLE = "map.png", "map.csv"
 SHOWN = FAR_M.index(0.5)

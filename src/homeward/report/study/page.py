@@ -22,9 +22,9 @@ from homeward.report.tables import write_tables
 from homeward.report.template import render
 from homeward.report.versions import versions
 from homeward.report.words import count, listing
-from homeward.studies.study.results import MARKER, Results, write_netcdf
-from homeward.studies.study.summary import failures
-from homeward.studies.study.tabulated import Summary, exact_table, summary, table
+from homeward.studies.blocks.store import MARKER
+from homeward.studies.study.results import Results, write_netcdf
+from homeward.studies.study.summary import Summary, exact_table, failures, summary, table
 
 PAGE, DATA = "study.html", "results.nc"
 

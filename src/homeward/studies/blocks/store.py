@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from pydantic import BaseModel
 
 from homeward.drives.text.files import is_there, naming, opened, read_small
 from homeward.errors import InputError
@@ -25,6 +26,8 @@ from homeward.io.files import whole_file
 Arrays = dict[str, np.ndarray]
 """What a block leaves: names to arrays, text as ``str`` arrays."""
 
+MARKER = "study.yaml"
+"""The settings of a study; a folder that holds it is one of ours."""
 LARGEST_MANIFEST = 2**26
 """[byte]; settings as JSON are a few times as long as in YAML."""
 _KEY = "__study__"
@@ -127,6 +130,12 @@ class BlockStore:
                 "or delete this one",
                 self.folder,
             )
+
+
+def store_of(settings: BaseModel, folder: Path) -> BlockStore:
+    """Return the store of a study in a folder, new or resumed; errors as `BlockStore`."""
+    tree = settings.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return BlockStore(folder, tree, MARKER)
 
 
 def our_version() -> str:

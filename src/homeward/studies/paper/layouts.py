@@ -22,7 +22,7 @@ from pydantic import Field
 from homeward.drives.drive import NonNegative, Positive, Strict
 from homeward.drives.text.settings import validated
 from homeward.studies.blocks.finish import Work
-from homeward.studies.blocks.store import Arrays, BlockStore
+from homeward.studies.blocks.store import MARKER, Arrays, BlockStore
 from homeward.studies.paper.cases import FILTERS, draw, run_filter
 from homeward.studies.paper.many import Errors, errors_over, run_many
 from homeward.studies.paper.robust import bound_errors, run_robust
@@ -31,7 +31,6 @@ from homeward.studies.paper.world import CaseName, World
 
 STUDIED: tuple[CaseName, ...] = ("1", "2", "4")
 """The cases with a printed table; Case 1 by the caption of Table 3, Case 4 by its text."""
-MARKER = "study.yaml"
 BOUND, ROBUST = "bound", "robust"
 
 Start = tuple[float, float, float]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,14 +21,13 @@ from homeward.engine.cuda.device import CudaError, gpu
 from homeward.engine.native.compiler import NativeError, find_compiler
 from homeward.errors import InputError
 from homeward.studies.blocks.finish import Work
-from homeward.studies.blocks.store import Arrays, BlockStore
+from homeward.studies.blocks.store import Arrays
 from homeward.studies.paper.layouts import changed
 from homeward.studies.paper.many import OF_WORLD, given_of, rolled
 from homeward.studies.paper.map_settings import MapSettings
 from homeward.studies.paper.settings import PaperSettings
 from homeward.studies.paper.world import CaseName, World, draw_world, visibility
 
-MARKER = "study.yaml"
 FAR_M = (0.1, 0.2, 0.5, 1.0, 2.0)
 """Runs are counted that end farther from home than each of these [m]."""
 AT_ONCE = 10_000
@@ -82,12 +80,6 @@ def _fastest() -> Literal["native", "cuda", "interpreter"]:
         find_compiler()
         return "native"
     return "interpreter"
-
-
-def open_map(settings: MapSettings, folder: Path) -> BlockStore:
-    """Return the store of a map in a folder, new or resumed; errors as `BlockStore`."""
-    tree = settings.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return BlockStore(folder, tree, MARKER)
 
 
 def blocks(settings: MapSettings) -> dict[str, MapBlock]:

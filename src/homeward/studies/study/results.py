@@ -17,9 +17,6 @@ from homeward.studies.study.plan import Plan, block_name
 from homeward.studies.study.quantities import FAILURE, RUN, SERIES
 from homeward.studies.study.runs import run_block, run_seed
 
-MARKER = "study.yaml"
-"""The settings of a study; a folder that holds it is one of ours."""
-
 
 @dataclass(frozen=True)
 class Results:
@@ -42,18 +39,6 @@ class Results:
     def failed(self) -> np.ndarray:
         """Which runs failed, (scenarios, estimators, runs)."""
         return np.asarray(self.failure != "")
-
-
-def open_study(plan: Plan, folder: Path) -> BlockStore:
-    """Return the store of a study in a folder, new or resumed.
-
-    Raises
-    ------
-    InputError
-        When the folder holds another study, or something else.
-    """
-    settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return BlockStore(folder, settings, MARKER)
 
 
 def run_study(plan: Plan, work: Work) -> Results:

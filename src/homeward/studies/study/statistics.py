@@ -1,18 +1,19 @@
-"""How sure a difference between two estimators is: intervals and tests, paired over the runs."""
+"""Statistics over runs: means, quantiles, shares, intervals, and tests paired over the runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import bootstrap, false_discovery_control, wilcoxon
+from scipy.stats import binomtest, bootstrap, false_discovery_control, wilcoxon
 
 RESAMPLES = 2000
 """Of a bootstrap; its 95 % ends are off by chance by some percent of the interval's width."""
 AT_ONCE = 10_000_000
 """Numbers that a bootstrap draws at once; more would not fit into memory."""
-FEWEST = 3
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+MIN_RUNS = 3
 """Runs that an interval or a test needs: of two, neither knows anything."""
 
 
@@ -31,7 +32,7 @@ class Pairing(NamedTuple):
     """Of their RMSE, over the runs in which both have a pose."""
     p: float
     """Of Wilcoxon's signed-rank test, two-sided, on the runs' logarithms: that neither is better. A
-    run without a pose is worse than any with one. NaN of fewer than `FEWEST` runs, or where
+    run without a pose is worse than any with one. NaN of fewer than `MIN_RUNS` runs, or where
     neither ever has one."""
 
 
@@ -60,7 +61,7 @@ def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
         rmse[both],
         other[both],
     )
-    if rmse.size < FEWEST or np.isnan([rmse, other]).all():
+    if rmse.size < MIN_RUNS or np.isnan([rmse, other]).all():
         return Pairing(ratio, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b = (np.log(np.where(np.isnan(r), np.inf, r)) for r in (rmse, other))
@@ -82,9 +83,47 @@ def adjusted(p: Sequence[float]) -> np.ndarray:
     return values
 
 
+def known(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> float:
+    """Return a statistic of the values that are known; NaN where none is."""
+    some = values[~np.isnan(values)]
+    return float(statistic(some)) if some.size else np.nan
+
+
+def mean(values: np.ndarray) -> float:
+    """Return the mean of the known values; NaN where none is known."""
+    return known(values, np.mean)
+
+
+def geometric_mean(values: np.ndarray) -> float:
+    """Return the geometric mean of the known values; NaN where none is known."""
+    return known(values, lambda some: np.exp(np.mean(np.log(some))))
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """Return the root of the mean square of the known values; NaN where none is known."""
+    return known(values, _root_mean_square)
+
+
 def _root_mean_square(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Return the root of the mean square along an axis."""
     with np.errstate(over="ignore"):
         return np.asarray(np.sqrt(np.mean(np.square(values), axis=axis)))
+
+
+def quantiles(values: np.ndarray) -> np.ndarray:
+    """Return `QUANTILES` of what is known, (5,): values that occur; NaN where nothing is known."""
+    known = values[~np.isnan(values)]
+    if not known.size:
+        return np.full(len(QUANTILES), np.nan)
+    return np.asarray(np.quantile(known, QUANTILES, method="inverted_cdf"))
+
+
+def wilson(hits: int, number: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share of which `hits` in `number` were seen (Wilson 1927)."""
+    if not number:
+        return np.nan, np.nan
+    low, high = binomtest(hits, number).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def interval(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> Interval:
@@ -101,7 +140,7 @@ def interval(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> Inte
     if not number:
         return Interval(np.nan)
     value = float(statistic(*samples))
-    if number < FEWEST:
+    if number < MIN_RUNS:
         return Interval(value)
     found = bootstrap(
         samples,

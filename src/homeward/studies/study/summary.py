@@ -1,4 +1,4 @@
-"""A study in numbers: per scenario and estimator, over its runs."""
+"""A study in numbers and tables: per scenario and estimator, over its runs; failures first."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binomtest
 
 from homeward.studies.study.results import Results
+from homeward.studies.study.statistics import (
+    Interval,
+    Pairing,
+    adjusted,
+    mean,
+    paired,
+    quantiles,
+    rmse_interval,
+    root_mean_square,
+    wilson,
+)
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 FEWEST_SHARE = 0.2
 """Over time, means are told while at least this share of the runs goes on."""
 
@@ -84,33 +93,6 @@ def _line(results: Results, i: int, j: int) -> Line:
     )
 
 
-def mean(values: np.ndarray) -> float:
-    """Return the mean of what is known; NaN where nothing is."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else np.nan
-
-
-def root_mean_square(values: np.ndarray) -> float:
-    """Return the root of the mean square of what is known; NaN where nothing is."""
-    return float(np.sqrt(mean(np.square(values))))
-
-
-def quantiles(values: np.ndarray) -> np.ndarray:
-    """Return `QUANTILES` of what is known, (5,): values that occur; NaN where nothing is known."""
-    known = values[~np.isnan(values)]
-    if not known.size:
-        return np.full(len(QUANTILES), np.nan)
-    return np.asarray(np.quantile(known, QUANTILES, method="inverted_cdf"))
-
-
-def wilson(hits: int, number: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share of which `hits` in `number` were seen (Wilson 1927)."""
-    if not number:
-        return np.nan, np.nan
-    low, high = binomtest(hits, number).proportion_ci(method="wilson")
-    return float(low), float(high)
-
-
 def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.ndarray:
     """Return the mean of a series over the runs that go on, (times,), or the root mean square.
 
@@ -125,6 +107,13 @@ def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.nda
     return np.asarray(np.where(enough, np.sqrt(found) if root else found, np.nan))
 
 
+def failures(results: Results) -> dict[str, int]:
+    """Return each reason for which runs failed, with their number, the most frequent first."""
+    reasons, counts = np.unique(results.failure[results.failed], return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {str(reasons[k]): int(counts[k]) for k in order}
+
+
 def number(value: float) -> str:
     """Return a number with three digits; empty where it is not known."""
     if np.isnan(value):
@@ -137,8 +126,107 @@ def share(value: float) -> str:
     return "" if np.isnan(value) else f"{100 * value:.0f} %"
 
 
-def failures(results: Results) -> dict[str, int]:
-    """Return each reason for which runs failed, with their number, the most frequent first."""
-    reasons, counts = np.unique(results.failure[results.failed], return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return {str(reasons[k]): int(counts[k]) for k in order}
+@dataclass(frozen=True)
+class Summary:
+    """What a study says, estimator by estimator, each beside the one that it names first."""
+
+    closed: bool
+    """Whether each steered its own drives."""
+    first: str
+    """The estimator that the others are compared with."""
+    lines: list[Line]
+    rmse: list[Interval]
+    """Of each line [m]."""
+    pairings: list[Pairing]
+    """Of each line with that of the first in its scenario."""
+    p: np.ndarray
+    """Of each line, adjusted for the number of all comparisons; NaN of the first itself."""
+
+
+def summary(results: Results) -> Summary:
+    """Return lines, intervals and tests of a study."""
+    rmse, cases = results.run["position_rmse"], results.plan.cases
+    pairs = [(i, j) for i in range(len(cases)) for j in range(len(results.plan.contenders))]
+    parts = [(rmse[i, j, : cases[i].runs], rmse[i, 0, : cases[i].runs]) for i, j in pairs]
+    pairings = [paired(*both) for both in parts]
+    p = [np.nan if j == 0 else found.p for (_, j), found in zip(pairs, pairings, strict=True)]
+    return Summary(
+        results.plan.study.loop == "closed",
+        results.plan.contenders[0].label,
+        lines(results),
+        [rmse_interval(own) for own, _ in parts],
+        pairings,
+        adjusted(p),
+    )
+
+
+def table(found: Summary) -> list[list[str]]:
+    """Return the table of the terminal and of the page, its head first, as text.
+
+    Failures are told first. A column in which nothing is known is left out.
+    """
+    head = ["scenario", "estimator", "failed", "no pose", "RMSE [m]", "5 to 95 % of runs"]
+    head += ["RMSE / bound", f"x {found.first}", "p", "heading [deg]", "NEES"]
+    head += [*(["reached home"] if found.closed else []), "moved right", "time of a run [s]"]
+    rows, before = [head], ""
+    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+        shown = line.scenario if line.scenario != before else ""
+        before = line.scenario
+        rows.append(
+            [
+                shown,
+                line.estimator,
+                f"{line.failed} of {line.runs}" if line.failed else "",
+                f"{line.no_pose} of {line.runs}" if line.no_pose else "",
+                with_interval(rmse),
+                _span(line.quantiles[0], line.quantiles[4]),
+                number(line.ratio),
+                "" if line.estimator == found.first else with_interval(pair.ratio),
+                probability(p),
+                number(float(np.degrees(line.heading_rmse))),
+                number(float(line.nees[2])),
+                *([share(line.home)] if found.closed else []),
+                share(line.moved_right),
+                number(line.seconds),
+            ]
+        )
+    known = [k for k in range(len(head)) if k < 2 or any(row[k] for row in rows[1:])]
+    return [[row[k] for k in known] for row in rows]
+
+
+EXACT = (
+    *("scenario", "estimator", "runs", "failed", "no_pose", "rmse_m", "rmse_low_m", "rmse_high_m"),
+    *("bound_m", "ratio", "ratio_low", "ratio_high", "p_adjusted", "heading_rmse_rad"),
+    *("nees_median", "reached_home_share", "moved_right_share", "seconds_median"),
+)
+"""Columns of `exact_table`."""
+
+
+def exact_table(found: Summary) -> list[list[object]]:
+    """Return the same to the last bit, units in the head; ratio and p are against the first."""
+    rows: list[list[object]] = [list(EXACT)]
+    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+        rows.append(
+            [
+                *(line.scenario, line.estimator, line.runs, line.failed, line.no_pose, *rmse),
+                *(line.bound, *pair.ratio, float(p), line.heading_rmse, float(line.nees[2])),
+                *(line.home, line.moved_right, line.seconds),
+            ]
+        )
+    return rows
+
+
+def with_interval(found: Interval) -> str:
+    """Return a value and its interval; empty where it is not known."""
+    if np.isnan(found.low):
+        return number(found.value)
+    return f"{number(found.value)} ({number(found.low)} to {number(found.high)})"
+
+
+def probability(p: float) -> str:
+    """Return a p-value; empty where it is not known."""
+    return "" if np.isnan(p) else "< 0.001" if p < 1e-3 else f"{p:.2g}"
+
+
+def _span(low: float, high: float) -> str:
+    return "" if np.isnan(low) else f"{number(low)} to {number(high)}"
