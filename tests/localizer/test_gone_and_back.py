@@ -85,6 +85,8 @@ def test_kidnapped_and_localised_again():
     ]
     # Nobody can know at once; it must not go on for more than a few seconds.
     assert sum(lying) * 0.2 < 5.0
+    assert len(rig.localizer.charts) == 1
+    assert rig.localizer.chart.map.smoother.newest > 40  # the map from before, not the other one
 
 
 @pytest.mark.parametrize("blind_s", [0.1, 20])
