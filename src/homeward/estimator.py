@@ -279,5 +279,3 @@ NO_BEARINGS_S = 2.0
 """Without an accepted bearing for so long, the robot is coasting [s]."""
 CHECKED = 4
 """Home bearings that must agree before one of them could have been contradicted by the others."""
-FASTEST = 1e4
-"""No robot drives or turns faster [m/s, rad/s]."""

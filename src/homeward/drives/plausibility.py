@@ -11,12 +11,14 @@ import warnings
 import numpy as np
 
 from homeward.drives.drive import Odometry
+from homeward.odometry.limits import (
+    MAX_ACCELERATION,
+    MAX_SPEED,
+    MAX_TURN_ACCELERATION,
+    MAX_TURN_RATE,
+)
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
-MAX_SPEED, MAX_TURN_RATE = 10.0, 20.0
-"""Maximum speed [m/s] and yaw rate [rad/s] of the robots that homeward is made for."""
-MAX_ACCELERATION, MAX_TURN_ACCELERATION = 3.0, 10.0
-"""Maximum acceleration [m/s^2, rad/s^2]: tyres slip at 5 m/s^2 or more, and robots stay below."""
 MIN_JUMP, MIN_TURN_JUMP = 0.05, 0.1
 """Minimum jump [m, rad]; filters and their noise model absorb smaller ones."""
 FASTER = 3.0

@@ -15,9 +15,9 @@ from homeward.drives.foreign.cells import names, number_parser, time_parser
 from homeward.drives.foreign.columns import UNITS, Column, assigned, times_in
 from homeward.drives.foreign.sheet import Sheet
 from homeward.drives.foreign.wide import landmark_columns, landmark_in, long, unit_of
-from homeward.drives.plausibility import MAX_SPEED
 from homeward.drives.text.table import Parser, Table, read_csv
 from homeward.errors import InputError
+from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 UNIX_S = (1e9, 4.1e9)

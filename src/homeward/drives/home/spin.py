@@ -16,7 +16,7 @@ from homeward.drives.drive import DriveSettings, HomeBearing, Odometry, Sighting
 from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
 from homeward.errors import InputError
 from homeward.frames import Pose
-from homeward.geometry.least_squares import GNC_SCHEDULE, robust_weight
+from homeward.geometry.robust import GNC_SCHEDULE, robust_weight
 
 HARD_STEPS = 4
 """Afterwards sightings count fully or not at all, for so many steps."""

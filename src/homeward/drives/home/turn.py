@@ -19,6 +19,7 @@ from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.geometry.least_squares import LeastSquares
+from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
 from homeward.odometry.validity import twist_validity
 
@@ -43,7 +44,6 @@ WORST_RAD = 0.1
 """No camera is worse: errors that are larger are none of noise."""
 MOST_LINES = 500
 """Of so many sightings of a landmark each is compared with all others."""
-MAD_TO_SIGMA = 1.4826
 SCALE, BIAS, LAG, SLIP, POSES = range(5)
 """Columns: odometry's constant errors, then poses (heading, x, y), then landmarks."""
 

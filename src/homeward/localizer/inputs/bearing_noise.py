@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.angles import wrap
+from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.inputs.reorder import BearingFrame
@@ -33,7 +34,7 @@ MAX_SPAN_S = 1.05
 not linear in time [s]."""
 MIN_SIGMA = 1e-6
 """Smallest plausible standard deviation; a smaller one counts as not given [rad]."""
-MAD_TO_SIGMA, QUARTER_TO_SIGMA = 1.4826, 3.138
+QUARTER_TO_SIGMA = 3.138
 KEPT, CORRELATION_KEPT = 0.9, 0.97
 """Forgetting factors per keyframe, of the noise and of the correlation of errors [1]. The latter is
 slower, since a wrong camera position causes correlated errors, too, until it has been estimated."""

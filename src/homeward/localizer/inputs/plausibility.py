@@ -9,15 +9,10 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from homeward.estimator import FASTEST
-from homeward.localizer.inputs.bearing_noise import MAD_TO_SIGMA
+from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.localizer.tunables import GATE
+from homeward.odometry.limits import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
 
-MAX_ACCELERATION = 10.0
-"""Largest acceleration of a wheeled robot: tyres on a dry floor grip with a friction coefficient of
-about 1, which gives 1 g [m/s^2]."""
-MAX_TURN_ACCELERATION = 50.0
-"""The same of the turn rate, for wheels 0.2 m from the centre [rad/s^2]."""
 NUM_CHANGES = 9
 """Latest changes between twists: their median is by noise, even if four are wrong."""
 MIN_INTERVAL_S = 0.1
@@ -56,15 +51,15 @@ class Plausibility:
         """
         if self._last is None and math.isfinite(t):
             self._last = (t - START_S, 0.0, 0.0)
-        if self._last is not None and abs(v) < FASTEST and abs(omega) < FASTEST:
+        if self._last is not None and abs(v) < MAX_RATE and abs(omega) < MAX_RATE:
             before, speed, turn_rate = self._last
             time = max(abs(t - before), MIN_INTERVAL_S)
             noise = [GATE * MAD_TO_SIGMA * _median(changes) for changes in self._changes]
             for changes, now, then in zip(self._changes, (v, omega), self._received, strict=True):
                 changes.append(abs(now - then))
             self._received = v, omega
-            slow = abs(v - speed) <= MAX_ACCELERATION * time + noise[0]
-            if slow and abs(omega - turn_rate) <= MAX_TURN_ACCELERATION * time + noise[1]:
+            slow = abs(v - speed) <= GRIP_ACCELERATION * time + noise[0]
+            if slow and abs(omega - turn_rate) <= GRIP_TURN_ACCELERATION * time + noise[1]:
                 self._last = (t, v, omega)
                 return True
         if not (math.isnan(v) and math.isnan(omega)):

@@ -136,6 +136,19 @@ def relocalise(
     return None if uncertain else (best.pose, best.covariance)
 
 
+def relocalise_near(
+    lines: SightLines, last: np.ndarray, covariance: np.ndarray, motions: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pose by a single frame, near the `last` one; None if it is undetermined.
+
+    `motions` are covariances (3, 3) of what may have moved the robot since; each is as probable as
+    that it is anywhere. Any three landmarks fit some pose, so that more are needed.
+    """
+    if lines.names.size <= MINIMAL:
+        return None
+    return relocalise(lines, near=[(last, covariance + motion) for motion in motions])
+
+
 def _is_proved(log_evidence: float, rivals: list[float]) -> bool:
     """Return whether a pose is more probable than all its rivals together, by `MIN_LOG_ODDS`."""
     return log_evidence - float(np.logaddexp.reduce(rivals)) >= MIN_LOG_ODDS

@@ -18,7 +18,7 @@ from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.first_fix import FirstFix, survey_lines
-from homeward.localizer.recovery.relocalise import relocalise
+from homeward.localizer.recovery.relocalise import relocalise_near
 from homeward.localizer.tunables import INLIER, MINIMAL, NOISE_SCALES
 
 FRAMES = 30
@@ -108,8 +108,7 @@ class Resection:
             eyes, numbers = np.tile(camera, (len(rows), 1)), np.arange(len(rows))
             seen = frame.bearings[rows], frame.sigmas[rows]
             lines = survey_lines(survey, names, numbers, eyes, *seen)
-            last, covariance = self._last
-            near = relocalise(lines, near=[(last, covariance + moved)])
+            near = relocalise_near(lines, *self._last, [moved])
             if near is None:
                 return None
             robot, covariance = near

@@ -12,8 +12,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
-from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import CLOSE, LINEAR, MINIMAL, RECENT
+from homeward.localizer.recovery.relocalise import SightLines, relocalise, relocalise_near
+from homeward.localizer.tunables import CLOSE, LINEAR, RECENT
 from homeward.odometry.history import Driven
 
 Sighting: TypeAlias = tuple[str, float, float, Motion]
@@ -95,13 +95,13 @@ def find_by_frame(
     """
     each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
     lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)
-    if lines is None or lines.names.size <= MINIMAL:
+    if lines is None:
         return None
     distance = float(np.median(np.hypot(*(lines.positions - state.mean[:2]).T)))
     stands = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
     moved = stands + np.array([driven.path, driven.path, driven.turned])
-    last, covariance = state.mean[:3], state.covariance[:3, :3]
-    return relocalise(lines, near=[(last, covariance + np.diag(s**2)) for s in (stands, moved)])
+    motions = [np.diag(sigmas**2) for sigmas in (stands, moved)]
+    return relocalise_near(lines, state.mean[:3], state.covariance[:3, :3], motions)
 
 
 def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:

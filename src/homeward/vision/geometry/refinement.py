@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.geometry.least_squares import GNC_SCHEDULE, robust_loss, robust_weight
+from homeward.geometry.robust import GNC_SCHEDULE, robust_loss, robust_weight
 from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import (
     INLIER,

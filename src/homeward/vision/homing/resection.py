@@ -14,7 +14,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.drives.drive import Columns
 from homeward.frames import Pose
-from homeward.geometry.least_squares import robust_loss, robust_weight
+from homeward.geometry.robust import robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
 from homeward.vision.geometry.jackknife import leave_windows_out

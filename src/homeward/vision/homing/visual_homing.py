@@ -20,7 +20,6 @@ from homeward.drives.drive import Robot
 from homeward.drives.known import known_robot
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.estimator import (
-    FASTEST,
     Counts,
     Estimate,
     Estimator,
@@ -41,6 +40,7 @@ from homeward.frames import (
 )
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
+from homeward.odometry.limits import MAX_RATE
 from homeward.one_thread import one_thread
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
@@ -104,7 +104,7 @@ class VisualHoming:
         """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
         t = self._clock.read(t)
-        if not (math.isfinite(t) and abs(v) < FASTEST and abs(omega) < FASTEST):
+        if not (math.isfinite(t) and abs(v) < MAX_RATE and abs(omega) < MAX_RATE):
             return
         if t >= self._odometry.newest:
             self._odometry.add(t, v, omega)
