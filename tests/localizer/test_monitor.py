@@ -89,7 +89,7 @@ def test_large_innovations_that_pass_the_gate_may_be_a_slip():
 
 def test_a_lost_robot_is_looked_for_until_it_is_found():
     monitor = Monitor(origin_given=False)
-    monitor.begin_search(5.0, Health.SCENE_CHANGED, Motion.identity())
+    monitor.begin_search(5.0, Health.SCENE_CHANGED)
     search = monitor.search
     assert (monitor.is_lost, monitor.fits_well) == (True, False)
     assert monitor.reason is Reason.SCENE_CHANGED
@@ -98,7 +98,7 @@ def test_a_lost_robot_is_looked_for_until_it_is_found():
     # Sight lines of a longer way do not hold together: the search begins anew, the spell does not.
     again = monitor.assess_odometry(drifted(turn=0.5), known())
     assert again is Health.ODOMETRY_LOST
-    monitor.begin_search(8.0, again, Motion.identity())
+    monitor.begin_search(8.0, again)
     assert monitor.search is not search
     assert monitor.reason is Reason.SCENE_CHANGED
     monitor.end_search(9.0)

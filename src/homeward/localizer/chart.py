@@ -293,7 +293,7 @@ class Chart:
             case Health.LOST:
                 return self._relocalise(seen, motion)
             case _:
-                return self._begin_search(seen, health, motion)
+                return self._begin_search(seen, health)
 
     def _update(self, gated: Gated) -> bool:
         """Update the map by accepted bearings; return whether there is a new solution."""
@@ -310,9 +310,9 @@ class Chart:
         except np.linalg.LinAlgError:
             self._give_up_map()
             return True
-        return self._begin_search(gated.frame, Health.CARRIED, gated.motion)
+        return self._begin_search(gated.frame, Health.CARRIED)
 
-    def _begin_search(self, seen: WeighedFrame, why: Health, motion: Motion) -> bool:
+    def _begin_search(self, seen: WeighedFrame, why: Health) -> bool:
         """Begin a relocalisation; return whether it succeeds at once."""
         self.odometry.restart(seen.t)
         self.monitor.begin_search(seen.t, why)
