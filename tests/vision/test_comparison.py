@@ -15,7 +15,7 @@ from vision_scene import make_room
 from homeward.angles import wrap
 from homeward.report.images import describe, picture
 from homeward.vision import Equirectangular, compare, extract
-from homeward.vision.features.detection import MOST_FEATURES
+from homeward.vision.features.detection import MAX_FEATURES
 
 CAMERA = Equirectangular()
 UNKNOWN = np.full((2, 2), np.inf)
@@ -127,7 +127,7 @@ def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
     room, home, monkeypatch, largest, sure
 ):
     now = extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
-    monkeypatch.setattr(COMPARE, "LARGEST_DIRECTION_SIGMA", largest)
+    monkeypatch.setattr(COMPARE, "MAX_DIRECTION_SIGMA", largest)
     seen = compare(home, now, CAMERA)
     without_neighbours(monkeypatch)
     alone = compare(home, now, CAMERA)
@@ -194,8 +194,8 @@ def test_a_picture_as_rich_as_can_be_is_compared_by_its_strongest_features():
     noise = np.tile(np.random.default_rng(0).normal(128, 300, (512, 1024)), 3)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.0)[:, 1024:2048].clip(0, 255).astype(np.uint8)
     views = [extract(np.roll(smooth, columns, axis=1), CAMERA) for columns in (0, 256)]
-    assert max(map(len, views)) <= MOST_FEATURES
-    assert len(views[0]) > 0.8 * MOST_FEATURES
+    assert max(map(len, views)) <= MAX_FEATURES
+    assert len(views[0]) > 0.8 * MAX_FEATURES
     seen = compare(*views, CAMERA)
     assert seen.accepted
     assert abs(wrap(seen.heading - np.pi / 2)) < 0.001

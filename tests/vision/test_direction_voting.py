@@ -11,7 +11,7 @@ from homeward.angles import wrap
 from homeward.estimator import Status
 from homeward.frames import Pose, compose, to_polar
 from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.homing.direction_voting import FEWEST_ALIKE
+from homeward.vision.homing.direction_voting import MIN_ALIKE
 from homeward.vision.homing.fix import DIRECTION_HOLD_S
 from homeward.vision.homing.visual_homing import VisualHoming
 
@@ -61,12 +61,12 @@ def is_right(told, pose):
     return off[0] < 0.25 and off[1] < 0.05
 
 
-@pytest.mark.parametrize("n", [FEWEST_ALIKE - 1, FEWEST_ALIKE, 12])
+@pytest.mark.parametrize("n", [MIN_ALIKE - 1, MIN_ALIKE, 12])
 def test_guesses_that_are_alike_tell_the_way(n):
     sight = lost()
     t, pose = circle(sight, right, n)
     told = sight.estimate(t)
-    if n < FEWEST_ALIKE:
+    if n < MIN_ALIKE:
         assert told.pose is None
         return
     assert told.status is Status.UNVERIFIED

@@ -123,8 +123,8 @@ def test_of_too_many_only_some_are_tried(monkeypatch):
     known = np.arange(0, len(home), 10)
     told = laid(home, home, known, place(home, known))
     _, every = propagate_matches(home, home, known, told)
-    monkeypatch.setattr("homeward.vision.features.match_propagation.MOST_PATCHES", 12)
-    monkeypatch.setattr("homeward.vision.features.match_propagation.MOST_GUIDES", 5)
+    monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_PATCHES", 12)
+    monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_GUIDES", 5)
     places, some = propagate_matches(home, home, known, told)
     assert len(every) > 36
     assert 0 < len(some) <= 36  # twelve in each of three rounds

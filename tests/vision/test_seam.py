@@ -16,7 +16,7 @@ from homeward.vision import Equirectangular, compare, extract  # noqa: E402
 from homeward.vision.cameras.image_files import read_grey  # noqa: E402
 from homeward.vision.cameras.panoramic import Cylindrical  # noqa: E402
 from homeward.vision.checks.camera_settings import better_settings  # noqa: E402
-from homeward.vision.checks.seam import LEAST_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
+from homeward.vision.checks.seam import MIN_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
 
 SEEDS = range(12)
 CAMERA = Equirectangular()
@@ -73,7 +73,7 @@ def test_wherever_a_panorama_is_cut_it_is_one():
     for seed in SEEDS:
         grey = panorama(seed)
         for shift in range(0, grey.shape[1], 37):
-            assert seam_evidence(np.roll(grey, shift, axis=1), CAMERA) < LEAST_EVIDENCE
+            assert seam_evidence(np.roll(grey, shift, axis=1), CAMERA) < MIN_EVIDENCE
 
 
 @pytest.mark.parametrize("ratio", [16 / 9, 2.0])

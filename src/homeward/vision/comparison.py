@@ -32,9 +32,9 @@ from homeward.vision.geometry.ransac import APART, estimate_motion
 from homeward.vision.geometry.refinement import Fit, irls, refine
 from homeward.vision.geometry.tilt import Tilt
 
-LARGEST_DIRECTION_SIGMA = np.radians(30.0)
+MAX_DIRECTION_SIGMA = np.radians(30.0)
 """The direction is known where its standard deviation is smaller than this [rad]."""
-LEAST_PARALLAX = 5.0
+MIN_PARALLAX = 5.0
 """Two places differ where the squared parallax is larger than this, in multiples of what noise
 gives: two images from one place have up to 3."""
 ALONE = 0.1
@@ -108,12 +108,12 @@ class Comparison:
     @property
     def knows_direction(self) -> bool:
         """Whether the direction is known, and not only the heading, as near home."""
-        return self.shows_parallax and self.home_direction_sigma < LARGEST_DIRECTION_SIGMA
+        return self.shows_parallax and self.home_direction_sigma < MAX_DIRECTION_SIGMA
 
     @property
     def shows_parallax(self) -> bool:
         """Whether the two places differ; in which direction may be unknown all the same."""
-        return self.accepted and self.parallax > LEAST_PARALLAX
+        return self.accepted and self.parallax > MIN_PARALLAX
 
     @property
     def home_direction(self) -> float:
@@ -281,6 +281,6 @@ def _refined(fit: Fit, pairs: Pairs, propagated: Pairs, camera: Panorama) -> tup
     forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, INLIER)
     found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
     together = jackknife_covariance(found, everything, camera.tilt_sigma)
-    share = ALONE if math.sqrt(match_only_covariance[0, 0]) < LARGEST_DIRECTION_SIGMA else 1.0
+    share = ALONE if math.sqrt(match_only_covariance[0, 0]) < MAX_DIRECTION_SIGMA else 1.0
     covariance = share * match_only_covariance + (1.0 - share) * together
     return replace(found, parallax=fit.parallax), covariance[:4, :4]

@@ -21,13 +21,13 @@ from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
 """A keyframe is replaced when fewer than this share of the most inliers it had are left."""
-FEWEST_SHARED = 25
+MIN_SHARED = 25
 """A keyframe is replaced when it has fewer inliers than this."""
 LOST_FRAMES = 3
 """After so many frames that match nothing, a new chain of keyframes begins."""
 HOME_EVERY = 2
 """Where home is out of sight, every n-th frame is compared with it."""
-MOST_KEYFRAMES = 200
+MAX_KEYFRAMES = 200
 """So many keyframes are kept at most; the oldest but home is dropped."""
 PROVEN = 5
 """A landmark is passed on from its n-th frame."""
@@ -200,7 +200,7 @@ class FrontEnd:
         last = self._keyframes[-1]
         seen = compared[len(self._keyframes) - 1]
         shared = int(seen.agrees.sum()) if seen.accepted else 0
-        if fits and shared >= max(KEEP_SHARE * last.shared, FEWEST_SHARED):
+        if fits and shared >= max(KEEP_SHARE * last.shared, MIN_SHARED):
             self._lost = 0
             return
         if not len(view) or (fits and seen.accepted and shared == last.shared):
@@ -208,7 +208,7 @@ class FrontEnd:
         self._lost = 0
         drift = np.where(landmark == NO_LANDMARK, 0.0, view.sigma)
         self._keyframes.append(Keyframe(view, landmark.copy(), drift, tilt))
-        if len(self._keyframes) > MOST_KEYFRAMES:
+        if len(self._keyframes) > MAX_KEYFRAMES:
             del self._keyframes[1]
 
     def _choose(self, view: Features, landmark: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from homeward.errors import needs_extra
 
 KEPT = 256 << 20
 """So much freed memory may stay with the process [bytes]."""
-LARGEST_BLOCK = 32 << 20
+MAX_BLOCK = 32 << 20
 """Larger blocks come from the system and go back to it [bytes]: the most that glibc allows."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """In glibc's malloc.h."""
@@ -42,5 +42,5 @@ def _keep_memory() -> None:
     """
     with suppress(OSError, AttributeError, TypeError):
         library = ctypes.CDLL(None)
-        library.mallopt(_MMAP_THRESHOLD, LARGEST_BLOCK)
+        library.mallopt(_MMAP_THRESHOLD, MAX_BLOCK)
         library.mallopt(_TRIM_THRESHOLD, KEPT)

@@ -10,7 +10,7 @@ from homeward.vision.opencv import opencv
 
 NARROWEST, LOWEST = 64, 16
 """Size of the smallest panorama that is accepted [px]."""
-MOST_PIXELS = 64_000_000
+MAX_PIXELS = 64_000_000
 """Size of the largest image that is accepted [px]."""
 
 
@@ -76,8 +76,8 @@ def eight_bits(deep: np.ndarray) -> np.ndarray:
 
 def require_size(width: int, height: int) -> None:
     """Raise InputError when a picture of so many columns and rows is no panorama."""
-    if width * height > MOST_PIXELS:
-        raise InputError(f"{width}x{height}: more than {MOST_PIXELS // 10**6} million pixels")
+    if width * height > MAX_PIXELS:
+        raise InputError(f"{width}x{height}: more than {MAX_PIXELS // 10**6} million pixels")
     if width < NARROWEST or height < LOWEST:
         raise InputError(f"{width}x{height} pixels; a panorama has at least {NARROWEST}x{LOWEST}")
 

@@ -15,7 +15,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.drives.text.files import naming, opened
 from homeward.errors import InputError, speaking_of
-from homeward.vision.cameras.grey import MOST_PIXELS, eight_bits, require_size
+from homeward.vision.cameras.grey import MAX_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
 
@@ -61,7 +61,7 @@ def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
     except UnidentifiedImageError:
         raise InputError("not an image that can be read", path) from None
     except Image.DecompressionBombError:
-        raise InputError(f"more than {MOST_PIXELS // 10**6} million pixels", path) from None
+        raise InputError(f"more than {MAX_PIXELS // 10**6} million pixels", path) from None
     except Exception as error:  # whatever decoders make of bytes that are no picture
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a whole image: {reason}", path) from None

@@ -20,7 +20,7 @@ FINEST, COARSEST = 2048, 256
 """Widths of an unwrapped panorama [px]."""
 TABLE = 512
 """Radii at which a mirror's elevation is tabulated."""
-FEWEST_RAYS = 30
+MIN_RAYS = 30
 """On fewer of 360 the edge of a ring is not measured again."""
 HELD_BACK = 2.0
 """How much of a ring that was found is left out at either edge, which is blurred there [px]."""
@@ -199,11 +199,11 @@ def find_ring(image: np.ndarray) -> FoundRing:
     reach, contrast = 2 * blur + 3, 0.25 * (bright - dark)
     for _ in range(2):
         rim = _half_way(image, centre, outer, reach, contrast)
-        if len(rim) >= FEWEST_RAYS:
+        if len(rim) >= MIN_RAYS:
             centre, outer = _circle(rim)
     if inner > 3:
         rim = _half_way(image, centre, inner, -reach, contrast)
-        if len(rim) >= FEWEST_RAYS:
+        if len(rim) >= MIN_RAYS:
             inner = float(np.median(np.linalg.norm(rim - centre, axis=1)))
         inner += HELD_BACK
     else:

@@ -15,13 +15,13 @@ from homeward.vision.cameras.ring import Ring
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import Features, extract
 from homeward.vision.geometry.a_contrario import (
-    LARGEST_LOG_FALSE_ALARMS,
+    MAX_LOG_FALSE_ALARMS,
     random_fit_probability,
 )
 
 HORIZONS = np.linspace(0.1, 0.9, 9)
 """Shares of the height at which the horizon is tried."""
-LEAST_OFF = 0.15
+MIN_OFF = 0.15
 """Horizons that differ from the given one by less than this share of the height are not tried."""
 MIN_SIGMAS = 2.0
 """Matches gained over matches lost, in standard deviations of a difference by chance."""
@@ -61,7 +61,7 @@ def better_settings(
     if isinstance(camera, Ring):
         return None
     fits, best, most = _matches(seen), None, 0
-    for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > LEAST_OFF].tolist():
+    for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > MIN_OFF].tolist():
         other = camera.model_copy(update={"horizon": horizon})
         home, now = (extract(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
         found = compare(home, now, other)
@@ -101,4 +101,4 @@ def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
     chance = random_fit_probability(found.motion, found.pairs)
     tests = math.log10(HORIZONS.size)
     log_chance = binom.logsf(gained - 1, unfit, chance) / math.log(10.0)
-    return gained - lost if log_chance < LARGEST_LOG_FALSE_ALARMS - tests else 0
+    return gained - lost if log_chance < MAX_LOG_FALSE_ALARMS - tests else 0

@@ -19,7 +19,7 @@ from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.opencv import opencv
 
-LEAST_EVIDENCE = 100.0
+MIN_EVIDENCE = 100.0
 """E-value from which an image is refused: one panorama in a hundred at most."""
 SCALES = 360, 180
 """Images are reduced to so many columns, twice: stitched joints are off by parts of a degree, and
@@ -47,7 +47,7 @@ def require_panoramas(pictures: Sequence[np.ndarray], camera: Panorama) -> None:
             "two discs side by side: a double fisheye image, no panorama; convert it to "
             f"an equirectangular one with the camera's software ({INSIST})"
         )
-    if greys and np.mean([seam_evidence(grey, camera) for grey in greys]) >= LEAST_EVIDENCE:
+    if greys and np.mean([seam_evidence(grey, camera) for grey in greys]) >= MIN_EVIDENCE:
         raise InputError(
             "left and right edge do not continue each other, as those of a 360 deg panorama do; "
             f"is it an ordinary picture? ({INSIST})"

@@ -28,10 +28,10 @@ OF_THE_ROOM = TURN / 2
 """What stands in the room lies within this of where the turn takes it [rad]."""
 FRAMES = 6
 """A frame is compared with so many before it: over more turns, the error of odometry adds up."""
-FEWEST, LEAST_SHARE = 5, 0.01
+MIN_MATCHES, MIN_SHARE = 5, 0.01
 """Least number of matches that turn with the camera, and least share of those of the room. Rendered
 rooms without a robot had none among 30,000, with thin legs 2 % and more."""
-LEAST_OF_ROOM = 0.1
+MIN_OF_ROOM = 0.1
 """Matches of the room must be such a share of those that turn along: else the robot is stuck, and
 odometry is wrong."""
 
@@ -103,7 +103,7 @@ class SelfOcclusionDetector:
         along = _stays(then, here, max(SAME, pixel))
         off = np.abs(wrap(here - then + [turned, 0.0]))
         of_room = int((off < OF_THE_ROOM).all(axis=1).sum())
-        if of_room < max(FEWEST, LEAST_OF_ROOM * along.sum()):
+        if of_room < max(MIN_MATCHES, MIN_OF_ROOM * along.sum()):
             return
         self._elevations.append(here[along, 1])
         self._of_room += of_room
@@ -138,7 +138,7 @@ def _stays(then: np.ndarray, now: np.ndarray, most: float) -> np.ndarray:
 
 def _told(elevation: np.ndarray, of_room: int) -> SelfOcclusion | None:
     """Return what is to be said of matches at elevations, (n,) [rad]; None if it may be chance."""
-    if elevation.size < max(FEWEST, LEAST_SHARE * of_room):
+    if elevation.size < max(MIN_MATCHES, MIN_SHARE * of_room):
         return None
     lowest, highest = np.percentile(elevation, [5, 95])
     return SelfOcclusion(elevation.size, float(lowest), float(highest))

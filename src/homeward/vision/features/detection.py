@@ -19,11 +19,11 @@ from homeward.vision.opencv import opencv
 
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
-MOST_FEATURES = 5000
+MAX_FEATURES = 5000
 """Only the strongest features are kept, since matching takes time with their square. Rooms have up
 to 2,000 with 2048 columns; noise has ten times as many."""
 
-FEWEST_COLUMNS = 360
+MIN_COLUMNS = 360
 """Smaller panoramas are enlarged, since SIFT needs some pixels about a feature: at 3 deg a pixel it
 finds twenty times as many in the enlargement."""
 
@@ -121,7 +121,7 @@ def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Fe
     """
     image = as_grey(image)
     height, width = image.shape
-    times = math.ceil(FEWEST_COLUMNS / width)
+    times = math.ceil(MIN_COLUMNS / width)
     if mask is not None and mask.room.shape != image.shape:
         (rows, columns), whole = mask.room.shape, f"{width}x{height}"
         raise InputError(f"a mask of {columns}x{rows} pixels for a panorama of {whole}")
@@ -200,7 +200,7 @@ def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
     # Without the precise upscale every keypoint has an error of a quarter of a pixel.
     sift = cv2.SIFT_create(
-        nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
+        nfeatures=MAX_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True
     )
     points, found = sift.detectAndCompute(enlarged(padded, times), None)
     if not points:

@@ -22,16 +22,16 @@ NEAR = 4.0
 """A map is used within so many radii of its patch."""
 GUIDES = 2
 """So many maps, of the nearest patches, are tried; that of the best correlation counts."""
-LEAST_LIKENESS = 0.9
+MIN_LIKENESS = 0.9
 """More than of a match, which its descriptor supports, too."""
 SIGMA_TIMES = 1.6
 """Standard deviation of a place, beside that of a match of the same correlation. Measured on
 rendered rooms: corners of which the near side moves and the far side does not, stand on no
 point."""
-MOST_PATCHES, MOST_GUIDES = 1500, 300
+MAX_PATCHES, MAX_GUIDES = 1500, 300
 """Of more, every n-th is used, so that the time is bounded. Rooms have half as many with 1024
 columns, as many with 2048."""
-MOST_GROWTH = 10.0
+MAX_GROWTH = 10.0
 """Maps that change an area by a larger factor, either way, are not used."""
 
 
@@ -61,8 +61,8 @@ def propagate_matches(
     free = np.ones(len(patches), bool)
     for _ in range(3):
         free[guides] = False
-        some = thinned(np.arange(len(guides)), MOST_GUIDES)
-        others = thinned(np.flatnonzero(free), MOST_PATCHES)
+        some = thinned(np.arange(len(guides)), MAX_GUIDES)
+        others = thinned(np.flatnonzero(free), MAX_PATCHES)
         guides, laid = _beside(home, now, others, guides[some], laid.rows(some))
         found.append((guides, laid))
     rows, parts = zip(*found, strict=True)
@@ -87,12 +87,12 @@ def _beside(
     carried = (laid.shape[guide] @ step[..., None])[..., 0] + laid.place[guide]
     area = laid.area[guide]
     inside = (carried[:, 1] > 0) & (carried[:, 1] < now.shape[0] - 1)
-    kept = inside & (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
+    kept = inside & (area > 1 / MAX_GROWTH) & (area < MAX_GROWTH)
     which, start = others[which[kept]], np.dstack([laid.shape[guide], carried])[kept]
     tried = align_patches(
         home.pyramid, now.pyramid, at_home[which], size[which, 0], start, STEPS // 2
     )
-    alike = np.flatnonzero(tried.found & (tried.likeness > LEAST_LIKENESS))
+    alike = np.flatnonzero(tried.found & (tried.likeness > MIN_LIKENESS))
     best_first = alike[np.argsort(-tried.likeness[alike], kind="stable")]
     rows, first = np.unique(which[best_first], return_index=True)
     return rows, tried.rows(best_first[first])

@@ -18,7 +18,7 @@ TOLERANCE = 0.3
 """Largest error of a feature's place, as a share of its distance, beside its own size."""
 SCALE, TURN = 1.6, 0.5
 """Largest factor between growths, and difference between turns [rad], within one object."""
-FEWEST = 4
+MIN_MATCHES = 4
 """Least number of matches that share one similarity."""
 
 
@@ -42,7 +42,7 @@ def moved_groups(
     """
     moved = np.zeros(len(rows), bool)
     chosen = np.flatnonzero(candidates)
-    if chosen.size < FEWEST:
+    if chosen.size < MIN_MATCHES:
         return moved
     i, j = rows[chosen].T
     a, b = _offsets(home, i), _offsets(now, j)
@@ -61,7 +61,7 @@ def moved_groups(
     # Several features at one spot count once.
     apart = np.abs(a) > _angular(home, home.size[i])[:, None] / 2
     support = (follows & apart).sum(axis=1) + 1
-    for seed in np.flatnonzero(support >= FEWEST):
+    for seed in np.flatnonzero(support >= MIN_MATCHES):
         moved[chosen[follows[seed]]] = True
     return moved
 

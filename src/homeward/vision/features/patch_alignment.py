@@ -113,11 +113,11 @@ STEPS = 8
 STIFFNESS = (0.05 / 0.3) ** 2
 """Prior information on the map's matrix about the features' own size and turn: variance of the grey
 values of a unit-length patch over that of the matrix."""
-LEAST_AREA = 0.01
+MIN_AREA = 0.01
 """Smallest factor by which one iteration may shrink a patch."""
-LEAST_LIKENESS = 0.8
+MIN_LIKENESS = 0.8
 """Correlation below which two patches do not show the same."""
-LONGEST_SHIFT = 0.5
+MAX_SHIFT = 0.5
 """Largest change of a parameter in one iteration, in radii; a patch that ends farther from where it
 began has slid onto something else."""
 SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
@@ -206,7 +206,7 @@ def align_patches(
         shape=shape / radius[:, None, None],
         spread=SIGMA_FLOOR**2 * np.eye(2) + SIGMA_TIMES**2 * left[:, None, None] * noise,
         likeness=likeness,
-        found=(likeness > LEAST_LIKENESS) & (shift < LONGEST_SHIFT * reach),
+        found=(likeness > MIN_LIKENESS) & (shift < MAX_SHIFT * reach),
     )
 
 
@@ -255,7 +255,7 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         gradient = (laid[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
         step = (known @ gradient[..., None])[..., 0]
-        carried = carried @ _undone(np.clip(step, -LONGEST_SHIFT, LONGEST_SHIFT))
+        carried = carried @ _undone(np.clip(step, -MAX_SHIFT, MAX_SHIFT))
     laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
     return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
 
@@ -263,7 +263,7 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _align_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what `_align` does, in compiled code."""
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
-    limits = np.array([HALF, LONGEST_SHIFT, LEAST_AREA])
+    limits = np.array([HALF, MAX_SHIFT, MIN_AREA])
     given = (task.at, task.radius, task.reach, task.start)
     told = [np.array(a, float, order="C") for a in given]
     n = len(task.at)
@@ -309,7 +309,7 @@ def similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarra
 def _undone(step: np.ndarray) -> np.ndarray:
     """Return the inverse, (n, 3, 3), of the map that a step stands for."""
     x, y, a, b, c, d = (step + np.array([0, 0, 1, 0, 0, 1])).T
-    area = np.maximum(a * d - b * c, LEAST_AREA)
+    area = np.maximum(a * d - b * c, MIN_AREA)
     inverse = np.zeros((len(step), 3, 3))
     inverse[:, 0] = np.column_stack([d, -b, b * y - d * x]) / area[:, None]
     inverse[:, 1] = np.column_stack([-c, a, c * x - a * y]) / area[:, None]

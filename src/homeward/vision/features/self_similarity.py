@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
-from homeward.vision.features.match_propagation import LEAST_LIKENESS, MOST_GROWTH, thinned
+from homeward.vision.features.match_propagation import MAX_GROWTH, MIN_LIKENESS, thinned
 from homeward.vision.features.moved_groups import SCALE
 from homeward.vision.features.patch_alignment import STEPS, align_patches, areas, radius_of
 
@@ -59,14 +59,14 @@ def _recur(view: Features, rows: np.ndarray, others: np.ndarray, camera: Panoram
     step[..., 0] -= view.shape[1] * np.rint(step[..., 0] / view.shape[1])
     apart = np.hypot(*np.moveaxis(step, -1, 0))
     grown = view.size[others] / (view.size[rows, None] * np.sqrt(area))
-    tried = (area > 1 / MOST_GROWTH) & (area < MOST_GROWTH)
+    tried = (area > 1 / MAX_GROWTH) & (area < MAX_GROWTH)
     tried &= np.abs(np.log(grown)) < np.log(SCALE)
     tried &= apart > APART * radius_of(view.size[rows], view.pyramid)[:, None]
     one, other = np.nonzero(tried)
     start = np.dstack([maps[one, other], place[others[other]]])
     at_home, size = place[rows[one]], view.size[rows[one]]
     laid = align_patches(view.pyramid, view.pyramid, at_home, size, start, STEPS // 2)
-    like = laid.found & (laid.likeness > LEAST_LIKENESS)
+    like = laid.found & (laid.likeness > MIN_LIKENESS)
     return np.bincount(one[like], minlength=len(rows)) > 0
 
 

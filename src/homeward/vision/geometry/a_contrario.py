@@ -23,18 +23,18 @@ from homeward.vision.geometry.refinement import Fit, squares
 
 REACH = WINDOW * math.pi / SECTORS
 """What lies within this of one direction may be one object [rad]."""
-LARGEST_LOG_FALSE_ALARMS = -4.0
+MAX_LOG_FALSE_ALARMS = -4.0
 """Largest number of false alarms that is accepted (logarithm to base 10)."""
-MOST_PER_SECTOR = 4
+MAX_PER_SECTOR = 4
 """More matches in one sector count as this many: parts of one thing err together."""
-FEWEST_SECTORS = 4
+MIN_SECTORS = 4
 """Least number of sectors with inliers."""
 STEEP = math.radians(25.0)
 """Inliers steeper than this, up or down, may be on another room's ceiling or on other tiles of the
 floor [rad]."""
-FEWEST_LEVEL_SECTORS = 3
+MIN_LEVEL_SECTORS = 3
 """Least number of sectors with inliers that are not steep."""
-LEAST_LEVEL_SHARE = 0.25
+MIN_LEVEL_SHARE = 0.25
 """Least share of inliers that are not steep: the tiles of a floor look the same a few tiles on."""
 WITHIN = 0.6
 """Cameras are nearly upright: a feature is turned in the image by less than this [rad], and where
@@ -77,7 +77,7 @@ def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Accep
             False, f"not enough in common: {len(pairs)} matches, no common motion", 0.0
         )
     alarms = _log_false_alarms(fit, pairs, heading)
-    if alarms > LARGEST_LOG_FALSE_ALARMS:
+    if alarms > MAX_LOG_FALSE_ALARMS:
         words = _agreement(fit.inlier, pairs)
         return Acceptance(False, f"not enough in common: {words}, which may be chance", alarms)
     return Acceptance(True, "", alarms).reassessed(fit.inlier, pairs)
@@ -129,12 +129,9 @@ def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
     """
     sectors = [sector_of(azimuth) for azimuth in azimuths]
     level = np.abs(elevation) < STEEP
-    if _occupied(sectors) < FEWEST_SECTORS:
+    if _occupied(sectors) < MIN_SECTORS:
         return " only"
-    if (
-        _occupied([s[level] for s in sectors]) < FEWEST_LEVEL_SECTORS
-        or level.mean() < LEAST_LEVEL_SHARE
-    ):
+    if _occupied([s[level] for s in sectors]) < MIN_LEVEL_SECTORS or level.mean() < MIN_LEVEL_SHARE:
         return ", most of them overhead or on the floor"
     return ""
 
@@ -183,7 +180,7 @@ def random_fit_probability(motion: Motion, pairs: Pairs, heading: float | None =
 
 
 def _capped(sectors: np.ndarray) -> int:
-    return int(np.minimum(np.bincount(sectors, minlength=SECTORS), MOST_PER_SECTOR).sum())
+    return int(np.minimum(np.bincount(sectors, minlength=SECTORS), MAX_PER_SECTOR).sum())
 
 
 def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:

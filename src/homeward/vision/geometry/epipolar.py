@@ -158,12 +158,12 @@ class Residuals(NamedTuple):
 INLIER = 3.0
 """Whatever is farther off than so many standard deviations is an outlier: a residual, a ray that
 misses the other one, a landmark in a resection. It is the scale of robust losses, too."""
-MOST_PARALLAX = np.radians(60.0)
+MAX_PARALLAX = np.radians(60.0)
 """Largest angle under which a thing is seen from both places [rad]: beyond, nothing looks the
 same."""
 GROWTH = 0.5
 """Largest error of the logarithm of a feature's growth: three times the one measured (0.16)."""
-LIMITS = np.array([INLIER, np.cos(MOST_PARALLAX), GROWTH])
+LIMITS = np.array([INLIER, np.cos(MAX_PARALLAX), GROWTH])
 """For compiled code."""
 
 
@@ -290,7 +290,7 @@ def _possible(
     is not too wide. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
     n = x1 x y. This is what tells a wrong match along the epipolar line from a right one.
     """
-    good, far, doubt = _dot(x1, y) > np.cos(MOST_PARALLAX), [], 0.0
+    good, far, doubt = _dot(x1, y) > np.cos(MAX_PARALLAX), [], 0.0
     for ray in (y, x1):
         arm = _cross(t, ray)
         distance = _dot(arm, normal)

@@ -22,14 +22,14 @@ from homeward.vision.geometry.a_contrario import too_narrow
 from homeward.vision.homing.fix import DIRECTION_HOLD_S
 from homeward.vision.homing.resection import Direction
 
-FEWEST_ALIKE, MOST = 5, 60
+MIN_ALIKE, MOST = 5, 60
 """Least number of votes that agree, and number of the latest votes that are counted: four others of
 59 agree with the newest by chance once in 100,000 times."""
 ALIKE = (0.2, 0.1)
 """Votes agree whose direction and heading differ by less than this [rad]."""
 ANOTHER_PLACE_M = 0.04
 """Least way between two votes [m]: from one place, a picture would vote the same again."""
-LEAST_SIGMA = 0.05
+MIN_SIGMA = 0.05
 """Standard deviation of what votes that agree may have wrong in common [rad]."""
 
 
@@ -98,11 +98,11 @@ class DirectionVoting:
         angles = np.array([vote.angles for vote in self._votes])
         off = wrap(angles - angles[-1])
         alike = np.flatnonzero((np.abs(off) < ALIKE).all(axis=1))
-        if alike.size < FEWEST_ALIKE:
+        if alike.size < MIN_ALIKE:
             return None
         azimuth, elevation = np.vstack([self._votes[i].matched for i in alike]).T
         if too_narrow(azimuth, elevation=elevation):
             return None
         theta, alpha = wrap(angles[-1] + off[alike].mean(axis=0)).tolist()
-        covariance = np.cov(off[alike].T) + LEAST_SIGMA**2 * np.eye(2)
+        covariance = np.cov(off[alike].T) + MIN_SIGMA**2 * np.eye(2)
         return Consensus(t, Direction(theta, alpha, covariance), alike.size)

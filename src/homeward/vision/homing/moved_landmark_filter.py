@@ -19,10 +19,10 @@ from homeward.vision.front_end import home_name
 
 LASTING, LASTING_SHARE = 8, 0.3
 """A landmark lasts that was seen so often, and in such a share of the frames since the first."""
-FEWEST_MOVED_M = 0.2
+MIN_MOVED_M = 0.2
 """Least move of a lasting landmark across the line from home [m]: by less, features slide on
 edges."""
-FEWEST_TOGETHER, TOGETHER_SHARE = 3, 0.1
+MIN_TOGETHER, TOGETHER_SHARE = 3, 0.1
 """Least number of frames, and share of its sightings, in which a landmark was in a moved group."""
 ALIKE = 0.2
 """Largest angle at home between a moved landmark and a neighbour of it [rad], and largest
@@ -67,12 +67,12 @@ class MovedLandmarkFilter:
         times, first = self._seen.get(found.landmark, (0, self._frames))
         lasting = times >= LASTING and times >= LASTING_SHARE * (self._frames - first)
         away = found.distance * abs(_turned(found))
-        return math.isfinite(found.moved_at) or (lasting and away >= FEWEST_MOVED_M)
+        return math.isfinite(found.moved_at) or (lasting and away >= MIN_MOVED_M)
 
     def _in_moved_group(self, found: LandmarkEstimate) -> bool:
         """Say whether a landmark was in a moved group often enough."""
         times, _ = self._seen.get(found.landmark, (0, 0))
-        return self._together[found.landmark] >= max(FEWEST_TOGETHER, TOGETHER_SHARE * times)
+        return self._together[found.landmark] >= max(MIN_TOGETHER, TOGETHER_SHARE * times)
 
 
 def _turned(found: LandmarkEstimate) -> float:

@@ -50,7 +50,7 @@ from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S, Fix, fused
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
 from homeward.vision.homing.resection import NEAR_HOME, Direction, HomeLandmarks, resect
 
-FEWEST_MAPPED = 4
+MIN_MAPPED = 4
 """Least number of mapped landmarks that a resection uses: one more than a pose has unknowns."""
 AGREEING = 0.7
 """Least share of the landmarks in the map that agree with a resection."""
@@ -185,7 +185,7 @@ class VisualHoming:
         """Return the pose by resection; None where too few landmarks are seen or mapped."""
         anchors = self._anchors(seen)
         mapped = anchors.mapped
-        if mapped.sum() < FEWEST_MAPPED or seen.motion is None:
+        if mapped.sum() < MIN_MAPPED or seen.motion is None:
             return None
         found = resect(anchors, _told(seen), seen.tilt_covariance)
         if found is None:

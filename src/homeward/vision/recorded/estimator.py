@@ -15,7 +15,7 @@ from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Estimator, Status, guarded
 from homeward.frames import Pose, bearing
-from homeward.vision.comparison import LARGEST_DIRECTION_SIGMA, Comparison
+from homeward.vision.comparison import MAX_DIRECTION_SIGMA, Comparison
 from homeward.vision.homing.fix import DIRECTION_HOLD_S, Fix
 from homeward.vision.homing.visual_homing import VisualHoming, agree
 
@@ -186,7 +186,7 @@ def way_home(pose: Pose, covariance: np.ndarray) -> str | None:
     if squared == 0.0:
         return None
     gradient = np.array([-pose.y / squared, pose.x / squared, -1.0])
-    if gradient @ covariance @ gradient > LARGEST_DIRECTION_SIGMA**2:
+    if gradient @ covariance @ gradient > MAX_DIRECTION_SIGMA**2:
         return None
     share = float(bearing(pose, 0.0, 0.0)) / math.tau
     return WAYS[round(share * len(WAYS)) % len(WAYS)]

@@ -19,7 +19,7 @@ from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there, naming, opened
 from homeward.drives.text.table import numbers, read_csv
 from homeward.errors import InputError, speaking_of
-from homeward.vision.cameras.grey import MOST_PIXELS
+from homeward.vision.cameras.grey import MAX_PIXELS
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 from homeward.vision.recorded.folder import (
@@ -96,7 +96,7 @@ class Video:
         video = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
         try:
             size = [video.get(k) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-            if not video.isOpened() or not 0 < size[0] * size[1] <= MOST_PIXELS:
+            if not video.isOpened() or not 0 < size[0] * size[1] <= MAX_PIXELS:
                 raise InputError("not a video that can be read", self._path)
             while video.grab():
                 yield (

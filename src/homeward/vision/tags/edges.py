@@ -24,7 +24,7 @@ NEAREST, FURTHEST = 1.0, 4.0
 """But at least and at most so far [px]."""
 TIMES = 3
 """Each time the samples lie nearer to the edge."""
-LEAST_CONTRAST = 12.0
+MIN_CONTRAST = 12.0
 """Between the two sides of an edge [grey levels]."""
 SYSTEMATIC = 0.03
 """What pixels that are no points and light that spreads leave of any corner [px]."""
@@ -106,7 +106,7 @@ def _steps(
     # Both levels are those of the whole edge.
     dark, bright = (values[..., k].mean(axis=2)[..., None, None] for k in (0, -1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        level = (values - dark) / np.where(bright - dark > LEAST_CONTRAST, bright - dark, np.nan)
+        level = (values - dark) / np.where(bright - dark > MIN_CONTRAST, bright - dark, np.nan)
     area = trapezoid(level, step, axis=-1)
     return places, (reach[:, None, None] * (1 - area))[..., None] * outwards
 
