@@ -30,7 +30,7 @@ from homeward.live.messages import (
     line_of,
     parse_output,
 )
-from homeward.live.player import Player, play
+from homeward.live.player import SimulatedRobotClient, play
 from homeward.live.server import Address
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
@@ -47,7 +47,7 @@ SCENARIO = {
 }
 
 
-class Shuttle(Player):
+class Shuttle(SimulatedRobotClient):
     """Drives in circles and home until its time is over, and takes the time of answers."""
 
     def __init__(self, seconds: float) -> None:
@@ -59,7 +59,7 @@ class Shuttle(Player):
         self._sent: dict[float, float] = {}
 
     def step(self) -> Iterator[Input]:
-        """Drive; see `Player`."""
+        """Drive; see `SimulatedRobotClient`."""
         for message in super().step():
             if isinstance(message, BearingsIn):
                 self._sent[message.t] = time.perf_counter()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from homeward.control.driver import AFTERWARDS_S, Driver
-from homeward.control.following import Path
-from homeward.control.goals import STAND, Belief, PointGoal, RouteGoal, State, TurnGoal
+from homeward.control.following import STAND, Path
+from homeward.control.goals import Belief, PointGoal, RouteGoal, State, TurnGoal
 from homeward.control.limits import Limits
 from homeward.control.watchdog import CLEARED_S, Fault
 from homeward.estimator import Status

@@ -4,7 +4,7 @@ from functools import partial
 
 from homeward.frames import Twist
 from homeward.live.messages import Departure, Event, StoreRoute
-from homeward.live.player import Player
+from homeward.live.player import SimulatedRobotClient
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.simulation.files import load_scenario
@@ -23,10 +23,10 @@ SCENARIO = {
 class Rig:
     """Steps a player and its session; what each test does to the samples is `spoil`."""
 
-    def __init__(self, seed=0, keep=None, settings=None, place=None, errand=None, **changes):
+    def __init__(self, seed=0, keep=None, settings=None, place=None, task=None, **changes):
         scenario = load_scenario("paper-homing", SCENARIO | {"seed": seed} | changes)
-        hand = partial(make_control, scenario) if isinstance(errand, StoreRoute) else None
-        self.player = Player(LiveRobot(scenario), 120.0, errand, hand)
+        hand = partial(make_control, scenario) if isinstance(task, StoreRoute) else None
+        self.player = SimulatedRobotClient(LiveRobot(scenario), 120.0, task, hand)
         self.robot = self.player.robot
         robot = self.robot.drive.settings
         self.session = Session(settings or LiveSettings(), robot, {}, place)
@@ -46,10 +46,10 @@ class Rig:
                 self.session.receive(spoilt, now)
         for said in self.session.process():
             self.answers.append(said)
-            self.player.hear(said)
+            self.player.on_message(said)
         if (command := self.session.tick(now)) is not None:
             self.commands.append((now, command))
-            self.player.hear(command)
+            self.player.on_message(command)
 
     def until(self, condition, longest=60.0):
         end = self.robot.t + longest

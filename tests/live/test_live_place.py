@@ -27,7 +27,7 @@ from homeward.live.messages import (
 )
 from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import visiting
+from homeward.live.visiting import open_place
 from homeward.one_thread import one_thread
 from homeward.places.files import load_place, newest
 from homeward.places.telling import fingerprint
@@ -39,7 +39,7 @@ LANDMARKS = {"landmarks.count": 12}
 def hall(tmp_path_factory):
     """A place that a first session made; do not write into it."""
     folder = tmp_path_factory.mktemp("places") / "hall"
-    rig = Rig(0, place=visiting(folder, update=True), **LANDMARKS)
+    rig = Rig(0, place=open_place(folder, update=True), **LANDMARKS)
     rig.until(lambda r: r.player.ending)
     assert "a new place, with 12 landmarks" in rig.session.localisation.conclude()
     return folder
@@ -58,7 +58,7 @@ def localised(rig):
 def in_place(folder, update=False, seed=0, keep=None, place=None):
     """A robot that was put into the place by night, and its session."""
     changes = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, **LANDMARKS}
-    return Rig(seed, keep, place=place or visiting(folder, update), **changes)
+    return Rig(seed, keep, place=place or open_place(folder, update), **changes)
 
 
 def error(rig):
@@ -106,7 +106,7 @@ def test_a_home_that_is_gone_with_its_map_is_not_driven_to(place):
 
 
 def test_a_new_place_that_was_saved_looks_at_no_other_home(tmp_path):
-    rig = Rig(0, place=visiting(tmp_path / "new", update=True), **LANDMARKS)
+    rig = Rig(0, place=open_place(tmp_path / "new", update=True), **LANDMARKS)
     rig.until(lambda r: r.player.ending)
     assert "a new place" in asked(rig, SavePlace())
     other = SetHome(name="dock", bearings={"L1": 0.1, "L2": 1.0, "L3": 2.0})
@@ -152,7 +152,7 @@ def test_a_home_that_is_stored_on_the_way_is_one_of_the_place_and_can_be_driven_
 def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_place(
     place, tmp_path
 ):
-    visited, robot = visiting(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
+    visited, robot = open_place(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
     folder = tmp_path / "drive"
     recorder = Recorder(folder, LiveSettings(), robot, {}, visited)
     with one_thread():  # as hosts of sessions do
@@ -178,7 +178,7 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
 
 
 def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_path):
-    visited, robot = visiting(tmp_path / "hall", update=True), Rig(0).robot.drive.settings
+    visited, robot = open_place(tmp_path / "hall", update=True), Rig(0).robot.drive.settings
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, visited)
     with one_thread():
         rig = Rig(0, recorder.keep, place=visited, **LANDMARKS).until(localised)
@@ -312,4 +312,4 @@ def test_what_cannot_be_is_refused_before_anything_begins(place, told, words, tm
 def test_a_damaged_place_is_refused(place):
     (place / "0001" / "covariance.npz").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(InputError, match="damaged"):
-        visiting(place, update=True)
+        open_place(place, update=True)

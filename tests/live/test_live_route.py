@@ -32,7 +32,7 @@ from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.server import Address, Server
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import visiting
+from homeward.live.visiting import open_place
 from homeward.one_thread import one_thread
 from homeward.places.files import load_place, newest
 
@@ -52,8 +52,8 @@ LATER = SLOW | {
 
 def taught(folder, keep=None, place=None):
     """A first session in which a route is taught; the true way of it."""
-    place = place or visiting(folder, update=True)
-    rig = Rig(0, keep, place=place, errand=StoreRoute(name="round"), **TAUGHT)
+    place = place or open_place(folder, update=True)
+    rig = Rig(0, keep, place=place, task=StoreRoute(name="round"), **TAUGHT)
     way = []
 
     def over(rig):
@@ -77,9 +77,9 @@ def school(tmp_path_factory):
     return folder, way
 
 
-def later(folder, errand, update=False, **changes):
+def later(folder, task, update=False, **changes):
     """Another session, begun elsewhere."""
-    return Rig(0, place=visiting(folder, update), errand=errand, **LATER | changes)
+    return Rig(0, place=open_place(folder, update), task=task, **LATER | changes)
 
 
 def now_says(words):
@@ -183,7 +183,7 @@ def test_what_cannot_be_is_refused_in_words(school, tmp_path):
     alone = Rig(0)
     assert "there is no place" in asked(alone, FollowRoute(name="round"))
     assert "there is no place" in asked(alone, BeginRoute())
-    new = Rig(0, place=visiting(tmp_path / "new", update=True))
+    new = Rig(0, place=open_place(tmp_path / "new", update=True))
     assert "waiting" in asked(new, BeginRoute())
     assert "leads nowhere" in asked(new, StoreRoute(name="round"))
 
@@ -206,7 +206,7 @@ def test_a_landmark_and_a_point_are_driven_to(school):
 
 def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
     robot = Rig(0, **TAUGHT).robot.drive.settings
-    place = visiting(tmp_path / "hall", update=True)
+    place = open_place(tmp_path / "hall", update=True)
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, place)
     with one_thread():  # as hosts of sessions do
         rig, _ = taught(tmp_path / "hall", recorder.keep, place)
@@ -231,7 +231,7 @@ def test_a_simulated_robot_is_told_what_it_lacks(told, words):
 
 
 def test_a_simulated_robot_teaches_a_route_over_tcp(tmp_path):
-    session = Session(place=visiting(tmp_path / "hall", update=True))
+    session = Session(place=open_place(tmp_path / "hall", update=True))
     server, opened, loop = Server(session), threading.Event(), asyncio.new_event_loop()
     serving = loop.create_task(
         server.serve(tcp=Address("127.0.0.1", 0), opened=lambda _: opened.set())

@@ -25,7 +25,7 @@ from homeward.live.messages import (
 from homeward.live.recording import SESSION, Recorder, read_drive, replay
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import Visiting
+from homeward.live.visiting import PlaceSession
 
 NARROW = {
     "trajectory.spin": 0.5,
@@ -198,7 +198,7 @@ def test_who_is_told_to_turn_on_the_way_home_goes_there_no_more():
 
 
 def test_the_first_home_of_a_place_may_be_one_of_a_turn_and_the_next_ones_are_in_its_map():
-    rig = Rig(3, place=Visiting("hall", 20000.0, True), **NARROW).until(driving, 110.0)
+    rig = Rig(3, place=PlaceSession("hall", 20000.0, True), **NARROW).until(driving, 110.0)
     assert "home 'home' is stored" in events(rig)[0]
     rig.session.receive(LookRound(), rig.robot.t)
     rig.session.receive(StoreHome(name="dock"), rig.robot.t)

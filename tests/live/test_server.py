@@ -16,7 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import in_turn
 from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
-from homeward.live.player import Player, play
+from homeward.live.player import SimulatedRobotClient, play
 from homeward.live.server import Address, Server, address
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
@@ -57,7 +57,7 @@ def test_a_robot_comes_home_over_tcp():
     async def whole():
         async with serving(tcp=ANY) as (ports, _):
             changes = SCENARIO | {"rates.odometry": 40.0, "rates.bearings": 20.0}
-            player = Player(LiveRobot(load_scenario("paper-homing", changes)))
+            player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", changes)))
             await play(player, Address("127.0.0.1", ports[0]), 1.0, None, lambda text: None)
             return player
 
@@ -203,7 +203,7 @@ def test_nobody_listens():
     async def whole():
         async with serving(tcp=ANY) as (ports, _):
             port = ports[0]
-        player = Player(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+        player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", SCENARIO)))
         await play(player, Address("127.0.0.1", port), 1.0, None, lambda text: None)
 
     with pytest.raises(HomewardError, match="nobody listens"):
@@ -433,7 +433,7 @@ def test_a_simulated_robot_is_refused_by_what_is_no_session(sent, words, monkeyp
 
         server = await asyncio.start_server(serve, "127.0.0.1", 0)
         port = server.sockets[0].getsockname()[1]
-        player = Player(LiveRobot(load_scenario("paper-homing", SCENARIO)))
+        player = SimulatedRobotClient(LiveRobot(load_scenario("paper-homing", SCENARIO)))
         try:
             async with asyncio.timeout(10):
                 await play(player, Address("127.0.0.1", port), 1.0, None, lambda text: None)

@@ -31,7 +31,7 @@ from homeward.live.messages import (
     parse_output,
 )
 from homeward.live.messages import Command as Commanded
-from homeward.live.player import Player
+from homeward.live.player import SimulatedRobotClient
 from homeward.simulation.files import load_scenario
 from homeward.simulation.live_robot import LiveRobot
 
@@ -171,7 +171,9 @@ class Robot:
 
     def __init__(self):
         scenario = SCENARIO | {"seed": 0, "landmarks.count": 12, "rates.bearings": 30.0}
-        self.player = Player(LiveRobot(load_scenario("paper-homing", scenario)), 120.0)
+        self.player = SimulatedRobotClient(
+            LiveRobot(load_scenario("paper-homing", scenario)), 120.0
+        )
         self.ids = {name: str(k) for k, name in enumerate(self.player.robot.world.ids)}
         self.epoch, self.asked = time.time(), False
         self.odometry, self.bearings = writer("odom", Odometry), writer("bearings", PoseArray)
@@ -213,7 +215,7 @@ class Robot:
         for told in self.said.take(100):
             said = parse_output(told.data)
             if isinstance(said, Answer):
-                self.player.hear(said)
+                self.player.on_message(said)
             elif isinstance(said, Commanded) and said.state in ("arrived", "failed"):
                 self.player.ending = said
         self.heard["poses"] += len(self.poses.take(100))

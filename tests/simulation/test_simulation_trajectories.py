@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control.goals import STAND, Belief, PointGoal
+from homeward.control.following import STAND
+from homeward.control.goals import Belief, PointGoal
 from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.frames import Pose, Twist, advance

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from homeward.control.goals import STAND, Belief, Goal, GoalController, State
+from homeward.control.following import STAND
+from homeward.control.goals import Belief, Goal, GoalController, State
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Fault, Lasting
 from homeward.estimator import Status

@@ -53,7 +53,7 @@ from homeward.live.messages import (
     TurnHome,
 )
 from homeward.live.sending import NO_PLACE, resolve_goal
-from homeward.live.visiting import Visiting
+from homeward.live.visiting import PlaceSession
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator, settings_model
 from homeward.report.words import count
@@ -89,7 +89,7 @@ class Localisation:
         What is known of the robot.
     homes : Homes
         To begin with, and added to; in a place that has homes they are not looked at.
-    place : Visiting, optional
+    place : PlaceSession, optional
         The place.
     """
 
@@ -98,7 +98,7 @@ class Localisation:
         estimator: str | None,
         robot: DriveSettings,
         homes: Homes,
-        place: Visiting | None = None,
+        place: PlaceSession | None = None,
     ) -> None:
         # When a drive was at home is no word for one that is not over.
         robot = robot.model_copy(update={"home": None})
@@ -271,7 +271,7 @@ class Localisation:
             raise InputError(NO_HOME)
         return place.merge(self.estimator, self.drive, self.home)
 
-    def _required_place(self) -> Visiting:
+    def _required_place(self) -> PlaceSession:
         if self.place is None:
             raise InputError(NO_PLACE)
         return self.place

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 
+from homeward.control.following import STAND
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
 from homeward.frames import Pose, Twist
@@ -29,7 +30,7 @@ from homeward.live.messages import (
     parse_output,
 )
 from homeward.live.server import HELLO_S, Address
-from homeward.simulation.live_robot import STAND, LiveRobot
+from homeward.simulation.live_robot import LiveRobot
 from homeward.simulation.trajectories import Control, Search, exact
 
 LOOKS_ROUND_S = 8.0
@@ -38,17 +39,15 @@ CIRCLES = 0.15
 """At this speed [m/s]."""
 
 
-Errand = Departure | StoreRoute
-"""What a robot wants of a session; to store a route it must drive it."""
+Task = Departure | StoreRoute
+"""Task of a robot in a session; to store a route it drives it."""
 
 
-class Player:
-    """Drives in circles until it is localised, and then does its errand.
+class SimulatedRobotClient:
+    """Client of a live session: circles until it is localised, and then does its task.
 
-    It goes home, or elsewhere, as it is told; or it drives as somebody would by hand who teaches it
-    a route.
-
-    One that turns at home does that first, as it is told, too.
+    It follows the session's commands, home or elsewhere, or drives a route by hand to teach it. A
+    robot that turns at home does that first.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ class Player:
         At its start.
     longest : float
         It gives up then [s of its own time].
-    errand : message, optional
+    task : message, optional
         What to do; by default to go home.
     hand : callable, optional
         Where it is to store a route: returns what drives it along that, from a pose.
@@ -66,13 +65,13 @@ class Player:
         self,
         robot: LiveRobot,
         longest: float = 300.0,
-        errand: Errand | None = None,
+        task: Task | None = None,
         hand: Callable[[Pose], Control] | None = None,
     ) -> None:
         self.robot, self._longest = robot, longest
-        self.errand: Errand = errand or GoHome()
+        self.task: Task = task or GoHome()
         self.ending: Command | Event | None = None
-        """What was said last of the errand: a command "arrived" or "failed", or, of a route that
+        """What was said last of the task: a command "arrived" or "failed", or, of a route that
         is to be stored, what came of that."""
         self._search = Search(CIRCLES, robot.view)
         self._turning = robot.turns
@@ -85,20 +84,20 @@ class Player:
 
     @property
     def succeeded(self) -> bool:
-        """Whether it did its errand."""
+        """Whether it did its task."""
         if isinstance(self.ending, Event):
             return self.ending.type == "event"
         return self.ending is not None and self.ending.state == "arrived"
 
     @property
     def last_words(self) -> str:
-        """What was said last of its errand."""
+        """What was said last of its task."""
         said = self.ending
         if said is None or isinstance(said, Event):
             return "" if said is None else said.text
         return f"{said.state}: {said.reason}"
 
-    def again(self) -> None:
+    def restart(self) -> None:
         """Drive in circles again, from where it ended."""
         self.ending, self._asked, self._began = None, False, self.robot.t
         self._search.end()
@@ -122,7 +121,7 @@ class Player:
             self.robot.command(twist or STAND, hold=1.0)
             if twist is None:
                 self._stored = True
-                yield self.errand
+                yield self.task
         sensed = self.robot.step()
         yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
         if sensed.seen is not None:
@@ -130,17 +129,17 @@ class Player:
         looked = not self._turning and sensed.t - self._began > LOOKS_ROUND_S
         if looked and not self._asked and self._status is Status.LOCALISED:
             self._asked = True
-            yield self.errand if self._hand is None else BeginRoute()
+            yield self.task if self._hand is None else BeginRoute()
 
-    def hear(self, said: object) -> None:
-        """Take what the session said."""
+    def on_message(self, said: object) -> None:
+        """Take a message of the session."""
         if isinstance(said, Answer):
             self._status = said.status
         elif isinstance(said, Event) and self._asked and self._hand is not None:
             if self._stored:
                 self.ending = said
             elif said.type == "error":  # it knows too little yet
-                self.again()
+                self.restart()
             elif self._driven is None:
                 self._driven = self._hand(self.robot.pose)
         elif isinstance(said, Command) and (self._turning or (self._asked and self._hand is None)):
@@ -152,12 +151,16 @@ class Player:
 
     @property
     def done(self) -> bool:
-        """Whether its errand is over, or it gave up."""
+        """Whether its task is over, or it gave up."""
         return self.ending is not None or self.robot.t > self._longest
 
 
 async def play(
-    player: Player, place: Address, pace: float, token: str | None, tell: Callable[[str], None]
+    player: SimulatedRobotClient,
+    place: Address,
+    pace: float,
+    token: str | None,
+    tell: Callable[[str], None],
 ) -> None:
     """Let a player talk to the session at an address, `pace` times as fast as time goes by.
 
@@ -188,7 +191,7 @@ async def play(
 
     async def listen() -> None:
         while (said := await hear()) is not None:
-            player.hear(said)
+            player.on_message(said)
             if isinstance(said, Event):
                 tell(said.text)
 

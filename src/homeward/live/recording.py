@@ -37,7 +37,7 @@ from homeward.live.messages import (
     parse,
 )
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import Visiting
+from homeward.live.visiting import PlaceSession
 from homeward.one_thread import one_thread
 from homeward.places.files import load_place, save_place
 
@@ -84,7 +84,7 @@ class Recorder:
         settings: LiveSettings,
         robot: DriveSettings,
         homes: Homes,
-        place: Visiting | None = None,
+        place: PlaceSession | None = None,
     ) -> None:
         if is_there(folder):
             raise InputError("exists already; choose another name", folder)
@@ -221,7 +221,7 @@ def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
     estimator, place = head.settings.estimator if whole else None, None
     if (visit := head.place) is not None:
         known = load_place(file.parent / PLACE) if visit.known else visit.name
-        place = Visiting(known, visit.when, visit.update)
+        place = PlaceSession(known, visit.when, visit.update)
     return Localisation(estimator, head.robot, homes, place), _lines(file)
 
 

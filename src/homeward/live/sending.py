@@ -10,13 +10,13 @@ from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
-from homeward.live.visiting import Visiting
+from homeward.live.visiting import PlaceSession
 
 NO_PLACE = "there is no place: homeward live --place, or place of the node"
 Known = Callable[[], Iterable[LandmarkEstimate]]
 
 
-def resolve_goal(message: Departure, home: str, place: Visiting | None, known: Known) -> Goal:
+def resolve_goal(message: Departure, home: str, place: PlaceSession | None, known: Known) -> Goal:
     """Return where a message sends the robot, in the frame of the answers.
 
     Parameters
@@ -25,7 +25,7 @@ def resolve_goal(message: Departure, home: str, place: Visiting | None, known: K
         That sends it.
     home : str
         In whose frame answers are.
-    place : Visiting, optional
+    place : PlaceSession, optional
         The place that the robot is in.
     known : callable
         Returns what the robot knows of landmarks.
@@ -49,7 +49,7 @@ def resolve_goal(message: Departure, home: str, place: Visiting | None, known: K
     return PointGoal(home, 0.0, 0.0)
 
 
-def _landmark(name: str, place: Visiting | None, known: Known) -> tuple[float, float]:
+def _landmark(name: str, place: PlaceSession | None, known: Known) -> tuple[float, float]:
     """Return where a landmark is [m]: as it was seen, or else as the place has it."""
     for mark in known():
         if mark.landmark == name and math.isfinite(mark.x):

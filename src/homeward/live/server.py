@@ -23,15 +23,7 @@ from typing import Any
 
 from homeward.errors import HomewardError, InputError
 from homeward.live.inbox import Inbox, Line, Turn, stdin_lines, stop_in, tcp_lines
-from homeward.live.messages import (
-    LONGEST_LINE,
-    Event,
-    Hello,
-    Input,
-    Output,
-    line_of,
-    parse,
-)
+from homeward.live.messages import LONGEST_LINE, Event, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
 from homeward.one_thread import one_thread
 
@@ -315,11 +307,7 @@ class Server:
                     writer.write(line.encode())
 
             lines = tcp_lines(reader)
-            listener = _Listener(
-                tell,
-                writer.transport.get_write_buffer_size,
-                writer.close,
-            )
+            listener = _Listener(tell, writer.transport.get_write_buffer_size, writer.close)
             try:
                 first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
                 if self._welcome(first, listener):

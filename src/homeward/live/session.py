@@ -46,7 +46,7 @@ from homeward.live.messages import (
     TurnHome,
 )
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
-from homeward.live.visiting import Visiting
+from homeward.live.visiting import PlaceSession
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.odometry.clock import Clock
 from homeward.odometry.history import TwistHistory
@@ -67,7 +67,7 @@ class Session:
         What is known of the robot, as drive.yaml has it.
     homes : Homes, optional
         Home bearings by name; that named home is the first.
-    place : Visiting, optional
+    place : PlaceSession, optional
         The place that the robot is in.
     """
 
@@ -76,7 +76,7 @@ class Session:
         settings: LiveSettings | None = None,
         robot: DriveSettings | None = None,
         homes: Homes | None = None,
-        place: Visiting | None = None,
+        place: PlaceSession | None = None,
     ) -> None:
         self.settings = told = settings or LiveSettings()
         known = robot or DriveSettings(), homes or {}, place

@@ -49,8 +49,8 @@ COLUMNS = 5
 READ_ONLY = "the place is left as it is: homeward live --update, or place_update of the node"
 
 
-class Visiting:
-    """A place that a session visits.
+class PlaceSession:
+    """The place of a session, and what its visits add to it.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def _sigma(estimate: Estimate) -> float:
     return float(position_sigma(estimate.covariance))
 
 
-def visiting(folder: Path, update: bool, estimator: str = DEFAULT) -> Visiting:
+def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSession:
     """Return the place in a folder for a session of today, or, to be updated, perhaps a new one.
 
     Raises
@@ -316,6 +316,6 @@ def visiting(folder: Path, update: bool, estimator: str = DEFAULT) -> Visiting:
     if update:
         check_place(folder)
         if not is_place(folder):
-            return Visiting(folder.resolve().name, when, update, folder)
+            return PlaceSession(folder.resolve().name, when, update, folder)
     version = newest(folder)
-    return Visiting(load_place(folder, version), when, update, folder, version)
+    return PlaceSession(load_place(folder, version), when, update, folder, version)

@@ -45,7 +45,7 @@ from homeward.live.messages import (
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import visiting
+from homeward.live.visiting import open_place
 from homeward.one_thread import one_thread
 from homeward.ros import conversions as convert
 from homeward.ros.camera import Camera
@@ -128,7 +128,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             if told("place_update") and not told("place"):
                 raise InputError("place_update needs a place")
             if told("place"):
-                place = visiting(Path(told("place")), told("place_update"), settings.estimator)
+                place = open_place(Path(told("place")), told("place_update"), settings.estimator)
             self._session = Session(settings, robot, homes, place)
             if told("record"):
                 self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)

@@ -6,13 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from homeward.control.following import STAND
 from homeward.frames import Pose, Twist, advance
 from homeward.simulation.scenario import Scenario
 from homeward.simulation.sensing import Camera, Wheels
 from homeward.simulation.simulate import prepare
 from homeward.simulation.world import build_world
-
-STAND = Twist(0.0, 0.0)
 
 
 class Sensed(NamedTuple):

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from homeward.angles import wrap
+from homeward.control.following import STAND
 from homeward.control.goals import Belief
 from homeward.frames import Twist
-from homeward.simulation.live_robot import STAND, LiveRobot
+from homeward.simulation.live_robot import LiveRobot
 from homeward.simulation.scenario import Homing, Scenario
 from homeward.simulation.trajectories import Control, exact, make_control
 from homeward.studio.messages import Keys, Steer

@@ -61,7 +61,7 @@ def live(
     from homeward.live.server import Server, address
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
-    from homeward.live.visiting import visiting
+    from homeward.live.visiting import open_place
 
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
@@ -79,7 +79,7 @@ def live(
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
     if update and place is None:
         raise InputError("--update needs a --place")
-    visited = None if place is None else visiting(place, update, told.estimator)
+    visited = None if place is None else open_place(place, update, told.estimator)
     session = Session(told, known, homes, visited)
     # After it: of a session that cannot begin no folder is left.
     recorder = None if record is None else Recorder(record, told, known, homes, visited)

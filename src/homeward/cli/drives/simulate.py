@@ -119,16 +119,16 @@ def _play(
 ) -> None:
     """Be a robot until it is home, or has done what it was to do with a route, or has given up."""
     from homeward.live.messages import FollowRoute, StoreRoute
-    from homeward.live.player import Errand, Player, play
+    from homeward.live.player import SimulatedRobotClient, Task, play
     from homeward.live.server import address
     from homeward.simulation.live_robot import LiveRobot
     from homeward.simulation.trajectories import make_control
 
-    errand: Errand | None = None
+    task: Task | None = None
     if route is not None:
-        errand = StoreRoute(name=route) if teach else FollowRoute(name=route)
+        task = StoreRoute(name=route) if teach else FollowRoute(name=route)
     hand = partial(make_control, scenario) if teach else None
-    player = Player(LiveRobot(scenario), scenario.trajectory.duration, errand, hand)
+    player = SimulatedRobotClient(LiveRobot(scenario), scenario.trajectory.duration, task, hand)
     token = os.environ.get("HOMEWARD_TOKEN") or None
     asyncio.run(play(player, address(where), pace, token, lambda text: warn(text)))
     state, robot = player.last_words or "time up", player.robot
