@@ -212,7 +212,7 @@ def _reals(values: Any) -> dict[str, float]:
         raise InputError(f"a {type(values).__name__}, where ids to bearings or sigmas are due")
     if other := [name for name in values if not isinstance(name, str)]:
         raise InputError(f"a landmark's id is text, not {str(other[0])[:40]!r}")
-    return {name: real(value) for name, value in values.items()}
+    return {n: value if type(value) is float else real(value) for n, value in values.items()}
 
 
 _DOORS: dict[str, Callable[[Any], Any]] = {

@@ -9,7 +9,7 @@ from rig import Rig, ring
 from test_found_out import Logged
 
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
-from homeward.estimator import Innovation, Status
+from homeward.estimator import Status
 from homeward.frames import Pose
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import Motion
@@ -87,8 +87,8 @@ def test_three_landmarks_on_a_cart_are_named_and_the_robot_stays_where_it_is():
     assert rig.moved() == set(cart)
 
 
-def innovations(names, accepted):
-    return [Innovation(n, 0.0, 0.01, accepted) for n in names]
+def fitting(names, accepted):
+    return dict.fromkeys(names, accepted)
 
 
 def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
@@ -97,15 +97,15 @@ def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
     old, new = [f"a{i}" for i in range(6)], [f"b{i}" for i in range(6)]
     for turned, mapped, expected in ((0.0, [], True), (1.0, [], False), (0.0, new, False)):
         scene = SceneChangeDetector()
-        assert not scene.has_changed(new, [], marks, here)  # nothing was known before
-        assert not scene.has_changed(old, innovations(old, True), marks, here)
+        assert not scene.has_changed(new, {}, marks, here)  # nothing was known before
+        assert not scene.has_changed(old, fitting(old, True), marks, here)
         there = dataclasses.replace(here, delta=np.array([0.1, 0.0, turned]))
-        said = scene.has_changed(new, innovations(mapped, True), marks, there)
+        said = scene.has_changed(new, fitting(mapped, True), marks, there)
         assert said is expected
     # One that was known, and does not fit any more, changes nothing.
     scene = SceneChangeDetector()
-    scene.has_changed(old, innovations(old, True), marks, here)
-    assert scene.has_changed([*new, "a0"], innovations(["a0"], False), marks, here)
+    scene.has_changed(old, fitting(old, True), marks, here)
+    assert scene.has_changed([*new, "a0"], fitting(["a0"], False), marks, here)
 
 
 def mix_up(rig, seconds):

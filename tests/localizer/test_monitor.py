@@ -41,7 +41,8 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
     rows, lines = np.zeros((0, 6)), np.zeros(0)
-    gated = Gated(frame, drifted(), False, rows, lines, None, innovations, {}, False)
+    fits = {i.landmark: i.accepted for i in innovations}
+    gated = Gated(frame, drifted(), False, rows, lines, None, innovations, fits, False)
     return monitor.assess_innovations(gated, known())
 
 

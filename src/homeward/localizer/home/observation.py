@@ -44,6 +44,11 @@ class HomeObservation:
         self._names: list[str] = []
         """Names for which these columns were computed last:"""
         self._bearings = self._given = np.zeros(0)
+        self._index: np.ndarray | None = None
+        """Indices of landmarks for which these were computed last: columns of the state that a
+        problem is about, and blocks of the landmarks among them."""
+        self._state = np.zeros(0, int)
+        self._blocks = np.zeros((0, 2, 1), int), np.zeros((0, 1, 2), int)
 
     @property
     def has_start(self) -> bool:
@@ -83,15 +88,19 @@ class HomeObservation:
 
         Each walks with a probability `walks` (q,), its offset then being `walk_moment` (q, 2, 2).
         """
-        columns = np.empty(4 + 2 * index.size, int)
-        columns[:4] = 0, 1, 2, 3 + CAMERA_YAW
-        columns[4::2], columns[5::2] = HEAD + 2 * index, HEAD + 1 + 2 * index
+        if index is not self._index:
+            self._index, size = index, 4 + 2 * index.size
+            self._state = np.empty(size, int)
+            self._state[:4] = 0, 1, 2, 3 + CAMERA_YAW
+            self._state[4::2], self._state[5::2] = HEAD + 2 * index, HEAD + 1 + 2 * index
+            each = np.arange(4, size).reshape(-1, 2)
+            self._blocks = each[:, :, None], each[:, None, :]
+        columns, at = self._state, self._blocks
         bearings, sigmas = self._columns(names, noise)
         covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
-        each = np.arange(4, columns.size).reshape(-1, 2)
-        at = each[:, :, None], each[:, None, :]
-        averaged = averaged_covariance(covariance[at], walks, walk_moment)
-        walk_excess = covariance[at] + walks[:, None, None] * walk_moment - averaged
+        places = covariance[at]
+        averaged = averaged_covariance(places, walks, walk_moment)
+        walk_excess = places + walks[:, None, None] * walk_moment - averaged
         covariance[at] = averaged
         shift = np.zeros(3)
         if self.same_camera:

@@ -68,6 +68,10 @@ class HomeTracker:
         """Names of the q landmarks used."""
         self._noise, self._surveyed, self._sure = noise, False, settings.sure
         self._seeds: deque[Seed] = deque()
+        self._places = np.zeros(0, int), np.zeros(0), np.zeros((0, 2, 2))
+        """Indices of the landmarks used, and their walks; see `Map.places_for_home` ..."""
+        self._p_static: np.ndarray | None = None
+        """... at these probabilities to be static, which are replaced at each change."""
         self._searched = 0
         """Keyframe of the last search from scratch."""
 
@@ -80,7 +84,9 @@ class HomeTracker:
     def update(self, known: Map) -> None:
         """Update home after a change of the map; search for it anew when there is reason to."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
-        self.names = known.landmarks.shared_with_home(self.observation.bearings)
+        if known.solved or known.smoother.p_static is not self._p_static:
+            self.names = known.landmarks.shared_with_home(self.observation.bearings)
+            self._p_static = None
         self._surveyed = known.registration.knows_home
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
@@ -100,8 +106,10 @@ class HomeTracker:
         It is in the odometry frame, or in home's frame if the map has a survey in that.
         """
         state = known.registration.in_home_frame(state)
-        places = known.places_for_home(self.names)
-        problem = self.observation.problem(self.names, *places, state, self._noise)
+        if known.smoother.p_static is not self._p_static:
+            self._places = known.places_for_home(self.names)
+            self._p_static = known.smoother.p_static
+        problem = self.observation.problem(self.names, *self._places, state, self._noise)
         if not known.registration.knows_home:
             return problem
         return problem.at_origin(known.registration.static_places(state))
@@ -132,7 +140,7 @@ class HomeTracker:
         now = (update if known.solved else propagate)(problem, before)
         if now is None:
             return None
-        if now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
+        if known.solved and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
             # The best set's home diverged: search for it again, or for a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)

@@ -74,7 +74,8 @@ class Landmark:
             self.lines = (direction, 0.0, 0.0)
         first, low, high = self.lines
         off = math.remainder(direction - first, math.tau)
-        self.lines = (first, min(low, off), max(high, off))
+        if not low <= off <= high:
+            self.lines = (first, min(low, off), max(high, off))
         self.sightings += 1
 
 
@@ -312,11 +313,16 @@ class Landmarks:
 
     def update_rejections(self, fits: Mapping[str, bool]) -> list[str]:
         """Count the sightings of a frame that fitted; return landmarks rejected too often."""
+        rejected = []
         for name, fit in fits.items():
             landmark = self.mapped[name]
+            if fit and not landmark.rejections:
+                continue
             rejections = landmark.rejections + (-2 if fit else 1)
             landmark.rejections = min(max(rejections, 0), 5 * MIN_SIGHTINGS)
-        return [name for name in fits if self.mapped[name].rejections >= MIN_SIGHTINGS]
+            if landmark.rejections >= MIN_SIGHTINGS:
+                rejected.append(name)
+        return rejected
 
     def reinitialise(self, names: list[str]) -> bool:
         """Reinitialise landmarks that are not where they were mapped; return whether any changed.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from enum import Enum, auto
 
 import numpy as np
@@ -37,9 +37,9 @@ class KidnapDetector:
         """Forget all sightings."""
         self._recent.clear()
 
-    def was_kidnapped(self, innovations: list[Innovation]) -> bool:
-        """Return whether hardly any recent bearing fits the map, these innovations included."""
-        self._recent.extend((i.landmark, i.accepted) for i in innovations)
+    def was_kidnapped(self, fits: Mapping[str, bool]) -> bool:
+        """Return whether hardly any recent bearing fits the map, those of a new frame included."""
+        self._recent.extend(fits.items())
         wrong = [name for name, accepted in self._recent if not accepted]
         # By chance, as many fit from anywhere.
         few = RECENT - len(wrong) < MINIMAL
@@ -115,7 +115,7 @@ class SceneChangeDetector:
     def has_changed(
         self,
         names: Collection[str],
-        innovations: Collection[Innovation],
+        fits: Mapping[str, bool],
         state: Marginal,
         motion: Motion,
     ) -> bool:
@@ -125,14 +125,14 @@ class SceneChangeDetector:
         ----------
         names : collection of str
             All landmarks in sight.
-        innovations : collection of Innovation
-            Those of mapped landmarks.
+        fits : dict of str to bool
+            Whether the bearing of each mapped landmark was accepted.
         state : Marginal
             The state of the map at the newest keyframe ...
         motion : Motion
             ... and the motion since then, by odometry.
         """
-        fitting = sum(i.accepted for i in innovations)
+        fitting = sum(fits.values())
         if fitting >= CHECKED:
             self._seen, self._from = frozenset(names), (state.mean[:3], motion.delta)
         if fitting or not self._seen:
@@ -235,9 +235,9 @@ class Monitor:
             The map.
         """
         innovations, motion = gated.innovations, gated.motion
-        if self._kidnap.was_kidnapped(innovations):
+        if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED
-        if self._scene.has_changed(gated.frame.names, innovations, known.smoother.state, motion):
+        if self._scene.has_changed(gated.frame.names, gated.fits, known.smoother.state, motion):
             return Health.SCENE_CHANGED
         return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
 

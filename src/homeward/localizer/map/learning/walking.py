@@ -103,6 +103,7 @@ def update_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
         return
     path = float(np.hypot(*np.diff(smoother.poses[:, :2], axis=0).T).sum())
     at = smoother.index(np.array([m.number for m in tested]))
+    smoother.p_static = smoother.p_static.copy()  # others keep the old one
     smoother.p_static[at] = 1.0  # during the test
     first_seen = np.full(len(smoother.ids), np.inf)
     everything, seen = smoother.linearised()
