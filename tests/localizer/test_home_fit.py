@@ -8,11 +8,11 @@ import pytest
 
 from homeward.angles import wrap
 from homeward.localizer.home.evidence import log_odds, log_outlier, log_set_prior, moved_share
-from homeward.localizer.home.gauss_newton import CONVERGED, fit, solved
+from homeward.localizer.home.gauss_newton import fit, solved
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.linearisation import linearised
 from homeward.localizer.home.problem import POSE_AND_YAW, Assumption, HomeProblem
-from homeward.localizer.tunables import GIVEN_WRONG
+from homeward.localizer.tunables import FIT_CONVERGED, GIVEN_WRONG
 
 PRIOR = np.array([0.1, -0.1, 0.2])
 
@@ -149,7 +149,7 @@ def test_home_is_iterated_to(prior):
     problem = a_home(np.random.default_rng(6), prior=prior)
     inliers = np.array([1, 1, 1, 0, 1, 1], bool)
     one, many = (fit(problem, np.array([0.4, -0.3, 0.3]), inliers, steps) for steps in (1, 20))
-    assert problem.step_length(many.step) < CONVERGED < problem.step_length(one.step)
+    assert problem.step_length(many.step) < FIT_CONVERGED < problem.step_length(one.step)
     again = linearised(problem, many.home, many.state)
     assert solved(again, inliers).step == pytest.approx(np.zeros(3), abs=1e-4)
     assert (fit(problem, np.zeros(3), np.zeros(6, bool)) is None) == (prior is None)

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from homeward.localizer.inputs.by_id import MAX_IDS, ById
-from homeward.localizer.localizer import MAX_IN_VIEW, Localizer
+from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.tunables import MAX_IDS, MAX_IN_VIEW
 from homeward.reasons import Rejection
 
 

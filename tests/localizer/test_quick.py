@@ -8,11 +8,11 @@ from rig import Rig, Wheels, ring
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.map.landmarks import MAX_HOME_LANDMARKS
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC, camera_on_robot
 from homeward.localizer.smoothing import bridged
+from homeward.localizer.tunables import MAX_HOME_LANDMARKS
 
 SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.001])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])

@@ -10,8 +10,9 @@ from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing, Mount, Sensor
 from homeward.estimator import Status
 from homeward.frames import Twist
-from homeward.localizer.inputs.sign_check import LAGS, SignCheck
+from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.tunables import SIGN_LAGS_S
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
 
@@ -30,7 +31,7 @@ def watched(
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
             bearings = np.array(wrap(bearings + noise * rng.normal(size=len(d))))
             seen = {str(i): sign * float(b) for i, b in enumerate(bearings) if abs(b) < view / 2}
-            reckoned = [twists.reckoned(at) for at in (t - LAGS).tolist()]
+            reckoned = [twists.reckoned(at) for at in (t - SIGN_LAGS_S).tolist()]
             sign_check.bearings(t, seen, np.array(reckoned).T)
         x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
         psi += 0.1 * twist.omega
@@ -136,7 +137,7 @@ def test_a_speed_of_the_wrong_sign_is_named_as_the_other_cause():
 def test_odometry_that_never_turns_decides_nothing():
     rng, sign_check = np.random.default_rng(3), SignCheck(Mount())
     for k in range(600):
-        reckoned = np.stack([np.zeros(LAGS.size), k / 50 - 0.1 * LAGS])
+        reckoned = np.stack([np.zeros(SIGN_LAGS_S.size), k / 50 - 0.1 * SIGN_LAGS_S])
         sign_check.bearings(k / 5, {"a": float(rng.uniform(-3, 3)), "b": k / 20}, reckoned)
     assert not sign_check.is_wrong
 

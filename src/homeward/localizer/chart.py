@@ -21,7 +21,7 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.odometry import ADVANCE_S, Odometry
+from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.output.contradiction import Contradiction
@@ -33,20 +33,9 @@ from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
 from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import SPEED_TIME_S
+from homeward.localizer.tunables import ADVANCE_S, RESECTION_S, SLIP_MEMORY_S, SLIP_SHARE
 from homeward.odometry.history import Driven, TwistHistory
 from homeward.reasons import Reason, Rejection
-
-RESECTION_S = 2.0 * SPEED_TIME_S
-"""Without odometry for this long, nothing is known of the velocity, and each pose is a resection
-from the survey, where the frame allows one [s]."""
-
-SLIP_MEMORY_S = 300.0
-"""For this long after bearings have denied a motion, wheels are expected to slip again: a robot
-passes the same spot of the floor several times [s]."""
-SLIP_SHARE = 1.0 / 3.0
-"""Standard deviation of a motion that may be a slip, as a share of it: three of them contain wheels
-that spin on the spot [1]."""
 
 
 class Chart:
@@ -356,10 +345,9 @@ class Chart:
         """Let an integrity monitor know how uncertain the camera's position on the robot is."""
         observed, state = self.home.observation, self.map.smoother.state
         calibration = state.calibration, state.calibration_variances
-        integrity.errors.same_camera = observed.same_camera
-        integrity.errors.mount = observed.mount_covariance(state)
-        assumed = self.extrinsics.assumed_covariance(*calibration, state.scale)
-        integrity.errors.assumed_mount = assumed
+        errors = integrity.errors
+        errors.same_camera, errors.mount = observed.same_camera, observed.mount_covariance(state)
+        errors.assumed_mount = self.extrinsics.assumed_covariance(*calibration, state.scale)
 
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""

@@ -32,10 +32,11 @@ from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
-from homeward.localizer.inputs.sign_check import LAGS, SignCheck
+from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import MAX_IN_VIEW, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
 from homeward.one_thread import one_thread
@@ -43,11 +44,6 @@ from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
 NOISY_NOTE = "The bearings are noisier than was given: their deviations were taken for larger."
-MAX_IN_VIEW = 100
-"""Sightings used of a frame. Its cost grows with their number times the square of that of mapped
-landmarks, and a pose from 500 bearings is 2.2 times as accurate as one from 100 at most."""
-SWITCH_MARGIN = 20
-"""A map is better if this many more sightings fit it; where both are right, as many fit both."""
 
 
 class Localizer:
@@ -301,7 +297,7 @@ class Localizer:
             frame = frame._replace(sightings=seen)
         if not frame.sightings:
             return []
-        reckoned = self._twists.reckoned_at((frame.t - LAGS).tolist())
+        reckoned = self._twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
         if reckoned is not None:
             self._sign_check.bearings(frame.t, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, self._t)

@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import chdtri
 
 from homeward.angles import wrap
 from homeward.drives.drive import Drive
@@ -20,23 +19,17 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.odometry import MAX_LAG_S, Odometry
+from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import FALSE_ALARM
+from homeward.localizer.tunables import CONTRADICTED, MAX_LAG_S, NUM_WHOLE_SOLVES
 from homeward.odometry.history import TwistHistory
 from homeward.one_thread import one_thread
 from homeward.reasons import Reason
 from homeward.track import Track, run, track_of
-
-SOLVES = 6
-"""Solutions of the whole drive, each by several Gauss-Newton steps."""
-CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
-"""Squared deviation from which poses contradict the motion between them: one false alarm at
-`FALSE_ALARM` in 5,000 keyframes, as for `FINAL_GATE` [1]."""
 
 
 @one_thread()
@@ -97,7 +90,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 
 def _solve(whole: Smoother) -> None:
     """Solve the whole drive."""
-    for _ in range(SOLVES):
+    for _ in range(NUM_WHOLE_SOLVES):
         whole.solve()
 
 

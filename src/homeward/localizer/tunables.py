@@ -1,8 +1,15 @@
-"""Tunables: every number of the localiser that affects its estimates, and why it has its value."""
+"""Tunables: every number of the localiser that affects its estimates, and why it has its value.
+
+A test checks that no other module of the localiser defines one.
+"""
 
 from __future__ import annotations
 
+import math
 from statistics import NormalDist
+
+import numpy as np
+from scipy.special import chdtri
 
 
 def sigmas(tests: int = 1) -> float:
@@ -79,7 +86,8 @@ OUTLIER_SIGMA = 0.5
 the others may be anywhere on the circle [rad]."""
 GIVEN_WRONG = 0.01
 """Prior probability that the given standard deviation of the home bearings is wrong, that a given
-start is, and that a camera is elsewhere than assumed: in one of a hundred drives each [1]."""
+start is, that a camera is elsewhere than assumed, and that bearings have the wrong sense of
+rotation: in one of a hundred drives each [1]."""
 NOISE_SCALES = (3.0, 10.0)
 """Factors by which that standard deviation may be wrong: half a decade tells one noise level from
 another [1]."""
@@ -118,3 +126,270 @@ USUAL_DISTANCE_M = 3.5
 NOISE_MEMORY = 200.0
 """Keyframes over which the odometry noise is averaged, two minutes of driving: floors differ [1].
 """
+
+# Chart and localiser
+RESECTION_S = 2.0 * SPEED_TIME_S
+"""Without odometry for this long, nothing is known of the velocity, and each pose is a resection
+from the survey, where the frame allows one [s]."""
+SLIP_MEMORY_S = 300.0
+"""For this long after bearings have denied a motion, wheels are expected to slip again: a robot
+passes the same spot of the floor several times [s]."""
+SLIP_SHARE = 1.0 / 3.0
+"""Standard deviation of a motion that may be a slip, as a share of it: three of them contain wheels
+that spin on the spot [1]."""
+MAX_IN_VIEW = 100
+"""Sightings used of a frame. Its cost grows with their number times the square of that of mapped
+landmarks, and a pose from 500 bearings is 2.2 times as accurate as one from 100 at most."""
+SWITCH_MARGIN = 20
+"""A map is better if this many more sightings fit it; where both are right, as many fit both."""
+
+# Fit and search of home
+SAME_HOME = 1.0
+"""Homes closer than this are the same [standard deviations]."""
+CUT_SHORT = 0.999
+"""A step longer than this was limited [of the longest step]."""
+MAX_LAST_STEP = 0.5
+"""Longest last step of a converged fit [standard deviations]."""
+MAX_FIT_STEPS = 6
+"""Most fits converge in three or four steps; one that has not by then does not."""
+FIT_CONVERGED = 1e-4
+"""Smallest step that continues the iteration [of the longest step]."""
+MAX_SEEDS = 8
+"""Different sets from which a local search starts."""
+MAX_FLIPS = 12
+"""Largest number of flips from one seed."""
+MAX_FOR_PAIRS = 10
+"""Pairs are flipped if home saw no more landmarks than this."""
+UNDECIDED = -math.log(IMPROBABLE)
+"""Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
+more are not tried."""
+NUM_NEIGHBOURS = 3
+"""Sets that differ from the best one by the least decided flips, and are kept beside it."""
+PROBABLE = 0.05
+"""Only sets more probable than this are flipped further when the map changes."""
+ORIGIN_SIGMA = 1e-4
+"""Standard deviation of home where it is the origin of a survey, and floor of that of a start prior
+[m, rad]."""
+MAX_HOME_STEP = 0.2
+"""Longest step of home in a fit [range] ..."""
+MAX_HOME_TURN = 1.0
+"""... and largest turn [rad]."""
+MAX_TRIPLES = 600
+"""Largest number of triples; if there are more, they are drawn with a fixed seed."""
+SEARCH_EVERY = 40
+"""Keyframes between two searches from scratch ..."""
+SEARCH_PATIENCE = 10
+"""... and by how many a search waits for a keyframe without other long work."""
+MAX_SEEDS_IN_DOUBT = 4 * MAX_SEEDS
+"""Seeds of a search while home is ambiguous: at one per keyframe, it lasts as long as the interval
+between searches."""
+
+# Checks and noise of the inputs
+MIN_RESIDUALS = 40
+"""Residuals needed for an estimate from the map ..."""
+NUM_DIFFERENCES = 20, 200
+"""... second differences needed for one without it, and how many of the latest are used."""
+MAX_SPAN_S = 1.05
+"""Longest time from the first to the third sighting of a second difference: beyond, directions are
+not linear in time [s]."""
+MIN_BEARING_SIGMA = 1e-6
+"""Smallest plausible standard deviation; a smaller one counts as not given [rad]."""
+NOISE_KEPT, CORRELATION_KEPT = 0.9, 0.97
+"""Forgetting factors per keyframe, of the noise and of the correlation of errors [1]. The latter is
+slower, since a wrong camera position causes correlated errors, too, until it has been estimated."""
+MAX_INFLATION = 1.1
+"""Noise is estimated from sightings whose standard deviation odometry inflates no more than this
+[1]."""
+MAX_RESIDUALS = 300
+"""Latest residuals used for the noise scale: a camera may become worse during a drive."""
+MAX_IDS = 2000
+"""Ids kept without a look at their age; a front-end whose ids roll brings new ones without end."""
+LAG_BOUNDS_S = np.array([0.02, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0])
+"""Bounds of the classes of time lag between paired sightings [s]."""
+CORRELATION_TIMES_S = np.geomspace(0.1, 20.0, 24)
+"""Correlation times that are tried [s]."""
+PAIR_STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55)
+"""Each sighting is paired with the k-th one after it of the same landmark."""
+MIN_PAIRS = 40
+"""Pairs needed to estimate the correlation of a lag class."""
+NOTABLE_GAP_S = 0.5
+"""A note reports where a sighting this long after the last one counts for half [s]."""
+MIN_GAP_S = 1e-3
+"""Shortest time between two sightings of a landmark [s]."""
+DEAD_WINDOW_S = 10.0
+"""Length of a window in which bearings are compared: a slow robot moves notably in it [s] ..."""
+DEAD_WINDOW_FRAMES = 2 * MIN_SIGHTINGS
+"""... and the frames in it, where the camera is slow."""
+MAX_NEUMANN_RATIO = 0.5
+"""Largest ratio of successive squares to the variance of a smooth change [1]: of six independent
+errors, about 1 in 300 gives a smaller one; of white noise the mean is 2."""
+MIN_DISTANCE_M, MAX_DISTANCE_M = 0.1, 100.0
+"""Distances between which landmarks may be [m]: from a farther one a robot has no parallax."""
+MAX_RESOLUTION, BEARING_ROUNDING = 0.1, 1e-9
+"""Resolution of bearings until a smaller step was seen; a still smaller one is rounding [rad]."""
+TURN_ERROR, HEADING_RATE = 0.1, 0.02
+"""Error of odometry that is not a motion: share of the rotation [1], and a heading error that grows
+with the square root of time [rad/sqrt(s)]; twice what uncalibrated wheels have."""
+REPEAT_MEMORY_S = 5.0
+"""A landmark not seen for this long is forgotten [s]."""
+FROZEN_S = 0.5
+"""A camera is frozen once its bearings have repeated for this long [s]: odometry may lag that much
+behind a camera when the robot stops."""
+NUM_CHANGES = 9
+"""Latest changes between twists: their median is by noise, even if four are wrong."""
+MIN_INTERVAL_S = 0.1
+"""Shorter intervals count as this long: the noise of a speed grows as its interval shrinks [s]."""
+START_S = 1.0
+"""The robot is assumed to have been at rest this long before the first twist [s]."""
+REORDER_WAIT_S = 10.0
+"""Time for which bearings keep waiting after odometry has arrived later than bearings [s]."""
+MIN_SAMPLES = 10
+"""Samples needed before it is reported that most come late."""
+YAW_STEP = math.radians(15.0)
+"""Spacing of the yaws that are compared [rad]."""
+YAW_TOLERANCE, YAW_TOLERANCE_OFF_CENTRE = 1, 2
+"""Yaws up to this number of steps from the assumed one count as right: 15 degrees, which the map
+estimates. It is 30 degrees where x or y of the camera are not given: a camera off the robot's
+centre moves in another direction than the robot."""
+SIGN_WINDOW_S, SIGN_MAX_TURN = 4.0, 1.0
+"""A window ends after this time [s] or rotation [rad]: long enough for parallax, and so short that
+odometry drifts by less than the noise."""
+SIGN_MIN_PATH, SIGN_MIN_TURN = 0.1, 0.3
+"""A window counts if the camera moved this far [m] or the robot turned this far [rad]: the noise of
+odometry of a robot that stands stays below, and fits any yaw."""
+STAYING_SHARE = 0.3
+"""A window does not count if the bearings change by less than this share of the rotation: the robot
+stands while its wheels spin, or the camera is frozen. Landmarks that all are as near as the centre
+of the bend would do the same [1]."""
+SIGN_MAX_SIGHTINGS = 5_000
+"""Sightings of a window that are kept, which bounds memory and cost."""
+SIGN_NOISE = 0.02
+"""Standard deviation of a bearing from the geometry of a window, drift included [rad]."""
+NUM_INDEPENDENT_ERRORS = 4.0
+"""Number of independent errors of a landmark in a window: those of odometry are correlated."""
+BAD_WINDOW = 0.1
+"""Probability that a window is evidence for nothing: slip, people [1]."""
+SIGN_LAGS_S = np.array([0.0, 0.25, 0.5])
+"""Lags of the bearings that are compared, equally probable [s]: in changing turns, a lag looks
+like a wrong yaw."""
+SIGN_FALSE_ALARM = 1e-4
+"""The convention is rejected once its posterior probability is below this [1]."""
+SIGN_DOUBTFUL = 0.1
+"""There is no pose while that probability is below this, if x and y of the camera are given: else
+an unknown place of the camera can look like a yaw for some windows [1]."""
+MIN_PROBABILITY = 1e-9
+"""No hypothesis becomes less probable, so that a few windows suffice to reconsider [1]."""
+
+# Map
+MAX_PADDING = 8
+"""Groups are padded to the largest, unless that takes this many times the memory [1]."""
+VARIANCE_ROUNDING = 1e-10
+"""Smallest share of the largest variance of innovations, above rounding [1]."""
+MAX_TRIALS = 6
+"""Candidates triangulated per keyframe."""
+RETRY_GROWTH = 1.1
+"""A failed candidate is tried again once it has this many times more sightings."""
+MAX_HOME_LANDMARKS = 48
+"""Landmarks used for the resection of home; the oldest are the nearest."""
+CANDIDATE_MEMORY_S = 120.0
+"""A candidate older than this is dropped where ids come without end [s]; the window of keyframes
+is no longer."""
+ODOMETRY_EVERY = 10
+"""Keyframes between two updates of the odometry noise."""
+MIN_GAIN = 1e-6
+"""Smallest gain of log posterior that counts, above rounding."""
+MAX_PER_KEYFRAME = 12
+"""Sightings of a landmark per keyframe; a robot that stands still learns no more from it."""
+SOLVES_PER_WINDOW = 8
+"""Solutions per window, once it is full: so each keyframe costs the same on average."""
+MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
+"""Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
+"""
+RANGE_STEPS = 2
+"""Gauss-Newton steps of a direction: the residuals are nearly linear in it."""
+MAX_SOLVE_STEPS = 5
+"""Largest number of Gauss-Newton steps: most solutions need one or two, from the last one."""
+MIN_CALIBRATION_SIGMA = 1e-6
+"""Smallest prior standard deviation of the odometry's calibration."""
+MAX_GAIN_M = 1e-4
+"""Negative slip that is negligible [m]."""
+SOLVE_CONVERGED = 2e-2
+"""Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
+MAX_TESTED = 48
+"""Most landmarks tested together: the cost goes with the cube of their number."""
+VAGUE_DATUM = 10.0
+"""Prior standard deviation of the datum [size of the survey; rad]."""
+ONE_PLACE = 1e-6
+"""Information on the heading of a survey whose landmarks all coincide [1 / rad^2]."""
+ALIGNMENT_STEPS = 3
+"""Gauss-Newton steps of an alignment, from the solution for uncorrelated coordinates."""
+MIN_LINES = 3
+"""Smallest number of lines that agree."""
+MAX_LINES = 24
+"""Lines, evenly spread, that are intersected in pairs."""
+INFINITY_RATIO = 100.0
+"""Distance that stands for infinity, over the distances at hand [1]."""
+TRIANGULATION_STEPS = 6
+"""Gauss-Newton steps of a triangulation: it starts from lines that agree."""
+
+# Motion
+MIN_EXTRINSICS_RAD, FIXED_EXTRINSICS_M = 1e-6, 1e-4
+"""Prior standard deviations of fixed extrinsics [rad, m]."""
+ADVANCE_S = 0.5
+"""TwistHistory are integrated at least this often [s]."""
+STRAIGHTEST_SHARE = 0.2
+"""Share of the path that counts as the straightest [1]."""
+INITIAL_STRAIGHT_M = 1.0
+"""Length of straight path assumed before the start [m]."""
+NOTABLE_LAG_S = 0.25
+"""Lag that a note reports [s]."""
+BRIDGED = 0.1
+"""Standard deviation of the motion beyond `TWIST_VALIDITY_S` of a slow twist, over that motion:
+robots mostly keep their speed; where this one does not, the residuals of the map raise its noise
+further [1]."""
+MAX_LAG_S = 0.8
+"""Largest plausible lag [s]."""
+BEND, NUM_BENDS = 0.125, 33
+"""Width [rad/m] and number of the classes of turn per metre into which the path is sorted."""
+NOTABLE_RATIO = 2.0
+"""Ratio of standard deviations that a note reports [1]."""
+
+# Output
+ODOMETRY_ERROR = 0.1
+"""Systematic error of an uncalibrated odometry: share of shift and rotation [1]."""
+CONTRADICTION_S = 0.5
+"""A contradiction that lasts for less may be a lag between odometry and camera; a shorter change of
+the bearings, on the other hand, may be an outlier [s]."""
+UNSEEN_S = 2.0
+"""A reference frame of which no landmark is in sight is kept for this long [s]."""
+MAX_CENTRE_STEPS = 20
+"""Largest number of steps of the iteration for the centre of hypotheses; few need more than ten."""
+CENTRE_CONVERGED = 1e-3
+"""Step at which the iteration for the centre has converged [standard deviations]."""
+NUM_HALVINGS = 8
+"""Bisections for a quantile, which is then known to 0.5 % of a deviation."""
+
+# Recovery
+MIN_TOGETHER = 3
+"""Landmarks that must have moved together: two always do, but for their distance."""
+VIEW_ANGLE = math.pi
+"""Width of the sector in which landmarks are seen [rad]."""
+FIX_PATIENCE = 4
+"""After each so many failed trials, one more frame is skipped: a trial takes milliseconds."""
+KEPT_PER_LANDMARK = 2
+"""Sightings kept per landmark: the newest, and one to check it."""
+NUM_HEADINGS, MAX_LINE_PAIRS = 120, 40
+"""Headings tried, every 3 degrees, and pairs of sight lines intersected for each of them."""
+MAX_CANDIDATES, RELOCALISATION_STEPS = 6, 8
+"""Poses that are refined, and Gauss-Newton steps for each: a start is off by some degrees."""
+MIN_LOG_ODDS = math.log(1.0 / FALSE_ALARM - 1.0)
+"""Log odds of a pose against all alternatives from which it is accepted."""
+RESECTION_FRAMES = 30
+"""Frames whose residuals are used: some hundred bearings [1]."""
+
+# Smoothing of a whole drive
+NUM_WHOLE_SOLVES = 6
+"""Solutions of the whole drive, each by several Gauss-Newton steps."""
+CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
+"""Squared deviation from which poses contradict the motion between them: one false alarm at
+`FALSE_ALARM` in 5,000 keyframes, as for `FINAL_GATE` [1]."""

@@ -26,14 +26,7 @@ from homeward.localizer.home.linearisation import (
 )
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, Assumption, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
-from homeward.localizer.tunables import OUTLIER_SIGMA
-
-SAME_HOME = 1.0
-"""Homes closer than this are the same [standard deviations]."""
-CUT_SHORT = 0.999
-"""A step longer than this was limited [of the longest step]."""
-MAX_LAST_STEP = 0.5
-"""Longest last step of a converged fit [standard deviations]."""
+from homeward.localizer.tunables import CUT_SHORT, MAX_LAST_STEP, OUTLIER_SIGMA, SAME_HOME
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,11 @@ from scipy.linalg.lapack import dposv
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised, whitened
 from homeward.localizer.home.problem import HomeProblem
-
-STEPS = 6
-"""Most fits converge in three or four steps; one that has not by then does not."""
-CONVERGED = 1e-4
-"""Smallest step that continues the iteration [of the longest step]."""
+from homeward.localizer.tunables import FIT_CONVERGED, MAX_FIT_STEPS
 
 
 def fit(
-    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int = STEPS
+    problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int = MAX_FIT_STEPS
 ) -> HomeFit | None:
     """Fit home to a set of inlier home bearings; None when they do not determine it.
 
@@ -38,7 +34,7 @@ def fit(
     state, now = problem.mean, None
     for _ in range(steps):
         now = solved(linearised(problem, home, state), inliers)
-        if now is None or problem.step_length(now.step) < CONVERGED:
+        if now is None or problem.step_length(now.step) < FIT_CONVERGED:
             break
         home, state = now.home, now.state
     return now if now is not None and problem.is_plausible(now.home) else None

@@ -21,26 +21,22 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import POSE_AND_YAW, USUAL, Assumption, HomeProblem
 from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
-from homeward.localizer.tunables import IMPROBABLE, MINIMAL
+from homeward.localizer.tunables import (
+    IMPROBABLE,
+    MAX_FLIPS,
+    MAX_FOR_PAIRS,
+    MAX_SEEDS,
+    MINIMAL,
+    NUM_NEIGHBOURS,
+    PROBABLE,
+    UNDECIDED,
+)
 
 Seed = tuple[np.ndarray, np.ndarray, Assumption]
 """Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and what is
 assumed beside."""
 Key = tuple[Assumption, bytes]
 """Key of a fit: assumption and set."""
-MAX_SEEDS = 8
-"""Different sets from which a local search starts."""
-MAX_FLIPS = 12
-"""Largest number of flips from one seed."""
-MAX_FOR_PAIRS = 10
-"""Pairs are flipped if home saw no more landmarks than this."""
-UNDECIDED = -math.log(IMPROBABLE)
-"""Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
-more are not tried."""
-NEIGHBOURS = 3
-"""Sets that differ from the best one by the least decided flips, and are kept beside it."""
-PROBABLE = 0.05
-"""Only sets more probable than this are flipped further when the map changes."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +284,7 @@ def _weigh(found: dict[Key, HomeFit]) -> Hypotheses:
 
 def _neighbours(best: HomeFit, found: Container[Key]) -> Iterator[HomeFit]:
     """Yield fits to sets that differ from the best one by an undecided flip, if not yet found."""
-    for i in np.argsort(np.abs(best.odds))[:NEIGHBOURS]:
+    for i in np.argsort(np.abs(best.odds))[:NUM_NEIGHBOURS]:
         inliers = best.inliers.copy()
         inliers[i] ^= True
         key = best.problem.assumed, inliers.tobytes()

@@ -13,18 +13,20 @@ from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import DriveSettings
 from homeward.frames import from_polar, polar_covariance_to_pose
 from homeward.geometry.se2 import between, lever, rotation
-from homeward.localizer.tunables import GIVEN_WRONG, HOME_DISTANCE, MAX_RANGE, MINIMAL, NOISE_SCALES
+from homeward.localizer.tunables import (
+    GIVEN_WRONG,
+    HOME_DISTANCE,
+    MAX_HOME_STEP,
+    MAX_HOME_TURN,
+    MAX_RANGE,
+    MINIMAL,
+    NOISE_SCALES,
+    ORIGIN_SIGMA,
+)
 
 POSE_AND_YAW = 4
 """Length of the state before the landmarks: newest pose (3) and camera yaw (1)."""
 YAW = 3
-ORIGIN_SIGMA = 1e-4
-"""Standard deviation of home where it is the origin of a survey, and floor of that of a start prior
-[m, rad]."""
-MAX_STEP = 0.2
-"""Longest step of home in a fit [range] ..."""
-MAX_TURN = 1.0
-"""... and largest turn [rad]."""
 
 
 class Assumption(NamedTuple):
@@ -133,7 +135,7 @@ class HomeProblem:
     def step_length(self, step: np.ndarray) -> float:
         """Return the length of a step of home (3,), over the longest one that is allowed."""
         dx, dy, turn = np.abs(step).tolist()
-        return float(max(max(dx, dy) / (MAX_STEP * self.range), turn / MAX_TURN))
+        return float(max(max(dx, dy) / (MAX_HOME_STEP * self.range), turn / MAX_HOME_TURN))
 
     def log_density(self, home: np.ndarray) -> float:
         """Return the log prior density of a home (3,), but for its offset from a start prior.

@@ -16,10 +16,7 @@ import numpy as np
 from homeward.angles import TWO_PI, wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.home.evidence import moved_share
-from homeward.localizer.tunables import MAX_RANGE
-
-MAX_TRIPLES = 600
-"""Largest number of triples; if there are more, they are drawn with a fixed seed."""
+from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES
 
 
 def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:

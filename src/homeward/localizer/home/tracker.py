@@ -10,8 +10,6 @@ import numpy as np
 
 from homeward.drives.drive import DriveSettings, HomeBearing
 from homeward.localizer.home.hypotheses import (
-    MAX_SEEDS,
-    PROBABLE,
     Hypotheses,
     Seed,
     propagate,
@@ -27,16 +25,16 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import INLIER
+from homeward.localizer.tunables import (
+    INLIER,
+    MAX_SEEDS,
+    MAX_SEEDS_IN_DOUBT,
+    PROBABLE,
+    SEARCH_EVERY,
+    SEARCH_PATIENCE,
+)
 
 START_NOTE = "The given start contradicts the home bearings, and is not used."
-SEARCH_EVERY = 40
-"""Keyframes between two searches from scratch ..."""
-SEARCH_PATIENCE = 10
-"""... and by how many a search waits for a keyframe without other long work."""
-MAX_SEEDS_IN_DOUBT = 4 * MAX_SEEDS
-"""Seeds of a search while home is ambiguous: at one per keyframe, it lasts as long as the interval
-between searches."""
 
 
 class HomeTracker:

@@ -23,26 +23,20 @@ from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.inputs.reorder import BearingFrame
-from homeward.localizer.tunables import GATE, MAX_NOISE_RATIO
+from homeward.localizer.tunables import (
+    CORRELATION_KEPT,
+    GATE,
+    MAX_INFLATION,
+    MAX_NOISE_RATIO,
+    MAX_RESIDUALS,
+    MAX_SPAN_S,
+    MIN_BEARING_SIGMA,
+    MIN_RESIDUALS,
+    NOISE_KEPT,
+    NUM_DIFFERENCES,
+)
 
-MIN_RESIDUALS = 40
-"""Residuals needed for an estimate from the map ..."""
-DIFFERENCES = 20, 200
-"""... second differences needed for one without it, and how many of the latest are used."""
-MAX_SPAN_S = 1.05
-"""Longest time from the first to the third sighting of a second difference: beyond, directions are
-not linear in time [s]."""
-MIN_SIGMA = 1e-6
-"""Smallest plausible standard deviation; a smaller one counts as not given [rad]."""
 QUARTER_TO_SIGMA = 3.138
-KEPT, CORRELATION_KEPT = 0.9, 0.97
-"""Forgetting factors per keyframe, of the noise and of the correlation of errors [1]. The latter is
-slower, since a wrong camera position causes correlated errors, too, until it has been estimated."""
-MAX_INFLATION = 1.1
-"""Noise is estimated from sightings whose standard deviation odometry inflates no more than this
-[1]."""
-LATEST_RESIDUALS = 300
-"""Latest residuals used for the noise scale: a camera may become worse during a drive."""
 
 
 class WeighedFrame(NamedTuple):
@@ -82,7 +76,7 @@ class BearingNoise:
         """Noise scale: estimated over given standard deviation [1]."""
         self.correlated = CorrelatedErrors()
         """Their time-correlated part."""
-        self._differences: deque[float] = deque(maxlen=DIFFERENCES[1])
+        self._differences: deque[float] = deque(maxlen=NUM_DIFFERENCES[1])
         self._last = ById[deque[tuple[float, float]]]()
 
     @property
@@ -128,7 +122,7 @@ class BearingNoise:
                 self._differences.append(_second_difference(first, middle, (t, heading + bearing)))
             last.append((t, heading + bearing))
         self._last.prune(lambda last: last[-1][0] < t - MAX_SPAN_S)  # in no second difference
-        if len(self._differences) >= DIFFERENCES[0]:
+        if len(self._differences) >= NUM_DIFFERENCES[0]:
             self._from_differences = _robust_sigma(np.array(self._differences))
 
     def update(
@@ -169,7 +163,7 @@ class BearingNoise:
         self.confirmed = True
         now = MAD_TO_SIGMA * float(np.median(off))
         now = max(now, self._default)
-        self._from_map += (1.0 - KEPT**keyframes) * (now - self._from_map)
+        self._from_map += (1.0 - NOISE_KEPT**keyframes) * (now - self._from_map)
         return 1.0
 
     def _rescale(self, off: np.ndarray, own: np.ndarray, total: np.ndarray) -> float:
@@ -177,7 +171,7 @@ class BearingNoise:
         clear = total <= MAX_INFLATION * own
         if clear.sum() < MIN_RESIDUALS:
             return 1.0
-        latest = (off / own)[clear][-LATEST_RESIDUALS:]
+        latest = (off / own)[clear][-MAX_RESIDUALS:]
         before, excess = self.scale, MAD_TO_SIGMA * float(np.median(latest))
         self.confirmed = excess <= MAX_NOISE_RATIO
         if before > 1.0 or excess > MAX_NOISE_RATIO:
@@ -187,7 +181,7 @@ class BearingNoise:
 
 def valid_sigma(sigma: float) -> float:
     """Return a given standard deviation of a bearing [rad], NaN where it is implausible."""
-    return min(float(sigma), math.pi) if MIN_SIGMA <= sigma < math.inf else math.nan
+    return min(float(sigma), math.pi) if MIN_BEARING_SIGMA <= sigma < math.inf else math.nan
 
 
 def _robust_sigma(off: np.ndarray) -> float:

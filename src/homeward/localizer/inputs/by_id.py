@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
+from homeward.localizer.tunables import MAX_IDS
+
 Value = TypeVar("Value")
-MAX_IDS = 2000
-"""Ids kept without a look at their age; a front-end whose ids roll brings new ones without end."""
 
 
 class ById(dict[str, Value]):

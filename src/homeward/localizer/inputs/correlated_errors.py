@@ -12,20 +12,15 @@ import math
 
 import numpy as np
 
-from homeward.localizer.tunables import GATE
-
-LAG_BOUNDS_S = np.array([0.02, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0])
-"""Bounds of the classes of time lag between paired sightings [s]."""
-TIMES_S = np.geomspace(0.1, 20.0, 24)
-"""Correlation times that are tried [s]."""
-STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55)
-"""Each sighting is paired with the k-th one after it of the same landmark."""
-MIN_PAIRS = 40
-"""Pairs needed to estimate the correlation of a lag class."""
-NOTABLE_GAP_S = 0.5
-"""The user is told where a sighting this long after the last one counts for half [s]."""
-MIN_GAP_S = 1e-3
-"""Shortest time between two sightings of a landmark [s]."""
+from homeward.localizer.tunables import (
+    CORRELATION_TIMES_S,
+    GATE,
+    LAG_BOUNDS_S,
+    MIN_GAP_S,
+    MIN_PAIRS,
+    NOTABLE_GAP_S,
+    PAIR_STEPS,
+)
 
 
 class CorrelatedErrors:
@@ -79,7 +74,7 @@ class CorrelatedErrors:
         errors, landmarks = np.clip(errors, -GATE, GATE)[order], landmarks[order]
         t = np.cumsum(np.where(np.isfinite(gaps[order]), gaps[order], LAG_BOUNDS_S[-1]))
         lags, products = [], []
-        for step in STEPS:
+        for step in PAIR_STEPS:
             same = landmarks[step:] == landmarks[:-step]
             lags.append((t[step:] - t[:-step])[same])
             products.append((errors[step:] * errors[:-step])[same])
@@ -100,8 +95,8 @@ class CorrelatedErrors:
         if not known.any():
             return
         middle = np.sqrt(LAG_BOUNDS_S[:-1] * LAG_BOUNDS_S[1:])[known]
-        shapes = np.exp(-middle / TIMES_S[:, None])
+        shapes = np.exp(-middle / CORRELATION_TIMES_S[:, None])
         shares = np.clip(shapes @ self._correlations[known] / (shapes**2).sum(axis=1), 0.0, 1.0)
         off = ((shares[:, None] * shapes - self._correlations[known]) ** 2).sum(axis=1)
         best = int(off.argmin())
-        self.share, self.correlation_time = float(shares[best]), float(TIMES_S[best])
+        self.share, self.correlation_time = float(shares[best]), float(CORRELATION_TIMES_S[best])

@@ -16,16 +16,17 @@ from collections import deque
 from collections.abc import Mapping
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.motion.odometry import MAX_LAG_S
-from homeward.localizer.tunables import GATE, MAJORITY, MIN_SIGHTINGS, MINIMAL
+from homeward.localizer.tunables import (
+    DEAD_WINDOW_FRAMES,
+    DEAD_WINDOW_S,
+    GATE,
+    MAJORITY,
+    MAX_LAG_S,
+    MAX_NEUMANN_RATIO,
+    MIN_SIGHTINGS,
+    MINIMAL,
+)
 
-WINDOW_S = 10.0
-"""Length of a window in which bearings are compared: a slow robot moves notably in it [s] ..."""
-WINDOW_FRAMES = 2 * MIN_SIGHTINGS
-"""... and the frames in it, where the camera is slow."""
-MAX_NEUMANN_RATIO = 0.5
-"""Largest ratio of successive squares to the variance of a smooth change [1]: of six independent
-errors, about 1 in 300 gives a smaller one; of white noise the mean is 2."""
 DEAD = (
     "Odometry reported that the robot stood still {}, but bearings changed by {:.0f} degrees: is "
     "the odometry driver dead, or was the robot carried? The motion was treated as unknown there. "
@@ -128,7 +129,9 @@ class DeadOdometry:
         self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float], default: float
     ) -> None:
         """Test the landmarks of a frame, and decide by all of the window."""
-        if not t - self._begun <= WINDOW_S and self._frames >= WINDOW_FRAMES * bool(self._tracks):
+        if not t - self._begun <= DEAD_WINDOW_S and self._frames >= DEAD_WINDOW_FRAMES * bool(
+            self._tracks
+        ):
             if self._has_moved:  # odometry that never reported a motion stays dead
                 self.is_dead &= not self._most(False)
             self._begin_window(t)

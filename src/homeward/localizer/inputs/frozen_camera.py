@@ -13,22 +13,17 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from homeward.localizer.tunables import (
+    BEARING_ROUNDING,
+    FROZEN_S,
+    HEADING_RATE,
+    MAX_DISTANCE_M,
+    MAX_RESOLUTION,
+    MIN_DISTANCE_M,
+    REPEAT_MEMORY_S,
+    TURN_ERROR,
+)
 from homeward.odometry.history import STEADY_S, TwistHistory
-
-NEAREST_M, FARTHEST_M = 0.1, 100.0
-"""Distances between which landmarks may be [m]: from a farther one a robot has no parallax."""
-COARSEST = 0.1
-"""Resolution of bearings until a smaller step was seen [rad]."""
-ROUNDING = 1e-9
-"""Smaller steps are rounding errors, not the resolution [rad]."""
-TURN_ERROR, HEADING_RATE = 0.1, 0.02
-"""Error of odometry that is not a motion: share of the rotation [1], and a heading error that grows
-with the square root of time [rad/sqrt(s)]; twice what uncalibrated wheels have."""
-FORGET_S = 5.0
-"""A landmark not seen for this long is forgotten [s]."""
-FROZEN_S = 0.5
-"""A camera is frozen once its bearings have repeated for this long [s]: odometry may lag that much
-behind a camera when the robot stops."""
 
 
 class _First(NamedTuple):
@@ -57,7 +52,7 @@ class FrozenCamera:
     def __init__(self, yaw: float = 0.0) -> None:
         self._yaw = yaw
         self._first: dict[str, _First] = {}
-        self._resolution = COARSEST
+        self._resolution = MAX_RESOLUTION
         """Smallest step between two bearings of a landmark [rad]."""
         self.is_frozen = False
         """Whether all bearings of the newest frame have repeated for `FROZEN_S`."""
@@ -78,7 +73,7 @@ class FrozenCamera:
                 self._first[name] = first._replace(seen=t)
                 repeated.append(name)
                 continue
-            if first is not None and (step := abs(first.bearing - bearing)) > ROUNDING:
+            if first is not None and (step := abs(first.bearing - bearing)) > BEARING_ROUNDING:
                 self._resolution = min(self._resolution, step)
             self._first[name] = _First(bearing, *here, t)
         firsts = [self._first[n] for n in repeated]
@@ -90,7 +85,7 @@ class FrozenCamera:
             return set(repeated)
         self.is_frozen = False
         if len(self._first) > len(sightings):
-            self._first = {n: f for n, f in self._first.items() if t - f.seen < FORGET_S}
+            self._first = {n: f for n, f in self._first.items() if t - f.seen < REPEAT_MEMORY_S}
         return set()
 
     def _is_possible(self, repeated: list[_First], here: tuple[float, float, float, float]) -> bool:
@@ -112,7 +107,7 @@ class FrozenCamera:
                     - sight,
                     math.tau,
                 )
-                for distance in (NEAREST_M, FARTHEST_M)
+                for distance in (MIN_DISTANCE_M, MAX_DISTANCE_M)
             ]
             low = max(low, min(ends) - tolerance - turned, -error)
             high = min(high, max(ends) + tolerance - turned, error)

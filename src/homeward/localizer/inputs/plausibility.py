@@ -10,15 +10,9 @@ import math
 from collections import deque
 
 from homeward.geometry.robust import MAD_TO_SIGMA
-from homeward.localizer.tunables import GATE
+from homeward.localizer.tunables import GATE, MIN_INTERVAL_S, NUM_CHANGES, START_S
 from homeward.odometry.limits import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
 
-NUM_CHANGES = 9
-"""Latest changes between twists: their median is by noise, even if four are wrong."""
-MIN_INTERVAL_S = 0.1
-"""Shorter intervals count as this long: the noise of a speed grows as its interval shrinks [s]."""
-START_S = 1.0
-"""The robot is assumed to have been at rest this long before the first twist [s]."""
 IMPLAUSIBLE = (
     "Odometry reported impossible motion {} times, first at {:.2f} s (speed or acceleration no "
     "wheeled robot has, or not a number). The motion up to the next twist was treated as unknown, "

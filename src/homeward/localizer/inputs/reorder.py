@@ -7,12 +7,8 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from homeward.localizer.tunables import MIN_SAMPLES, REORDER_WAIT_S
 from homeward.odometry.clock import MAX_DELAY_S
-
-WAIT_S = 10.0
-"""Time for which bearings keep waiting after odometry has arrived later than bearings [s]."""
-MIN_SAMPLES = 10
-"""Samples needed before it is reported that most come late."""
 
 
 class BearingFrame(NamedTuple):
@@ -41,7 +37,7 @@ class ReorderBuffer:
         """Register a twist of stamp `t` [s], and whether it was too late to be used."""
         self._count("odometry", late)
         if self.newest - MAX_DELAY_S <= t < self.newest:
-            self._waits_until = t + WAIT_S
+            self._waits_until = t + REORDER_WAIT_S
 
     def late_bearings(self) -> None:
         """Count bearings that were too late to be used."""

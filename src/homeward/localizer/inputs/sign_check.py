@@ -15,45 +15,27 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import Mount
+from homeward.localizer.tunables import (
+    BAD_WINDOW,
+    GIVEN_WRONG,
+    MIN_PROBABILITY,
+    NUM_INDEPENDENT_ERRORS,
+    SIGN_DOUBTFUL,
+    SIGN_FALSE_ALARM,
+    SIGN_LAGS_S,
+    SIGN_MAX_SIGHTINGS,
+    SIGN_MAX_TURN,
+    SIGN_MIN_PATH,
+    SIGN_MIN_TURN,
+    SIGN_NOISE,
+    SIGN_WINDOW_S,
+    STAYING_SHARE,
+    YAW_STEP,
+    YAW_TOLERANCE,
+    YAW_TOLERANCE_OFF_CENTRE,
+)
 
-STEP = math.radians(15.0)
-"""Spacing of the yaws that are compared [rad]."""
-TOLERANCE, TOLERANCE_OFF_CENTRE = 1, 2
-"""Yaws up to this number of steps from the assumed one count as right: 15 degrees, which the map
-estimates. It is 30 degrees where x or y of the camera are not given: a camera off the robot's
-centre moves in another direction than the robot."""
-WINDOW_S, MAX_TURN = 4.0, 1.0
-"""A window ends after this time [s] or rotation [rad]: long enough for parallax, and so short that
-odometry drifts by less than the noise."""
-MIN_PATH, MIN_TURN = 0.1, 0.3
-"""A window counts if the camera moved this far [m] or the robot turned this far [rad]: the noise of
-odometry of a robot that stands stays below, and fits any yaw."""
-STAYING = 0.3
-"""A window does not count if the bearings change by less than this share of the rotation: the robot
-stands while its wheels spin, or the camera is frozen. Landmarks that all are as near as the centre
-of the bend would do the same [1]."""
-MAX_SIGHTINGS = 5_000
-"""Sightings of a window that are kept, which bounds memory and cost."""
-NOISE = 0.02
-"""Standard deviation of a bearing from the geometry of a window, drift included [rad]."""
-INDEPENDENT = 4.0
-"""Number of independent errors of a landmark in a window: those of odometry are correlated."""
-BAD_WINDOW = 0.1
-"""Probability that a window is evidence for nothing: slip, people [1]."""
-LAGS = np.array([0.0, 0.25, 0.5])
-"""Lags of the bearings that are compared, equally probable [s]: in changing turns, a lag looks
-like a wrong yaw."""
-PRIOR_WRONG = 0.01
-"""Prior probability of a wrong convention: in one of a hundred drives [1]."""
-FALSE_ALARM = 1e-4
-"""The convention is rejected once its posterior probability is below this [1]."""
-DOUBTFUL = 0.1
-"""There is no pose while that probability is below this, if x and y of the camera are given: else
-an unknown place of the camera can look like a yaw for some windows [1]."""
-MIN_PROBABILITY = 1e-9
-"""No hypothesis becomes less probable, so that a few windows suffice to reconsider [1]."""
-
-_YAWS = STEP * np.arange(round(math.tau / STEP))
+_YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 
 
 class SignCheck:
@@ -72,17 +54,21 @@ class SignCheck:
     def __init__(self, sensor: Mount) -> None:
         self._sensor = sensor
         has_place = {"x", "y"} <= sensor.model_fields_set
-        self._tolerance = TOLERANCE if has_place else TOLERANCE_OFF_CENTRE
-        self._doubtful = DOUBTFUL if has_place else FALSE_ALARM
+        self._tolerance = YAW_TOLERANCE if has_place else YAW_TOLERANCE_OFF_CENTRE
+        self._doubtful = SIGN_DOUBTFUL if has_place else SIGN_FALSE_ALARM
         steps = np.arange(_YAWS.size)
         right = np.minimum(steps, _YAWS.size - steps) <= self._tolerance
         self._right = np.stack([right, np.zeros_like(right)])
-        wrong = PRIOR_WRONG / np.count_nonzero(~self._right)
-        share = (1.0 - PRIOR_WRONG) / np.count_nonzero(self._right)
+        wrong = GIVEN_WRONG / np.count_nonzero(~self._right)
+        share = (1.0 - GIVEN_WRONG) / np.count_nonzero(self._right)
         self._probability = np.where(self._right, share, wrong)
         """(2, k): of anti-clockwise and clockwise bearings, by yaw minus the assumed one."""
         self._before: np.ndarray | None = None
-        self._place, self._turned, self._has_turned = np.zeros(LAGS.size, complex), 0.0, False
+        self._place, self._turned, self._has_turned = (
+            np.zeros(SIGN_LAGS_S.size, complex),
+            0.0,
+            False,
+        )
         self._since = -math.inf
         self._index: dict[str, int] = {}
         self._rows: list[tuple[int, float, np.ndarray, np.ndarray]] = []
@@ -95,7 +81,7 @@ class SignCheck:
     @property
     def is_wrong(self) -> bool:
         """Whether the convention is rejected."""
-        return float(self._probability[self._right].sum()) < FALSE_ALARM
+        return float(self._probability[self._right].sum()) < SIGN_FALSE_ALARM
 
     @property
     def is_reversed(self) -> bool:
@@ -111,10 +97,10 @@ class SignCheck:
         """
         weight = self._probability[1 if self.is_reversed else 0]
         near = np.exp(1j * (_YAWS - _YAWS[weight.argmax()]))
-        peak = np.where(near.real > math.cos(2.5 * STEP), weight, 0.0)
+        peak = np.where(near.real > math.cos(2.5 * YAW_STEP), weight, 0.0)
         yaw = float(np.angle(peak @ np.exp(1j * _YAWS)))
         square = round(yaw / (math.pi / 2)) * math.pi / 2
-        return square if abs(yaw - square) <= STEP else yaw
+        return square if abs(yaw - square) <= YAW_STEP else yaw
 
     def note(self) -> str:
         """Return what was found, what it means and what to do; empty where all is right."""
@@ -125,7 +111,7 @@ class SignCheck:
         if self.is_reversed:
             words = "Bearings and turn rates go opposite ways; both must be anti-clockwise."
             mirrored = math.remainder(error + 2.0 * given, math.tau)
-            if min(abs(error), abs(mirrored)) <= (self._tolerance + 0.5) * STEP:
+            if min(abs(error), abs(mirrored)) <= (self._tolerance + 0.5) * YAW_STEP:
                 return words
             return (
                 f"{words} The camera's yaw is wrong, too: multiply the bearings by -1 and set"
@@ -137,7 +123,7 @@ class SignCheck:
             f" {_degrees(given + error)}. No pose is given until this is corrected. Set {line} in"
             " drive.yaml"
         )
-        if abs(error) > math.pi - (self._tolerance + 0.5) * STEP:
+        if abs(error) > math.pi - (self._tolerance + 0.5) * YAW_STEP:
             words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
         return words + "."
 
@@ -145,7 +131,7 @@ class SignCheck:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
 
         `reckoned` (2, l) is the heading [rad] and the signed path [m] from odometry alone, at `t`
-        minus each of `LAGS`.
+        minus each of `SIGN_LAGS_S`.
         """
         turn, way = np.zeros_like(reckoned) if self._before is None else reckoned - self._before
         self._before, heading = reckoned, reckoned[0]
@@ -155,13 +141,13 @@ class SignCheck:
         if not self._rows:
             self._since, self._turned = t, 0.0
         camera = self._place + np.exp(1j * heading) * complex(self._sensor.x, self._sensor.y)
-        if len(self._rows) < MAX_SIGHTINGS:
+        if len(self._rows) < SIGN_MAX_SIGHTINGS:
             index = self._index
             self._rows += [
                 (index.setdefault(name, len(index)), beta, heading, camera)
                 for name, beta in sightings.items()
             ]
-        if t - self._since >= WINDOW_S or self._turned >= MAX_TURN:
+        if t - self._since >= SIGN_WINDOW_S or self._turned >= SIGN_MAX_TURN:
             if self._has_turned:  # else the turn rate may be dead
                 self._weigh()
             self._rows, self._index = [], {}
@@ -173,15 +159,18 @@ class SignCheck:
         place, yaw = camera * np.exp(-1j * heading[0]), self._sensor.yaw
         turned, senses = heading - heading[0], (beta + yaw, yaw - beta)
         path, turn = np.abs(place[:, 0] - place[0, 0]).max(), np.abs(turned[:, 0]).max()
-        if path < MIN_PATH and turn < MIN_TURN:
+        if path < SIGN_MIN_PATH and turn < SIGN_MIN_TURN:
             return
         seen = _centred(_unwrapped(beta, index), index)[0]
-        if turn >= MIN_TURN and seen.std() < STAYING * _centred(turned[:, 0], index)[0].std():
+        if (
+            turn >= SIGN_MIN_TURN
+            and seen.std() < STAYING_SHARE * _centred(turned[:, 0], index)[0].std()
+        ):
             return
         logs = np.array(
             [
                 [_log_likelihood(index, sense, turned[:, k], place[:, k]) for sense in senses]
-                for k in range(LAGS.size)
+                for k in range(SIGN_LAGS_S.size)
             ]
         )
         likelihood = np.exp(logs - logs.max()).sum(axis=0)
@@ -231,7 +220,7 @@ def _log_likelihood(
     lever = s * s * xx - 2.0 * s * c * xy + c * c * yy
     residual = aa - np.divide(fitted, lever, out=np.zeros_like(lever), where=lever > 1e-12)
     variance = np.maximum(residual, 0.0) / num[:, None]
-    return np.asarray(-0.5 * INDEPENDENT * np.log(variance + NOISE**2).sum(axis=0))
+    return np.asarray(-0.5 * NUM_INDEPENDENT_ERRORS * np.log(variance + SIGN_NOISE**2).sum(axis=0))
 
 
 def _degrees(angle: float) -> str:

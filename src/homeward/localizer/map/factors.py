@@ -10,7 +10,7 @@ from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
-from homeward.localizer.tunables import GATE
+from homeward.localizer.tunables import GATE, MAX_PADDING
 
 MIN_COVARIANCE = 1e-10 * np.eye(3)
 """Smallest covariance of a motion [m^2, rad^2]."""
@@ -18,8 +18,6 @@ FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 
 STEP = 12 + 3 * NC
 """Columns of the table of motions between keyframes: the motion for a calibration of zero, the
 inverse of its covariance (3, 3), and its Jacobian by the calibration (3, 8)."""
-MAX_PADDING = 8
-"""Groups are padded to the largest, unless that takes this many times the memory [1]."""
 
 
 def step_row(motion: Motion) -> np.ndarray:

@@ -22,10 +22,16 @@ from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
-from homeward.localizer.tunables import BASELINE, FALSE_ALARM, INFLATION, MAJORITY, MINIMAL, VAGUE
-
-MIN_SIGMA, ROUNDING = 1e-6, 1e-10
-"""Smallest standard deviation of a bearing [rad]; smallest share of the largest variance [1]."""
+from homeward.localizer.tunables import (
+    BASELINE,
+    FALSE_ALARM,
+    INFLATION,
+    MAJORITY,
+    MIN_BEARING_SIGMA,
+    MINIMAL,
+    VAGUE,
+    VARIANCE_ROUNDING,
+)
 
 
 @dataclass(frozen=True)
@@ -282,7 +288,7 @@ def consistent_subset(
     m, kept = residual.size, np.ones(residual.size, bool)
     innovation_covariance = innovation_covariance.copy()
     variances = innovation_covariance.reshape(-1)[:: m + 1]
-    variances += MIN_SIGMA**2 + ROUNDING * variances.max(initial=0.0)
+    variances += MIN_BEARING_SIGMA**2 + VARIANCE_ROUNDING * variances.max(initial=0.0)
     _data_snooping(kept, residual, innovation_covariance, gate)
     if np.count_nonzero(kept) >= MAJORITY * m:
         return kept

@@ -12,29 +12,27 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.geometry.se2 import sight
-from homeward.localizer.inputs.by_id import MAX_IDS, ById
+from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
 from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
     BASELINE,
+    CANDIDATE_MEMORY_S,
     ESTABLISHED,
     GATE,
     INLIER,
     LINEAR,
     MAJORITY,
+    MAX_HOME_LANDMARKS,
+    MAX_IDS,
+    MAX_TRIALS,
     MIN_SIGHTINGS,
     NEGLIGIBLE,
+    RETRY_GROWTH,
     SWAP_RATIO,
 )
-
-MAX_TRIALS = 6
-"""Candidates triangulated per keyframe."""
-RETRY_GROWTH = 1.1
-"""A failed candidate is tried again once it has this many times more sightings."""
-MAX_HOME_LANDMARKS = 48
-"""Landmarks used for the resection of home; the oldest are the nearest."""
 
 
 @dataclass
@@ -77,11 +75,6 @@ class Landmark:
         if not low <= off <= high:
             self.lines = (first, min(low, off), max(high, off))
         self.sightings += 1
-
-
-FORGET_S = 120.0
-"""A candidate older than this is dropped where ids come without end [s]; the window of keyframes
-is no longer."""
 
 
 @dataclass
@@ -167,7 +160,9 @@ class Landmarks:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
         known = self._candidates
-        if len(known) > MAX_IDS and known.prune(lambda waiting: waiting.since < t - FORGET_S):
+        if len(known) > MAX_IDS and known.prune(
+            lambda waiting: waiting.since < t - CANDIDATE_MEMORY_S
+        ):
             for name in self.range_mixtures.keys() - self._candidates.keys():
                 del self.range_mixtures[name]
 

@@ -10,7 +10,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.inputs.by_id import MAX_IDS, ById
+from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.gating import (
     Gated,
     Prediction,
@@ -19,7 +19,7 @@ from homeward.localizer.map.gating import (
     inflate_by_odometry,
     predict_bearings,
 )
-from homeward.localizer.map.landmarks import FORGET_S, Landmarks
+from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
@@ -31,13 +31,17 @@ from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import Motion, camera_after
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import CALIBRATION_DRIFT, FALSE_ALARM, NEGLIGIBLE, STANDSTILL
+from homeward.localizer.tunables import (
+    CALIBRATION_DRIFT,
+    CANDIDATE_MEMORY_S,
+    FALSE_ALARM,
+    MAX_IDS,
+    MAX_PER_KEYFRAME,
+    NEGLIGIBLE,
+    SOLVES_PER_WINDOW,
+    STANDSTILL,
+)
 from homeward.reasons import Rejection
-
-MAX_PER_KEYFRAME = 12
-"""Sightings of a landmark per keyframe; a robot that stands still learns no more from it."""
-SOLVES_PER_WINDOW = 8
-"""Solutions per window, once it is full: so each keyframe costs the same on average."""
 
 
 class Map:
@@ -318,7 +322,9 @@ class Map:
             else:
                 kept[i] = True
         if len(self._last_seen) > MAX_IDS:
-            self._last_seen.prune(lambda last: last < t - FORGET_S)  # no error lasts so long
+            self._last_seen.prune(
+                lambda last: last < t - CANDIDATE_MEMORY_S
+            )  # no error lasts so long
         if skipped:
             self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))

@@ -15,12 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.angles import wrap
-from homeward.localizer.tunables import INLIER, MAJORITY, MIN_SIGHTINGS
-
-MIN_RATIO, MAX_RATIO, DISTANCES = 0.1, 30.0, 24
-"""Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
-"""
-STEPS = 2
+from homeward.localizer.tunables import (
+    INLIER,
+    MAJORITY,
+    MAX_RANGE_RATIO,
+    MIN_RANGE_RATIO,
+    MIN_SIGHTINGS,
+    NUM_RANGES,
+    RANGE_STEPS,
+)
 
 
 @dataclass(frozen=True)
@@ -57,11 +60,11 @@ def range_mixture(
     """
     if len(bearings) < MIN_SIGHTINGS or not (math.isfinite(scale) and scale > 0):
         return None
-    ratio = (MAX_RATIO / MIN_RATIO) ** (1.0 / (DISTANCES - 1))
-    distances = scale * MIN_RATIO * ratio ** np.arange(DISTANCES)
+    ratio = (MAX_RANGE_RATIO / MIN_RANGE_RATIO) ** (1.0 / (NUM_RANGES - 1))
+    distances = scale * MIN_RANGE_RATIO * ratio ** np.arange(NUM_RANGES)
     lines = cameras[:, 2] + bearings
-    directions = np.full(DISTANCES, lines[-1])
-    for _ in range(STEPS):
+    directions = np.full(NUM_RANGES, lines[-1])
+    for _ in range(RANGE_STEPS):
         off, lever = _residuals(cameras, lines, distances, directions)
         weight = lever / (sigmas * np.maximum(1.0, np.abs(off) / (INLIER * sigmas))) ** 2
         directions = directions + (weight * off).sum(axis=1) / (weight * lever).sum(axis=1)

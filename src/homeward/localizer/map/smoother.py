@@ -45,7 +45,6 @@ from homeward.localizer.map.sightings import (
 )
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.map.triangulation import INFINITY_RATIO
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     MOUNT,
@@ -54,18 +53,17 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
     Motion,
 )
-from homeward.localizer.tunables import LINEAR
+from homeward.localizer.tunables import (
+    INFINITY_RATIO,
+    LINEAR,
+    MAX_GAIN_M,
+    MAX_SOLVE_STEPS,
+    MIN_CALIBRATION_SIGMA,
+    SOLVE_CONVERGED,
+)
 
-STEPS = 5
-"""Largest number of Gauss-Newton steps."""
 NO_TAIL = np.ones(2)
 """Ratios of inlier variances of shift and turn where motions have no heavy tail [1]."""
-MIN_SIGMA = 1e-6
-"""Smallest prior standard deviation of the odometry's calibration."""
-MAX_GAIN_M = 1e-4
-"""Negative slip that is negligible [m]."""
-CONVERGED = 2e-2
-"""Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
 
 
 class Closed(NamedTuple):
@@ -122,7 +120,7 @@ class Smoother:
         """Whether the last `solve` converged."""
         self.mount_sigmas = mount_sigmas
         """Priors that may change are never marginalised: of the extrinsics ..."""
-        self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_SIGMA)
+        self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_CALIBRATION_SIGMA)
         """... of slip in bends [m] ..."""
         self.survey = SurveyFactors.none()
         """... and the survey of landmarks."""
@@ -133,7 +131,7 @@ class Smoother:
         self._next_id = 0
         self._closed: list[Closed] | None = None
         self._drift, self._correlated = drift, correlated
-        of_odometry = 1.0 / np.maximum(odometry_sigmas, MIN_SIGMA) ** 2
+        of_odometry = 1.0 / np.maximum(odometry_sigmas, MIN_CALIBRATION_SIGMA) ** 2
         of_odometry[TURN_SLIP] = 0.0
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._first_information = np.diag(information)
@@ -268,12 +266,12 @@ class Smoother:
         numpy.linalg.LinAlgError
             When the normal equations are singular.
         """
-        for _ in range(STEPS):
+        for _ in range(MAX_SOLVE_STEPS):
             poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
             constrained = self._slip_is_negative
-            small = self._move(poses, common, covariance) < CONVERGED
+            small = self._move(poses, common, covariance) < SOLVE_CONVERGED
             slip = float(self.state.calibration[TURN_SLIP])
             self.converged = small and (slip <= 0.0 if constrained else slip > -MAX_GAIN_M)
             if self.converged:

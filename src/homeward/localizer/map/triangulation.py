@@ -6,15 +6,18 @@ import numpy as np
 
 from homeward.angles import wrap
 from homeward.frames import position_sigma
-from homeward.localizer.tunables import CLOSE, INLIER, LINEAR, MAJORITY, MARGIN, RIVAL_SHARE
-
-MIN_LINES = 3
-"""Smallest number of lines that agree."""
-MAX_LINES = 24
-"""Lines, evenly spread, that are intersected in pairs."""
-INFINITY_RATIO = 100.0
-"""Distance that stands for infinity, over the distances at hand [1]."""
-STEPS = 6
+from homeward.localizer.tunables import (
+    CLOSE,
+    INFINITY_RATIO,
+    INLIER,
+    LINEAR,
+    MAJORITY,
+    MARGIN,
+    MAX_LINES,
+    MIN_LINES,
+    RIVAL_SHARE,
+    TRIANGULATION_STEPS,
+)
 
 
 def triangulate(
@@ -53,7 +56,7 @@ def triangulate(
         return None
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
-    for _ in range(STEPS):
+    for _ in range(TRIANGULATION_STEPS):
         if agree.sum() < MIN_LINES:
             return None
         position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])

@@ -19,8 +19,10 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CLOSE,
     FINAL_GATE,
+    FIXED_EXTRINSICS_M,
     GIVEN_WRONG,
     LINEAR,
+    MIN_EXTRINSICS_RAD,
     NEGLIGIBLE,
     STANDSTILL,
 )
@@ -29,8 +31,6 @@ CONTRADICTION = (
     "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
     "under sensor in drive.yaml, about right would be {}."
 )
-MIN_RAD, FIXED_M = 1e-6, 1e-4
-"""Prior standard deviations of fixed extrinsics [rad, m]."""
 
 
 class Extrinsics:
@@ -45,7 +45,13 @@ class Extrinsics:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
-        self.sigmas = np.array([max(settings.camera_yaw_sigma, MIN_RAD), FIXED_M, FIXED_M])
+        self.sigmas = np.array(
+            [
+                max(settings.camera_yaw_sigma, MIN_EXTRINSICS_RAD),
+                FIXED_EXTRINSICS_M,
+                FIXED_EXTRINSICS_M,
+            ]
+        )
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""
         self.contradicted = False
         """Whether the bearings have contradicted the assumed values."""

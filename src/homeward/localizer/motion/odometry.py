@@ -12,35 +12,27 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
-from homeward.localizer.motion.preintegration import BEND, BENDS, LAG, Motion, Piece, integrate
+from homeward.localizer.motion.preintegration import LAG, Motion, Piece, integrate
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    BEND,
+    BRIDGED,
     INFLATION,
+    INITIAL_STRAIGHT_M,
+    MAX_LAG_S,
     MEMORY_S,
     MIN_SPEED,
     MIN_TURN_RATE,
+    NOTABLE_LAG_S,
+    NUM_BENDS,
     SPEED_TIME_S,
+    STRAIGHTEST_SHARE,
     TURN_TIME_S,
 )
 from homeward.odometry.clock import MAX_DELAY_S
 from homeward.odometry.history import STEADY_S, TwistHistory
 from homeward.odometry.validity import TWIST_VALIDITY_S
-
-ADVANCE_S = 0.5
-"""TwistHistory are integrated at least this often [s]."""
-STRAIGHTEST_SHARE = 0.2
-"""Share of the path that counts as the straightest [1]."""
-INITIAL_STRAIGHT_M = 1.0
-"""Length of straight path assumed before the start [m]."""
-NOTABLE_LAG_S = 0.25
-"""Lag that the user is told of [s]."""
-BRIDGED = 0.1
-"""Standard deviation of the motion beyond `TWIST_VALIDITY_S` of a slow twist, over that motion:
-robots mostly keep their speed; where this one does not, the residuals of the map raise its noise
-further [1]."""
-MAX_LAG_S = 0.8
-"""Largest plausible lag [s]."""
 
 
 def calibration_sigmas(
@@ -133,7 +125,7 @@ class Odometry:
         self._motion = Motion.identity()
         self.end = self._since = -math.inf
         """Time up to which the twists are integrated, and of the keyframe [s]."""
-        self._path_by_bend = np.zeros(BENDS)
+        self._path_by_bend = np.zeros(NUM_BENDS)
         self._path_by_bend[0] = INITIAL_STRAIGHT_M
         self._straightest = 0.0
         self._motion_prior = MotionPrior()

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.se2 import between, composition
+from homeward.localizer.tunables import BEND, NUM_BENDS
 
 ODOMETRY_CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
 CALIBRATION = (*ODOMETRY_CALIBRATION, "camera_yaw", "camera_x", "camera_y")
@@ -35,8 +36,6 @@ TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
 """(3, 8): Jacobian of the camera's pose on the robot by the calibration."""
-BEND, BENDS = 0.125, 33
-"""Width [rad/m] and number of the classes of turn per metre into which the path is sorted."""
 
 
 @dataclass(frozen=True)
@@ -143,13 +142,13 @@ def integrate(
     -------
     motion : Motion
         From start to end.
-    by_bend : ndarray, shape (BENDS,)
+    by_bend : ndarray, shape (NUM_BENDS,)
         Its length by class of turn per metre [m].
     """
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = 1.0 + float(calibration[SPEED_SCALE])
     x = y = psi = path = turned = 0.0
-    by_bend, chords = [0.0] * BENDS, []
+    by_bend, chords = [0.0] * NUM_BENDS, []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
         _, _, dt, v, omega, steady = piece
         way, spin = abs(v) * dt, abs(omega)
@@ -161,7 +160,7 @@ def integrate(
         chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips))
         x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
         path, turned = path + way, turned + 2.0 * abs(half)
-        by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), BENDS - 1)] += way
+        by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), NUM_BENDS - 1)] += way
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     jacobian[:2, SPEED_SCALE] = delta[:2] / size

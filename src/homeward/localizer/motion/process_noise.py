@@ -13,10 +13,13 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
-from homeward.localizer.tunables import INFLATION, MAX_NOISE_RATIO, NOISE_MEMORY, NOISE_PRIOR
-
-NOTABLE_RATIO = 2.0
-"""Ratio of standard deviations that the user is told of [1]."""
+from homeward.localizer.tunables import (
+    INFLATION,
+    MAX_NOISE_RATIO,
+    NOISE_MEMORY,
+    NOISE_PRIOR,
+    NOTABLE_RATIO,
+)
 
 
 class ProcessNoise:

@@ -20,18 +20,16 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.recovery.relocalise import MIN_LOG_ODDS
-from homeward.localizer.tunables import INLIER, MAJORITY
+from homeward.localizer.tunables import (
+    CONTRADICTION_S,
+    INLIER,
+    MAJORITY,
+    MIN_LOG_ODDS,
+    ODOMETRY_ERROR,
+    UNSEEN_S,
+)
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
-
-ODOMETRY_ERROR = 0.1
-"""Systematic error of an uncalibrated odometry: share of shift and rotation [1]."""
-LASTS_S = 0.5
-"""A contradiction that lasts for less may be a lag between odometry and camera; a shorter change of
-the bearings, on the other hand, may be an outlier [s]."""
-UNSEEN_S = 2.0
-"""A reference frame of which no landmark is in sight is kept for this long [s]."""
 
 
 class _Reference(NamedTuple):
@@ -93,7 +91,9 @@ class Contradiction:
             if log_odds is not None:
                 self._is_proved |= log_odds > MIN_LOG_ODDS
                 self._stayed = frame.t
-            if log_odds is not None or (self._is_proved and frame.t - self._stayed < LASTS_S):
+            if log_odds is not None or (
+                self._is_proved and frame.t - self._stayed < CONTRADICTION_S
+            ):
                 return
         ids, smoother = known.landmarks.ids(frame.names), known.smoother
         self._reference = _Reference(frame, ids, smoother.state, smoother.ids, motion, self._here)
@@ -161,7 +161,7 @@ class Contradiction:
         off = off @ rotation(found.pose.heading - float(pose[2])).T
         spread = off.T @ off + _systematic_covariance(moved)
         found = dataclasses.replace(found, covariance=found.covariance + spread)
-        if self._newest - reference.frame.t < LASTS_S:
+        if self._newest - reference.frame.t < CONTRADICTION_S:
             return found
         why = Reason.CONTRADICTED.words
         return dataclasses.replace(found, status=Status.UNVERIFIED, reason=why)

@@ -10,8 +10,9 @@ import numpy as np
 from homeward.drives.drive import HomeBearing
 from homeward.frames import Pose
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
+from homeward.localizer.map.survey.evidence import outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
+from homeward.localizer.tunables import MAX_TESTED
 
 __all__ = ["MAX_TESTED", "MapSnapshot", "align", "moved_probabilities", "rotated"]
 

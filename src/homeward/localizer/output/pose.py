@@ -14,11 +14,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.home.linearisation import HOME, inverted
 from homeward.localizer.output.tails import missing_tails
-from homeward.localizer.tunables import INLIER, OUTLIER_SIGMA
-
-CENTRE_STEPS = 20
-CONVERGED = 1e-3
-"""Step at which the iteration for the centre has converged [standard deviations]."""
+from homeward.localizer.tunables import CENTRE_CONVERGED, INLIER, MAX_CENTRE_STEPS, OUTLIER_SIGMA
 
 
 @dataclass(frozen=True)
@@ -176,12 +172,12 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
     # The centre is a weighted mean of the points: their products give all distances.
     products, share = points @ inverted(covariance)[0] @ points.T, weights
     squares = products.diagonal() + INLIER**2
-    for _ in range(CENTRE_STEPS):
+    for _ in range(MAX_CENTRE_STEPS):
         towards = products @ share
         pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)
         step = pull / pull.sum() - share
         share = share + step
-        if step @ products @ step < CONVERGED**2:
+        if step @ products @ step < CENTRE_CONVERGED**2:
             break
     return np.asarray(share @ points)
 

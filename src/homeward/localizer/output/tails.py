@@ -11,10 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from homeward.localizer.tunables import FALSE_ALARM, INLIER
-
-HALVINGS = 8
-"""Bisections for a quantile, which is then known to 0.5 % of a deviation."""
+from homeward.localizer.tunables import FALSE_ALARM, INLIER, NUM_HALVINGS
 
 
 def missing_tails(
@@ -65,7 +62,7 @@ def _quantile(at: np.ndarray, sigma: np.ndarray, weights: np.ndarray) -> np.ndar
     near, far = (
         (np.abs(at) - sigma * ndtri(np.minimum(p, 1.0))).max(axis=1) for p in (alone, share)
     )
-    for _ in range(HALVINGS):
+    for _ in range(NUM_HALVINGS):
         middle = 0.5 * (near + far)
         reaches = _beyond(middle, at, sigma, weights) > FALSE_ALARM
         near, far = np.where(reaches, middle, near), np.where(reaches, far, middle)

@@ -15,10 +15,7 @@ import numpy as np
 from homeward.angles import wrap
 from homeward.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.tunables import CLOSE, INLIER
-
-MIN_TOGETHER = 3
-"""Landmarks that must have moved together: two always do, but for their distance."""
+from homeward.localizer.tunables import CLOSE, INLIER, MIN_TOGETHER
 
 
 @dataclass(frozen=True)

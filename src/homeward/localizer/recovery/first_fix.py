@@ -13,14 +13,16 @@ from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
-from homeward.localizer.tunables import CLOSE, FALSE_ALARM, INLIER, MINIMAL, VERIFIED
-
-VIEW_ANGLE = math.pi
-"""Width of the sector in which landmarks are seen [rad]."""
-PATIENCE = 4
-"""After each so many failed trials, one more frame is skipped: a trial takes milliseconds."""
-KEPT_PER_LANDMARK = 2
-"""Sightings kept per landmark: the newest, and one to check it."""
+from homeward.localizer.tunables import (
+    CLOSE,
+    FALSE_ALARM,
+    FIX_PATIENCE,
+    INLIER,
+    KEPT_PER_LANDMARK,
+    MINIMAL,
+    VERIFIED,
+    VIEW_ANGLE,
+)
 
 
 class FirstFix:
@@ -70,7 +72,7 @@ class FirstFix:
         if len(self._seen) < VERIFIED or self._wait > 0:
             return None
         self._tries += 1
-        self._wait = self._tries // PATIENCE
+        self._wait = self._tries // FIX_PATIENCE
         lines = self._lines(variances)
         found = relocalise(lines)
         if found is None:

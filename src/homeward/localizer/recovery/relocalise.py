@@ -23,20 +23,16 @@ from homeward.angles import TWO_PI, wrap
 from homeward.geometry.se2 import compose, lever, sight
 from homeward.localizer.tunables import (
     CLOSE,
-    FALSE_ALARM,
     INLIER,
     LINEAR,
+    MAX_CANDIDATES,
+    MAX_LINE_PAIRS,
+    MIN_LOG_ODDS,
     MINIMAL,
+    NUM_HEADINGS,
+    RELOCALISATION_STEPS,
     UPHEAVAL,
 )
-
-HEADINGS = 120
-MAX_PAIRS = 40
-STEPS = 8
-MAX_CANDIDATES = 6
-"""Poses that are refined by Gauss-Newton."""
-MIN_LOG_ODDS = math.log(1.0 / FALSE_ALARM - 1.0)
-"""Log odds of a pose against all alternatives from which it is accepted."""
 
 
 @dataclass(frozen=True)
@@ -168,8 +164,8 @@ def _candidates(lines: SightLines) -> np.ndarray:
     """Return the best distinct poses, shape (k, 3), by truncated residuals."""
     i, j = np.triu_indices(len(lines.names), 1)
     other = lines.names[i] != lines.names[j]
-    i, j = i[other][-MAX_PAIRS:], j[other][-MAX_PAIRS:]
-    heading = np.arange(HEADINGS)[:, None] * TWO_PI / HEADINGS
+    i, j = i[other][-MAX_LINE_PAIRS:], j[other][-MAX_LINE_PAIRS:]
+    heading = np.arange(NUM_HEADINGS)[:, None] * TWO_PI / NUM_HEADINGS
     c, s = np.cos(heading), np.sin(heading)
     dx, dy = lines.cameras[:, 0], lines.cameras[:, 1]
     x = lines.positions[:, 0] - (c * dx - s * dy)  # (headings, m)
@@ -185,7 +181,7 @@ def _candidates(lines: SightLines) -> np.ndarray:
     poses = np.asarray(poses[np.isfinite(poses).all(axis=1)])
     if not len(poses):
         return poses
-    tolerance = INLIER * lines.sigmas + TWO_PI / HEADINGS
+    tolerance = INLIER * lines.sigmas + TWO_PI / NUM_HEADINGS
     cost = np.minimum(np.abs(_residuals(poses, lines)[0]) / tolerance, 1.0).sum(axis=1)
     chosen: list[np.ndarray] = []
     best = poses[np.argsort(cost)[:200]]
@@ -208,7 +204,7 @@ def _refine(start: np.ndarray, lines: SightLines) -> Located | None:
     """Refine a pose by robust Gauss-Newton (a redescending M-estimator)."""
     pose, longest = start.copy(), LINEAR * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
-    for _ in range(STEPS):
+    for _ in range(RELOCALISATION_STEPS):
         r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
         variance = _variances(by_place, lines)
         by_eye = np.column_stack([-by_place, -np.ones(len(r))])

@@ -19,10 +19,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.first_fix import FirstFix, survey_lines
 from homeward.localizer.recovery.relocalise import relocalise_near
-from homeward.localizer.tunables import INLIER, MINIMAL, NOISE_SCALES
-
-FRAMES = 30
-"""Frames whose residuals are used: some hundred bearings [1]."""
+from homeward.localizer.tunables import INLIER, MINIMAL, NOISE_SCALES, RESECTION_FRAMES
 
 
 class Resected(NamedTuple):
@@ -40,7 +37,7 @@ class Resection:
     """Resection from single frames, and the noise of their bearings."""
 
     def __init__(self) -> None:
-        self._residuals: deque[tuple[float, int]] = deque(maxlen=FRAMES)
+        self._residuals: deque[tuple[float, int]] = deque(maxlen=RESECTION_FRAMES)
         """Sum of squares, in the frame's own noise, and degrees of freedom."""
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         """Pose of the robot in the survey at the last frame, (3,), and its covariance."""

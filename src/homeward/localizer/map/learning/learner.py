@@ -13,10 +13,7 @@ from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.tunables import USUAL_DISTANCE_M
-
-ODOMETRY_EVERY = 10
-"""Keyframes between two updates of the odometry noise."""
+from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 
 
 class Learner:

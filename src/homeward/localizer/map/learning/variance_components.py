@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from homeward.localizer.inputs.bearing_noise import MAX_INFLATION
 from homeward.localizer.map.elimination import Elimination
 from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import GATE
+from homeward.localizer.tunables import GATE, MAX_INFLATION
 
 CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)
 """Quantiles of the squared Mahalanobis distance of a motion."""

@@ -22,12 +22,10 @@ from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import FALSE_ALARM, UPHEAVAL, WALKING_PRIOR
+from homeward.localizer.tunables import FALSE_ALARM, MIN_GAIN, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20
 """Shares of walking landmarks, for the integral over it."""
-MIN_GAIN = 1e-6
-"""Smallest gain of log posterior that counts, above rounding."""
 
 
 class Walks(NamedTuple):

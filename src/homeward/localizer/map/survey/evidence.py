@@ -22,12 +22,7 @@ from homeward.localizer.map.survey.factors import (
     rotated,
 )
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import IMPROBABLE, UPHEAVAL
-
-MAX_TESTED = 48
-"""Most landmarks tested together: the cost goes with the cube of their number."""
-VAGUE_DATUM = 10.0
-"""Prior standard deviation of the datum [size of the survey; rad]."""
+from homeward.localizer.tunables import IMPROBABLE, UPHEAVAL, VAGUE_DATUM
 
 
 def outlier_probabilities(

@@ -17,11 +17,7 @@ from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.elimination import NormalEquations
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC
-
-ONE_PLACE = 1e-6
-"""Information on the heading of a survey whose landmarks all coincide [1 / rad^2]."""
-STEPS = 3
-"""Gauss-Newton steps of an alignment, from the solution for uncorrelated coordinates."""
+from homeward.localizer.tunables import ALIGNMENT_STEPS, ONE_PLACE
 
 
 class Datum(NamedTuple):
@@ -60,7 +56,7 @@ def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> D
     origin = p0 - turn * q0
     pose, step = np.array([origin.real, origin.imag, np.angle(turn)]), np.zeros(3)
     weights = np.linalg.inv(covariance)
-    for _ in range(STEPS):
+    for _ in range(ALIGNMENT_STEPS):
         pose = pose + step
         rotate = rotation(pose[2])[:2, :2]
         out = surveyed @ rotate.T

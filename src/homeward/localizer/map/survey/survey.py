@@ -10,10 +10,11 @@ import numpy as np
 from homeward.drives.drive import KnownLandmarks
 from homeward.drives.text.table import quoted
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import MAX_TESTED, outlier_probabilities
+from homeward.localizer.map.survey.evidence import outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import MAX_TESTED
 
 
 class Survey:
