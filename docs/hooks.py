@@ -23,7 +23,7 @@ from homeward.drives.text.keys import keys
 from homeward.estimator import Status
 from homeward.reasons import Reason, Rejection
 from homeward.registry import estimator_names, settings_model
-from homeward.report.glossary import GLOSSARY
+from homeward.report.template import GLOSSARY
 
 PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
 """Words of the glossary that stand too often to be explained wherever they stand."""

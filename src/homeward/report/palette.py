@@ -1,5 +1,9 @@
 """The colours, and the mark of home, that all pictures and pages share."""
 
+from __future__ import annotations
+
+import numpy as np
+
 from homeward.estimator import Status
 
 # Okabe and Ito's palette, told apart by colour-blind readers too.
@@ -22,3 +26,28 @@ STATUS_COLOURS = {
 MOVED = VERMILLION
 HOUSE = [(-1.0, -1.0), (1.0, -1.0), (1.0, 0.25), (0.0, 1.2), (-1.0, 0.25), (-1.0, -1.0)]
 """Home."""
+LEVELS = 10
+"""Steps in which probabilities are drawn."""
+UNJUDGED = -1
+"""Level of a landmark that the estimator does not test."""
+
+
+def colour(level: int) -> str:
+    """Return the colour of a probability of `level` in `LEVELS` of having moved."""
+    if level == UNJUDGED:
+        return MUTED
+    share = level / LEVELS
+    mixed = (
+        round((1 - share) * int(BLUE[i : i + 2], 16) + share * int(MOVED[i : i + 2], 16))
+        for i in (1, 3, 5)
+    )
+    return "#" + "".join(f"{part:02x}" for part in mixed)
+
+
+def levels(chances: np.ndarray) -> np.ndarray:
+    """Return the level of each probability, or `UNJUDGED` where it is NaN."""
+    judged = np.isfinite(chances)
+    return np.where(judged, np.round(LEVELS * np.nan_to_num(chances)), UNJUDGED).astype(int)
+
+
+COLOURS = [colour(level) for level in range(LEVELS + 1)]

@@ -6,12 +6,19 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from homeward.drives.text.files import shipped
+from homeward.report.versions import versions
+
+GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(encoding="utf-8"))
+"""Each term of the reports and the documentation, and its meaning."""
+
 
 def render(template: str, **values: Any) -> str:
-    """Return a page of the package's templates, filled with `values`."""
+    """Return a page of the package's templates, filled with `values`, `versions` among them."""
     environment = Environment(
         loader=PackageLoader("homeward.report"),
         autoescape=True,
@@ -20,7 +27,7 @@ def render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.globals |= {"h2": heading, "contents": contents}
-    return environment.get_template(template).render(**values)
+    return environment.get_template(template).render(versions=versions(), **values)
 
 
 def heading(words: str) -> Markup:

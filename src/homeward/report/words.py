@@ -1,4 +1,4 @@
-"""Numbers and lists as one writes them in a sentence."""
+"""Numbers and lists as they are written in a sentence."""
 
 from __future__ import annotations
 

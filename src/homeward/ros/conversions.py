@@ -31,7 +31,7 @@ from homeward.live.messages import (
     OdometryIn,
     Start,
 )
-from homeward.report.plots.probability import LEVELS, UNJUDGED, colour
+from homeward.report.palette import LEVELS, UNJUDGED, colour
 
 JSON = "std_msgs/msg/String"
 """The type of bearings as JSON."""

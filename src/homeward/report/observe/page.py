@@ -15,7 +15,7 @@ from homeward.report.canvas import drawn
 from homeward.report.observe.figures import draw_drive_view, draw_family
 from homeward.report.output import whole_folder
 from homeward.report.template import render
-from homeward.report.versions import versions, write_settings
+from homeward.report.versions import write_settings
 from homeward.studies.observing import DriveView
 
 SETTINGS_FILE = "observe.yaml"
@@ -118,7 +118,6 @@ def _write(
             table=rank_table(),
             motions=observe_motions(),
             entries=printed_matrix(),
-            version=versions()["homeward"],
         )
         (scratch / PAGE).write_text(page, encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, settings)

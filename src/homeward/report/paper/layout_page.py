@@ -17,7 +17,6 @@ from homeward.report.output import whole_folder
 from homeward.report.paper.claims import claims, reading_words, start_words, verdict
 from homeward.report.paper.layout_figures import FIGURES, ROWS, errors_of
 from homeward.report.template import render
-from homeward.report.versions import versions
 from homeward.report.words import percent
 from homeward.studies.blocks.store import MARKER
 from homeward.studies.paper.cases import FILTERS, PI_HT
@@ -185,7 +184,6 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
         below=note_below(_below(study)),
         layouts=study.settings,
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
-        versions=versions(),
     )
 
 

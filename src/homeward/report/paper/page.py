@@ -15,7 +15,7 @@ from homeward.report.output import whole_folder
 from homeward.report.paper.claims import median, triple, verdict
 from homeward.report.paper.figures import QUANTITIES, figures_of
 from homeward.report.template import render
-from homeward.report.versions import versions, write_settings
+from homeward.report.versions import write_settings
 from homeward.report.words import count, listing
 from homeward.studies.paper.cases import DEAD_RECKONING
 from homeward.studies.paper.layouts import Reading
@@ -57,7 +57,6 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
         runs=settings.runs,
         seed=settings.seed,
         settings=yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False),
-        versions=versions(),
     )
 
 

@@ -16,7 +16,6 @@ from homeward.report.output import whole_folder
 from homeward.report.plan.figures import costliest, draw_accuracy, draw_begin, draw_hidden
 from homeward.report.plan.words import plan_summary, worst_pairs
 from homeward.report.template import render
-from homeward.report.versions import versions
 from homeward.studies.planning.accuracy import Arcs
 from homeward.studies.planning.analysis import PlanView
 
@@ -77,7 +76,6 @@ def _page(view: PlanView, drawings: dict[str, Markup]) -> str:
         pairs=[(view.names[j], view.names[i], share) for i, j, share in worst_pairs(view, PAIRS)],
         headings=len(Arcs(view.plan).headings),
         settings=_settings(view),
-        version=versions()["homeward"],
     )
 
 

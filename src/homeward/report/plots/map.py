@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from homeward.drives.drive import Truth
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.report import words
 from homeward.report.palette import BLUE, HOUSE, INK, MOVED, MUTED, STATUS_COLOURS
-from homeward.report.plots.landmark_tip import landmark_tip
 from homeward.report.plots.look import FONT, THEMED, TYPE, add_hover, restyled
 from homeward.report.plots.thinning import runs, thin
 from homeward.track import Track
@@ -270,7 +270,7 @@ def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dic
         "side": ["right" if side else "left" for side in left],
         "id": [m.landmark for m in drawn],
         "name": [words.name(m.landmark, 60) for m in drawn],
-        "told": ["\n".join(landmark_tip(m, track, rows.get(m.landmark, none))) for m in drawn],
+        "told": ["\n".join(_landmark_tip(m, track, rows.get(m.landmark, none))) for m in drawn],
     }
 
 
@@ -286,3 +286,54 @@ def _old_place(m: LandmarkEstimate) -> tuple[float, float]:
     """Return where a moved landmark would have stood at its present distance [m]."""
     far = np.hypot(m.x, m.y)
     return far * np.cos(m.home_bearing_stored), far * np.sin(m.home_bearing_stored)
+
+
+def _landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
+    """Return lines on a landmark: whether it moved, its sightings, its residuals, its place.
+
+    `rows` are its entries among the track's innovations.
+    """
+    lines = [
+        _moved_words(m, track),
+        _sighting_words(m, track, rows),
+        _residual_words(track, rows),
+        _whereabouts(m),
+    ]
+    return [line for line in lines if line]
+
+
+def _moved_words(m: LandmarkEstimate, track: Track) -> str:
+    """Say whether a landmark moved."""
+    if math.isfinite(m.moved_at):
+        return f"moved during the drive, at {words.quantity(m.moved_at - track.t[0], 's')}"
+    if m.moved is None:
+        return "not judged" + (": home did not see it" if math.isnan(m.home_bearing_stored) else "")
+    chance = f"(moved with probability {words.percent(m.moved_probability)})"
+    return f"{'moved since home was stored' if m.moved else 'in place'} {chance}"
+
+
+def _sighting_words(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> str:
+    """Say how often a landmark was seen."""
+    rejected = int((~track.innovations.accepted[rows]).sum())
+    return f"{words.count(m.sightings, 'sighting')} used" + (
+        f", {rejected:,} rejected" if rejected else ", none rejected"
+    )
+
+
+def _residual_words(track: Track, rows: np.ndarray) -> str:
+    """Say how far its sightings were from what was expected."""
+    seen = track.innovations
+    mine = rows[seen.accepted[rows]]
+    if not mine.size:
+        return ""
+    rms = float(np.sqrt(np.mean(seen.value[mine] ** 2)))
+    nis = float(np.mean((seen.value[mine] / seen.sigma[mine]) ** 2))
+    return f"innovations {words.degrees(rms)} RMS, mean NIS {nis:.2f}"
+
+
+def _whereabouts(m: LandmarkEstimate) -> str:
+    """Say where a landmark is."""
+    text = f"{words.quantity(m.distance, 'm')} from home"
+    if math.isfinite(m.sigma_distance):
+        text += f", ± {words.quantity(m.sigma_distance, 'm')}"
+    return text

@@ -9,8 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Sightings
 from homeward.naming import natural
-from homeward.report.palette import STATUS_COLOURS
-from homeward.report.plots.probability import COLOURS, UNJUDGED, colour, levels
+from homeward.report.palette import COLOURS, STATUS_COLOURS, UNJUDGED, colour, levels
 from homeward.report.words import name
 from homeward.track import Track
 

@@ -13,9 +13,8 @@ from bokeh.plotting import figure
 from homeward.drives.drive import Sightings
 from homeward.naming import natural
 from homeward.report import words
-from homeward.report.palette import INK, MOVED
+from homeward.report.palette import INK, LEVELS, MOVED, UNJUDGED, colour, levels
 from homeward.report.plots.look import THEMED, add_hover, new_plot
-from homeward.report.plots.probability import LEVELS, UNJUDGED, colour, levels
 from homeward.report.plots.thinning import runs, thin_dots
 from homeward.track import Track
 

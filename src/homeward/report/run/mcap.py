@@ -24,9 +24,8 @@ from homeward.drives.ros.messages.stamps import split
 from homeward.estimator import Status
 from homeward.frames import Pose, compose, inverse
 from homeward.odometry.dead_reckoning import dead_reckoning
-from homeward.report.palette import BLUE, HOUSE, MOVED, MUTED, STATUS_COLOURS
+from homeward.report.palette import BLUE, HOUSE, MOVED, MUTED, STATUS_COLOURS, colour, levels
 from homeward.report.plots.moments import NEW, REJECTED, USED, bearings_at
-from homeward.report.plots.probability import colour, levels
 from homeward.scoring import errors
 from homeward.track import Track
 

@@ -14,7 +14,6 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.naming import natural
 from homeward.report import words
-from homeward.report.glossary import GLOSSARY
 from homeward.report.palette import STATUS_COLOURS
 from homeward.report.plots.look import embedded, script
 from homeward.report.plots.map import map_aspect, map_plot, undrawn
@@ -22,7 +21,7 @@ from homeward.report.plots.moments import moments
 from homeward.report.plots.time import consistency_plots, error_plots, sigma_plots, time_range
 from homeward.report.plots.timeline import MOST_ROWS, timeline
 from homeward.report.run.summary import caution, sentence
-from homeward.report.template import render
+from homeward.report.template import GLOSSARY, render
 from homeward.report.versions import with_versions
 from homeward.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track

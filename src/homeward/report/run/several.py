@@ -17,7 +17,6 @@ from homeward.report.run.folder import write_run
 from homeward.report.study.figures import COLOURS
 from homeward.report.tables import write_tables
 from homeward.report.template import render
-from homeward.report.versions import versions
 from homeward.report.words import count, name
 from homeward.scoring import errors
 from homeward.studies.several_runs import Outcome
@@ -55,7 +54,6 @@ def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
             folder=folder_name,
             figures=figures,
             has_truth=drive.truth is not None,
-            versions=versions(),
         )
         (scratch / PAGE).write_text(html, encoding="utf-8")
 

@@ -20,7 +20,6 @@ from homeward.report.study.figures import (
 )
 from homeward.report.tables import write_tables
 from homeward.report.template import render
-from homeward.report.versions import versions
 from homeward.report.words import count, listing
 from homeward.studies.blocks.store import MARKER
 from homeward.studies.study.results import Results, write_netcdf
@@ -97,7 +96,6 @@ def _page(
         below=note_below(below(results)),
         failures=failures(results),
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
-        versions=versions(),
     )
 
 
