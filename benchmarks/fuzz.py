@@ -32,7 +32,7 @@ from PIL import Image
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.containers.container import Channel
+from homeward.drives.ros.log import Channel
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.definitions import DEFINITIONS
 from homeward.drives.ros.messages.names import ODOMETRY

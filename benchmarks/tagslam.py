@@ -23,7 +23,7 @@ from homeward.angles import wrap
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
-from homeward.drives.ros.containers.bag_folder import open_log
+from homeward.drives.ros.log import Log
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.text.settings import read_tree
 
@@ -65,7 +65,7 @@ def vector(p) -> np.ndarray:
 def decoded(path: Path):
     """All messages of a bag: (topic, stamp [ns], message)."""
     decoder = Decoder()
-    for raw in open_log(path).messages():
+    for raw in Log(path).messages():
         message = decoder.decode(raw.channel, raw.data)
         head = message.transforms[0].header if hasattr(message, "transforms") else message.header
         yield raw.channel.topic, head.stamp.sec * 10**9 + head.stamp.nanosec, message

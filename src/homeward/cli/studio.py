@@ -44,8 +44,8 @@ def studio(
 
     from homeward.drives.folder import SETTINGS, is_drive_folder, read_drive_settings
     from homeward.drives.opening import SAMPLE, located
-    from homeward.drives.ros.containers.magic import is_log
     from homeward.drives.ros.info import log_info
+    from homeward.drives.ros.log import is_log
     from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model
     from homeward.simulation.files import PRESETS

@@ -20,7 +20,7 @@ from homeward.drives.drive import (
 )
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
-from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.log import is_log
 from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.drives.text.table import (

@@ -14,7 +14,7 @@ from homeward.drives.home.choosing import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.mrclam import is_mrclam, read_mrclam
 from homeward.drives.one_clock import on_one_clock, on_time
-from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.log import is_log
 from homeward.drives.text.files import is_there, shipped
 from homeward.drives.text.settings import validated
 from homeward.drives.text.table import quoted

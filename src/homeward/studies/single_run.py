@@ -13,7 +13,7 @@ from pydantic import Field
 from homeward.drives.drive import Drive, Finite, NonNegative, Span, Start, Strict
 from homeward.drives.folder import HOME
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
-from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
 from homeward.drives.text.settings import read_tree, validated
 from homeward.engine.estimators.online import OnlineFilter

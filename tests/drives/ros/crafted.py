@@ -67,11 +67,11 @@ def record(op, content, size=None):
     return struct.pack("<BQ", op, len(content) if size is None else size) + content
 
 
-def mcap_messages(payloads, kind=ODOMETRY, definition=DEFINITION, topic="/odom"):
+def mcap_messages(payloads, kind=ODOMETRY, definition=DEFINITION, topic="/odom", first=0):
     """Schema, channel and messages, which may stand in a chunk or in the file itself."""
     out = record(3, struct.pack("<H", 1) + text(kind) + text("ros2msg") + text(definition))
     out += record(4, struct.pack("<HH", 1, 1) + text(topic) + text("cdr") + struct.pack("<I", 0))
-    for i, payload in enumerate(payloads):
+    for i, payload in enumerate(payloads, start=first):
         stamp = (i + 1) * 10**9
         out += record(5, struct.pack("<HIQQ", 1, 0, stamp, stamp) + payload)
     return out
@@ -114,12 +114,8 @@ def u32(value):
     return struct.pack("<I", value)
 
 
-def ros1_messages(payloads, definition=None):
-    whole = (
-        DEFINITIONS[ODOMETRY] + HEADER_TEXT.format(seq="uint32 seq\n")
-        if definition is None
-        else definition
-    )
+def _connection():
+    whole = DEFINITIONS[ODOMETRY] + HEADER_TEXT.format(seq="uint32 seq\n")
     whole = whole.replace("builtin_interfaces/Time", "time")
     told = fields(
         topic=b"/odom",
@@ -127,7 +123,24 @@ def ros1_messages(payloads, definition=None):
         md5sum=b"*",
         message_definition=whole.encode(),
     )
-    out = fields(op=b"\x07", conn=u32(0), topic=b"/odom") + told
+    return fields(op=b"\x07", conn=u32(0), topic=b"/odom") + told
+
+
+def _messages_in(content):
+    """Where the messages of a chunk are, as far as it has any."""
+    places, at = [], 0
+    while at + 4 < len(content):
+        (head,) = struct.unpack_from("<I", content, at)
+        if b"op=\x02" in content[at : at + 4 + head]:
+            places.append(at)
+        if at + 8 + head > len(content):
+            break
+        at += 8 + head + struct.unpack_from("<I", content, at + 4 + head)[0]
+    return places
+
+
+def ros1_messages(payloads):
+    out = _connection()
     for i, payload in enumerate(payloads):
         out += fields(op=b"\x02", conn=u32(0), time=struct.pack("<II", i + 1, 0)) + sized(payload)
     return out
@@ -140,6 +153,9 @@ def bag(content, messages, compression="none", size=None, packed=None, chunks=1,
     magic = b"#ROSBAG V2.0\n"
     body = fields(op=b"\x05", compression=compression.encode(), size=u32(declared)) + sized(packed)
     start = len(magic) + 4096
+    places = _messages_in(content)
+    body += fields(op=b"\x04", ver=u32(1), conn=u32(0), count=u32(len(places)))
+    body += sized(b"".join(struct.pack("<III", i + 1, 0, at) for i, at in enumerate(places)))
     head = fields(
         op=b"\x03",
         index_pos=struct.pack("<Q", start + len(body)),
@@ -148,7 +164,8 @@ def bag(content, messages, compression="none", size=None, packed=None, chunks=1,
     )
     head += sized(b" " * (4096 - len(head) - 4))
     count = messages if counted is None else counted
-    index = fields(
+    index = _connection()
+    index += fields(
         op=b"\x06",
         ver=u32(1),
         chunk_pos=struct.pack("<Q", start),

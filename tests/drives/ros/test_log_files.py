@@ -42,6 +42,7 @@ def test_a_log_without_definitions_and_bags_of_several_compressed_files(tmp_path
                 log.write("/odom", t, odometry(log, t, 0.2, 0.1))
         with sqlite3.connect(file) as database:
             database.execute("DROP TABLE message_definitions")
+            database.execute("UPDATE schema SET schema_version = 3")  # as of ROS 2 Humble
         database.close()
         (folder / f"{file.name}.zstd").write_bytes(zstd.compress(file.read_bytes()))
         file.unlink()
@@ -74,6 +75,7 @@ def test_info_and_run_agree_on_a_log_without_definitions(tmp_path):
             log.write("/detections", t, log.make(kind, header=header, detections=tags))
     with sqlite3.connect(path) as database:
         database.execute("DROP TABLE message_definitions")
+        database.execute("UPDATE schema SET schema_version = 3")  # as of ROS 2 Humble
     database.close()
     drive = open_drive(path, topics=topics)
     assert drive.sightings.landmark.tolist() == ["3"] * 5

@@ -10,7 +10,7 @@ from drives.ros.rig import NANO, odometry_of, real_bag, stamp_of, with_sightings
 from rosbags.highlevel import AnyReader
 
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.containers.bag_folder import open_log
+from homeward.drives.ros.log import Log
 
 BAGS = {
     "rl_test1.bag": "/husky_velocity_controller/odom",
@@ -33,8 +33,7 @@ def name(request):
 def test_every_message_is_the_one_that_rosbags_reads(data_dir, name):
     bag = real_bag(data_dir, name)
     ours = sorted(
-        (m.receive, m.channel.topic, m.channel.type, bytes(m.data))
-        for m in open_log(bag).messages()
+        (m.receive, m.channel.topic, m.channel.type, bytes(m.data)) for m in Log(bag).messages()
     )
     with AnyReader([bag]) as reader:
         theirs = sorted((t, c.topic, c.msgtype, bytes(raw)) for c, t, raw in reader.messages())

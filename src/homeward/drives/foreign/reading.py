@@ -26,7 +26,7 @@ from homeward.drives.foreign.sheet import sheet
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_one_clock, remark_other_units
 from homeward.drives.pose_odometry import odometry_from_poses
-from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.log import is_log
 from homeward.drives.text.settings import validated
 from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError

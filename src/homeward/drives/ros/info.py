@@ -27,6 +27,7 @@ from homeward.drives.images import IMAGES, read_images
 from homeward.drives.mrclam import is_mrclam, robots_in
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
+from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
 from homeward.drives.ros.messages.stamps import NANO
@@ -79,26 +80,28 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)
-    from homeward.drives.ros.containers.bag_folder import open_log  # the extra bags
     from homeward.drives.ros.reading import calibrated
 
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
-    log = open_log(path)
+    log = Log(path)
     half = None if tell is None else lambda done: tell(done / 2)
     known = survey(
         log, keep=(OUR_SETTINGS, *(kind for kinds, _ in _SERVES for kind in kinds)), tell=half
     )
+    cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
     try:
         plan = choose(known, calibrated(told, path if topics is None else topics))
     except InputError as error:
-        return LogInfo(log.kind, known.topics, None, (f"{error.what}.", *_candidates(known)))
+        remarks = (*cut_short, f"{error.what}.", *_candidates(known))
+        return LogInfo(log.kind, known.topics, None, remarks)
     missing = tuple(_missing(plan))
     remarks = (
+        *cut_short,
         *missing,
         *(_candidates(known) if missing else ()),
         *_tried(known, plan, topics, tell),
     )
-    return LogInfo(log.kind, known.topics, plan, remarks)
+    return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)))
 
 
 _Remarks = dict[str, int]

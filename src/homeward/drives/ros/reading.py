@@ -14,7 +14,7 @@ from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sightings, 
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_time
-from homeward.drives.ros.containers.bag_folder import open_log
+from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
 from homeward.drives.ros.measurements.camera import CameraRows
 from homeward.drives.ros.measurements.extrinsics import Camera, extrinsics
@@ -69,7 +69,7 @@ def read_log(
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if tell is None else lambda done: tell(done / 2)
     told = calibrated(told, path if topics is None else topics)
-    known = survey(open_log(path), keep=(OUR_SETTINGS,), tell=first_half)
+    known = survey(Log(path), keep=(OUR_SETTINGS,), tell=first_half)
     return read_planned(known, choose(known, told, pictures=eye is not None), topics, tell, eye)
 
 
@@ -145,7 +145,7 @@ class _Reading:
             home=self._home(),
             settings=self._clock.in_settings(self._settings),
             truth=self._truth(),
-            remarks=dict(self._remarks),
+            remarks=self._known.log.cut_short | dict(self._remarks),
         )
         drive, told = on_time(found), self._plan.home
         return drive if told is None else with_home(drive, told)
@@ -217,7 +217,7 @@ class _Reading:
 
     def _walk(self, tell: Tell | None) -> None:
         log, clock = self._known.log, self._clock
-        for number, message in enumerate(log.messages()):
+        for number, message in enumerate(log.messages(topics=self._takers)):
             topic = message.channel.topic
             if topic in self._takers:
                 decoded = self._decoder.decode(message.channel, message.data)

@@ -13,7 +13,7 @@ import numpy as np
 from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.folder import HOME, read_home
 from homeward.drives.images import Images, read_images
-from homeward.drives.ros.containers.magic import is_log
+from homeward.drives.ros.log import is_log
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
 from homeward.drives.text.files import is_there, naming, opened

@@ -18,7 +18,7 @@ from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.containers.container import Channel, in_short
+from homeward.drives.ros.log import Channel, one_line
 from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.text.table import quoted
@@ -73,7 +73,7 @@ class Decoder:
         except (SerdeError, ValueError, IndexError, RecursionError, OverflowError) as error:
             raise InputError(
                 f"{channel.topic}: a message does not fit its type {channel.type}: "
-                f"{in_short(error)}"
+                f"{one_line(error)}"
             ) from error
 
 
@@ -110,7 +110,7 @@ def _store(channel: Channel) -> Any:
     except Exception as error:  # whatever comes of code that is made of a definition
         raise InputError(
             f"{channel.topic}: the log's definition of {channel.type} cannot be used: "
-            f"{in_short(error)}"
+            f"{one_line(error)}"
         ) from error
     return store
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from homeward.drives.ros.containers.container import Message
+from homeward.drives.ros.log import Message
 
 NANO = 10**9
+HEADER_BYTES = 12
+"""Of a message, in which its header has the stamp."""
 EXACT = 2**52
 """Below this many nanoseconds (52 days) seconds in a double tell every one of them apart."""
 LAST = (2**31 - 1) * NANO

@@ -6,15 +6,18 @@ import struct
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from homeward.drives.ros.messages.stamps import NANO, ClockOffset, clock_offset, header_stamp
+from homeward.drives.ros.log import Log, Message
+from homeward.drives.ros.messages.stamps import (
+    HEADER_BYTES,
+    NANO,
+    ClockOffset,
+    clock_offset,
+    header_stamp,
+)
 from homeward.errors import InputError
-
-if TYPE_CHECKING:
-    from homeward.drives.ros.containers.container import Log, Message
 
 TELL_EVERY = 2000
 """Messages between two words on progress."""
@@ -111,14 +114,14 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
 
     records: dict[tuple[str, str], tuple[array[int], array[int] | None]] = {}
     kept: dict[str, Message] = {}
-    for number, message in enumerate(log.messages()):
+    for number, message in enumerate(log.messages(prefix=HEADER_BYTES)):
         channel = message.channel
         record = records.get((channel.topic, channel.type))
         if record is None:
             record = array("q"), array("q") if begins_with_header(channel) else None
             records[channel.topic, channel.type] = record
             if channel.topic in keep or channel.type in keep:
-                kept[channel.topic] = message._replace(data=bytes(message.data))
+                kept[channel.topic] = message
         receive, header = record
         try:
             receive.append(message.receive)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import require_overlap
+from homeward.drives.ros.log import Message
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.ros.topics.survey import Survey, Topic
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
-
-if TYPE_CHECKING:
-    from homeward.drives.ros.containers.container import Message
 
 OTHER_CLOCKS = (
     "their headers are of different clocks, or they were not recorded together; "

@@ -1,0 +1,265 @@
+"""Read a log through rosbags and write its messages to standard output; see `log.Log`.
+
+`log` runs this file as a process of its own. rosbags allocates what a length field claims and
+unpacks whatever a chunk holds, so limits apply to the whole process, and a hostile log ends it
+alone. Nothing of homeward is imported: the process starts quickly.
+"""
+
+from __future__ import annotations
+
+import json
+import marshal
+import math
+import struct
+import sys
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import quote
+
+import apsw
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.rosbag2 import storage_mcap
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+try:
+    import resource
+except ImportError:  # Windows has no such limits
+    resource = None  # type: ignore[assignment]
+
+BATCH = 2**20
+"""Messages are written together until they have this size [byte]."""
+MESSAGE_OVERHEAD = 100
+"""What each of them counts beyond its data [byte]."""
+LARGEST_MESSAGE = 256 * 2**20
+"""[byte]"""
+_FORMATS = {"ros1msg": "ros2msg", "ros2msg": "ros2msg", "ros2idl": "ros2idl", "omgidl": "omgidl"}
+_MCAP_END = 37
+"""Footer and last line of an MCAP file [byte]."""
+
+
+class Mcap(McapReader):
+    """An MCAP file, of any system; one without an index or an end is scanned as far as it goes."""
+
+    is_whole = has_index = False
+    size = at = 0
+
+    def _open(self) -> None:
+        assert self.bio is not None
+        magic, self.size = self.bio.read(8), self.bio.seek(0, 2)
+        self.bio.seek(max(self.size - 8, 0))
+        self.is_whole = self.bio.read() == magic and self.size > _MCAP_END
+        self.bio.seek(17)
+        self.has_index = self.is_whole and storage_mcap.read_string(self.bio) == "ros2"
+        if self.has_index:
+            self.bio.seek(0)
+            super()._open()
+            self.has_index = bool(self.chunks)
+            return
+        self.data_start, self.data_end = 8, self.size - _MCAP_END * self.is_whole
+        try:
+            self.meta_scan()
+        except Exception as error:
+            if self.is_whole or isinstance(error, MemoryError):
+                raise
+
+    def messages(
+        self, connections: Any, start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Read the messages of `connections`; leave in `at` how far messages can be read [byte]."""
+        if self.has_index:
+            yield from super().messages(connections, start, stop)
+            return
+        assert self.bio is not None
+        try:
+            for message in self.messages_scan(connections, start, stop):
+                self.at = self.bio.tell()
+                yield message
+            if self.bio.tell() != self.data_end:
+                raise ValueError("a record longer than its chunk")
+        except Exception as error:
+            if self.is_whole or isinstance(error, MemoryError):
+                raise
+
+
+def _definition(schema: storage_mcap.Schema | None) -> MessageDefinition:
+    """Return a channel's definition, empty where rosbags would refuse the whole log for it."""
+    if schema is None or schema.encoding not in _FORMATS:
+        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+    return _rosbags_definition(schema._replace(encoding=_FORMATS[schema.encoding]))
+
+
+def _string(bio: BinaryIO) -> str:
+    """Return a text, which the schemas of other systems are not."""
+    return storage_mcap.read_bytes(bio).decode("utf-8", "replace")
+
+
+_rosbags_definition = storage_mcap.get_msgdef
+storage_mcap.get_msgdef, storage_mcap.read_string = _definition, _string
+
+
+class Sqlite(Sqlite3Reader):
+    """The sqlite3 file of a ROS 2 bag."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as stream:
+            head = stream.read(100)
+        page, changes, pages = struct.unpack_from(">H6xII", head, 16)
+        (valid_for,) = struct.unpack_from(">I", head, 92)
+        # sqlite may not notice; the number of pages is valid where the last writer keeps it.
+        is_counted = changes == valid_for
+        if is_counted and pages * (65536 if page == 1 else page) > path.stat().st_size:
+            raise ValueError("the file is shorter than its header says")
+        super().__init__(Path(quote(str(path.resolve()))))  # it becomes part of a URI
+
+
+def _harden(database: apsw.Connection) -> None:
+    """Let a database compute nothing, and hide definitions that rosbags would refuse."""
+    database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
+    for table in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'"):
+        if table == ("message_definitions",):
+            known = "encoding IN ('ros2msg', 'ros2idl')"
+            view = f"SELECT * FROM main.message_definitions WHERE {known}"
+            database.execute(f"CREATE TEMP VIEW message_definitions AS {view}")
+
+
+apsw.connection_hooks.append(_harden)
+READERS = {"bag": rosbag1.Reader, "mcap": Mcap, "db3": Sqlite}
+
+
+def walk(
+    path: str, kind: str, topics: list[str] | None, prefix: int | None, is_packed: bool
+) -> Iterator[tuple[Any, ...]]:
+    """Yield parts of what `log.Log` reads.
+
+    Parameters
+    ----------
+    path : str
+        A file.
+    kind : str
+        Of `READERS`.
+    topics : list of str, optional
+        Those wanted; None: all.
+    prefix : int, optional
+        Length to which data are cut, but for the first message of each channel [byte].
+    is_packed : bool
+        Whether each message is compressed.
+    """
+    reader: Any = READERS[kind](Path(path))
+    reader.open()
+    with closing(reader):
+        yield "channels", {c.id: _channel(c) for c in reader.connections}
+        chosen = [c for c in reader.connections if topics is None or c.topic in topics]
+        total, count, size = sum(c.msgcount for c in chosen), 0, 0
+        batch: list[tuple[int, int, bytes]] = []
+        met: set[int] = set()
+        for connection, receive, data in reader.messages(chosen) if chosen else ():
+            number, whole = connection.id, _whole(receive, data, is_packed)
+            batch.append((number, receive, whole[:prefix] if number in met else whole))
+            met.add(number)
+            count, size = count + 1, size + len(batch[-1][2]) + MESSAGE_OVERHEAD
+            if size > BATCH:
+                at = getattr(reader, "at", 0) / Path(path).stat().st_size
+                yield "messages", batch, count / total if total else at
+                batch, size = [], 0
+        yield "messages", batch, 1.0
+        if isinstance(reader, Mcap) and not reader.is_whole:
+            yield "cut", reader.at, reader.size
+
+
+def _whole(receive: object, data: object, is_packed: bool) -> bytes:
+    """Return the data of a message, unpacked."""
+    if type(receive) is not int or type(data) is not bytes:
+        kinds = f"{type(receive).__name__} and {type(data).__name__}"
+        raise ValueError(f"a message whose time and data are {kinds}, not int and bytes")
+    whole: bytes = zstd.decompress(data) if is_packed else data
+    if len(whole) > LARGEST_MESSAGE:
+        raise ValueError(f"a message of {len(whole):,} bytes")
+    return whole
+
+
+def _channel(connection: Connection) -> tuple[str, ...]:
+    """Return topic, type, encoding, definition and the syntax of that."""
+    definition, ext = connection.msgdef, connection.ext
+    is_idl = definition.format is MessageDefinitionFormat.IDL
+    told = (
+        connection.topic,
+        connection.msgtype,
+        getattr(ext, "serialization_format", "ros1"),
+        definition.data,
+        "idl" if is_idl else "msg",
+    )
+    if not all(type(text) is str for text in told):
+        raise ValueError("a topic or type that is not text")
+    return told
+
+
+def unpack(path: str, target: str, room: int) -> Iterator[tuple[Any, ...]]:
+    """Unpack a file that is compressed as a whole; yield nothing."""
+    with Path(path).open("rb") as stream, zstd.open(stream) as packed, open(target, "wb") as out:
+        while block := packed.read(2**20):
+            room -= len(block)
+            if room < 0:
+                raise MemoryError
+            out.write(block)
+    yield from ()
+
+
+def limit(memory: int, seconds: float) -> None:
+    """Limit address space [byte] and further processor time [s] where the platform can."""
+    if resource is None:
+        return
+    until = math.ceil(time.process_time() + seconds)
+    # No core file where the limit of time is exceeded.
+    limits = (resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)
+    for which, value in limits:
+        _, most = resource.getrlimit(which)
+        if most != resource.RLIM_INFINITY:
+            value = min(value, most)
+        try:
+            resource.setrlimit(which, (value, most))
+        except (ValueError, OSError):  # as for the address space on macOS
+            continue
+
+
+COMMANDS: dict[str, Callable[..., Iterator[tuple[Any, ...]]]] = {"walk": walk, "unpack": unpack}
+
+
+def answer(request: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+    """Yield what comes of a request, and at last that it ended or what failed."""
+    try:
+        limit(request["memory"], request["seconds"])
+        yield from COMMANDS[request["command"]](*request["arguments"])
+        yield ("end",)
+    except MemoryError:
+        yield ("memory",)
+    except (KeyboardInterrupt, BrokenPipeError):
+        raise
+    except (rosbag1.ReaderError, rosbag2.ReaderError) as error:
+        yield "damaged", str(error).rstrip(".")
+    except Exception as error:  # whatever rosbags makes of a damaged file
+        yield "damaged", f"{type(error).__name__}: {error}"
+
+
+def main() -> None:
+    """Answer the requests that come by standard input, each a line of JSON."""
+    out = sys.stdout.buffer
+    for line in sys.stdin.buffer:
+        for part in answer(json.loads(line)):
+            data = marshal.dumps(part)
+            out.write(struct.pack("<Q", len(data)))
+            out.write(data)
+            out.flush()
+
+
+if __name__ == "__main__":
+    main()
