@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.leaderboard.families import Family
 from benchmarks.leaderboard.runs import Row
 from benchmarks.monte_carlo import column
+from homeward.naming import number, share
 from homeward.report.tables import markdown
 from homeward.studies.study.statistics import (
     Interval,
@@ -20,7 +21,7 @@ from homeward.studies.study.statistics import (
     mean,
     paired,
 )
-from homeward.studies.study.summary import number, probability, share, with_interval
+from homeward.studies.study.summary import probability, with_interval
 
 LEAST_POSE = 0.5
 """A run with a pose for less of the time has failed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -29,3 +30,15 @@ def listing(items: Sequence[str], longest: int = 8) -> str:
     if len(items) > longest:
         return ", ".join(shown) + f" and {len(items) - longest:,} more"
     return shown[0] if len(shown) == 1 else ", ".join(shown[:-1]) + f" and {shown[-1]}"
+
+
+def number(value: float) -> str:
+    """Return a number with three digits; empty where it is not known."""
+    if math.isnan(value):
+        return ""
+    return f"{value:.3g}" if value < 1e4 else f"{value:.0e}".replace("e+0", "e")
+
+
+def share(value: float) -> str:
+    """Return a share in per cent; empty where it is not known."""
+    return "" if math.isnan(value) else f"{100 * value:.0f} %"

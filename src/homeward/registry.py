@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
 from homeward.drives.drive import Drive, Strict
-from homeward.drives.known import known_home
 from homeward.drives.text.settings import validated
-from homeward.errors import needs_start_prior, without
+from homeward.errors import needs_start_prior
 from homeward.estimator import Estimator
-from homeward.filters.settings import (
-    AugmentedSettings,
-    CartesianSettings,
-    FilterSettings,
-    NoiseSettings,
-    ParticleSettings,
-    ProportionalIntegralSettings,
-    SchmidtSettings,
-)
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.plugins import ESTIMATORS as GROUP
@@ -40,58 +29,11 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
     return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
 
 
-def _engine(module: str, name: str) -> Any:
-    """Return what makes a symbolic filter; `InputError` where what it needs is not installed."""
-    try:
-        return getattr(import_module(f"homeward.engine.estimators.{module}"), name)
-    except ModuleNotFoundError as error:
-        raise without(error) or error from None
-
-
-def _filter(name: str) -> _Maker:
-    """Return what makes one of the paper's filters for a drive."""
-
-    def for_drive(drive: Drive, settings: NoiseSettings) -> Estimator:
-        # Imported here alone, as peers are: whoever uses the localiser needs nothing symbolic.
-        make, robot = _engine("paper", name), drive.settings.robot
-        made: Estimator = make(drive.home, settings=settings, samples=_samples(drive), **robot)
-        return made
-
-    return for_drive
-
-
-def _peer(name: str) -> _Maker:
-    """Return what makes one of their peers for a drive."""
-
-    def for_drive(drive: Drive, settings: Strict) -> Estimator:
-        make, told = _engine("peers", name), _engine("told", "Told")
-        known = name, known_home(drive.home), drive.settings
-        made: Estimator = make(told(*known, settings, _samples(drive)))
-        return made
-
-    return for_drive
-
-
-def _samples(drive: Drive) -> int:
-    """Return how many samples are coming: many are worth compiling for."""
-    return drive.odometry.t.size + drive.sightings.t.size
-
-
-ESTIMATORS: dict[str, tuple[type[Strict], _Maker]] = {
-    "robust": (LocalizerSettings, _robust),
-    "ekf": (FilterSettings, _filter("ekf")),
-    "a-ekf": (AugmentedSettings, _filter("a_ekf")),
-    "pi-ekf": (ProportionalIntegralSettings, _filter("pi_ekf")),
-    "adaptive": (FilterSettings, _peer("adaptive")),
-    "invariant": (CartesianSettings, _peer("invariant")),
-    "particle": (ParticleSettings, _peer("particle")),
-    "schmidt": (SchmidtSettings, _peer("schmidt")),
-    "ukf": (FilterSettings, _peer("ukf")),
-}
-"""Each name with the model of its settings and what makes it."""
 DEFAULT = "robust"
-NEED_START = tuple(name for name in ESTIMATORS if name != DEFAULT)
-"""Those that cannot begin without a start prior."""
+NEED_START = ("ekf", "a-ekf", "pi-ekf", "adaptive", "invariant", "particle", "schmidt", "ukf")
+"""Filters, which cannot begin without a start prior."""
+ESTIMATORS = (DEFAULT, *NEED_START)
+"""Names of the estimators of homeward."""
 
 
 class NoSettings(Strict):
@@ -150,8 +92,13 @@ def needs_start(name: str) -> bool:
 
 def _entry(name: str) -> tuple[type[Strict], _Maker]:
     """Return the model of an estimator's settings, and what makes it."""
-    if name in ESTIMATORS:
-        return ESTIMATORS[name]
+    if name == DEFAULT:
+        return LocalizerSettings, _robust
+    if name in NEED_START:
+        # Imported here alone: the localiser needs none of the filters.
+        from homeward.engine.estimators.table import FILTERS
+
+        return FILTERS[name]
     make = load(GROUP, name, ESTIMATORS)
     model = _second_model(name, make)
 

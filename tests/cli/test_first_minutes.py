@@ -26,7 +26,7 @@ from homeward.drives.drive import Sightings
 from homeward.drives.text.keys import ANY, keys
 from homeward.drives.text.settings import nested, validated
 from homeward.errors import InputError, needs_extra, without
-from homeward.registry import ESTIMATORS
+from homeward.registry import ESTIMATORS, settings_model
 from homeward.studies import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -307,7 +307,7 @@ def test_settings_are_listed_for_all_that_has_any():
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_default_that_is_listed_can_be_set(name):
-    model = ESTIMATORS[name][0]
+    model = settings_model(name)
     listed = {key.name: yaml.safe_load(key.default) for key in keys(model) if ANY not in key.name}
     assert validated(model, nested(listed)) == model()
 

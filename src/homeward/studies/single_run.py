@@ -16,7 +16,6 @@ from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
 from homeward.drives.text.settings import read_tree, validated
-from homeward.engine.estimators.online import OnlineFilter
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.frames import Pose, to_polar
@@ -172,9 +171,9 @@ def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings
     if run.place is not None and not isinstance(estimator, Localizer):
         raise InputError(f"a place is for the estimator {DEFAULT}, on a drive without images")
     spelt = settings.model_dump(mode="json")
-    if isinstance(estimator, OnlineFilter) and "engine" in spelt:
+    if "engine" in spelt:
         # The engine that was found, not "auto": the run repeats to the last bit.
-        spelt["engine"] = estimator.engine
+        spelt["engine"] = getattr(estimator, "engine", spelt["engine"])
     update = {"start": start, "settings": spelt}
     complete = run.model_copy(update=update)
     return drive, estimator, complete

@@ -10,17 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from homeward.naming import number, share
 from homeward.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
 from homeward.report.output import whole_folder
-from homeward.report.palette import INK, MUTED
+from homeward.report.palette import COLOURS, INK, MUTED
 from homeward.report.run.folder import write_run
-from homeward.report.study.figures import COLOURS
 from homeward.report.tables import write_tables
 from homeward.report.template import render
 from homeward.report.words import count, name
 from homeward.scoring import errors
 from homeward.studies.several_runs import Outcome
-from homeward.studies.study.summary import number, share
 
 PAGE = "estimators.html"
 """Written last: a folder that holds it is whole output of ours."""

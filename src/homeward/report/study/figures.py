@@ -16,12 +16,11 @@ from matplotlib.transforms import blended_transform_factory
 
 from homeward.report.below_bound import MARK, below_bound
 from homeward.report.canvas import legend_below, new_figure, plain, quantile_bar, style, uncrowd
-from homeward.report.palette import BLUE, GREEN, INK, MUTED, ORANGE, RULE, SKY, VERMILLION
+from homeward.report.palette import COLOURS, INK, MUTED, RULE
 from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.study.results import Results
 from homeward.studies.study.summary import Line, lines, over_time
 
-COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
 OVERVIEW, OVER_TIME = "overview", "rmse_over_time"
 """Names of figures that not every study has."""
 MOST_ROWS = 80

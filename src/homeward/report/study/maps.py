@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
+from homeward.naming import number
 from homeward.report.canvas import new_figure, style, uncrowd
 from homeward.report.palette import BLUE, INK, VERMILLION
 from homeward.studies.study.plan import Contender
 from homeward.studies.study.results import Results
 from homeward.studies.study.statistics import quantiles
-from homeward.studies.study.summary import number
 
 GOOD_TO_BAD = LinearSegmentedColormap.from_list("good", (BLUE, "#ffffff", VERMILLION))
 SHOWN: dict[str, dict[str, str]] = {

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from homeward.naming import number, share
 from homeward.studies.study.results import Results
 from homeward.studies.study.statistics import (
     Interval,
@@ -112,18 +113,6 @@ def failures(results: Results) -> dict[str, int]:
     reasons, counts = np.unique(results.failure[results.failed], return_counts=True)
     order = np.argsort(-counts, kind="stable")
     return {str(reasons[k]): int(counts[k]) for k in order}
-
-
-def number(value: float) -> str:
-    """Return a number with three digits; empty where it is not known."""
-    if np.isnan(value):
-        return ""
-    return f"{value:.3g}" if value < 1e4 else f"{value:.0e}".replace("e+0", "e")
-
-
-def share(value: float) -> str:
-    """Return a share in per cent; empty where it is not known."""
-    return "" if np.isnan(value) else f"{100 * value:.0f} %"
 
 
 @dataclass(frozen=True)
