@@ -31,6 +31,7 @@ import numpy as np
 from PIL import Image
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.log import Channel
 from homeward.drives.ros.messages.decoding import Decoder
@@ -230,7 +231,7 @@ def _mrclam(data: bytes, folder: Path) -> None:
     named = data.partition(b"\n")[0].decode("ascii", "replace").removeprefix("# ")
     for name, text in MRCLAM.items():
         (folder / name).write_bytes(data if name == named else text)
-    open_drive(folder, robot=1, home=Pose(0.0, 0.0, 0.0))
+    read_mrclam(folder, 1, Pose(0.0, 0.0, 0.0))
 
 
 def _of_mrclam() -> list[bytes]:

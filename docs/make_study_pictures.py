@@ -23,7 +23,7 @@ DPI = 110
 
 
 def layouts(out: Path) -> None:
-    """Draw the figures of `homeward reproduce --study`."""
+    """Draw the figures of `homeward study layouts`."""
     study = study_layouts(LayoutSettings(), Work(open_store(out / "paper-study")))
     for name, (_, draw) in FIGURES.items():
         keep(f"layouts-{name}", draw(study))

@@ -65,9 +65,9 @@ print(json.dumps(results))
 NEEDS = {
     ("run", "sample", "--estimator", "robust,ekf"): "report",
     ("convert", "sample", "sample.mcap"): "bags",
-    ("render", "office", "--out", "out"): "vision",
-    ("settings", "render"): "vision",
-    ("observe", "--landmarks", "3"): "filters",
+    ("simulate", "office", "--images", "--out", "out"): "vision",
+    ("settings", "rooms"): "vision",
+    ("plan", "--landmarks", "3"): "filters",
     ("export", "ekf", "--landmarks", "3", "--out", "out"): "filters",
     ("live", "--websocket", "0"): "live",
 }

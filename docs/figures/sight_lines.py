@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from homeward import Pose, Sightings, make_estimator, open_drive, run, smooth
+from homeward import Pose, Sightings, make_estimator, run, smooth
 from homeward.angles import wrap
+from homeward.drives.mrclam import read_mrclam
 from homeward.drives.text.table import read_columns
 from homeward.frames import between
 
@@ -86,7 +87,7 @@ def main():
     figure = Figure(figsize=(4.6 * len(given.robots), 6.0), layout="constrained")
     panels = figure.subplots(1, len(given.robots), squeeze=False)[0]
     for axes, robot in zip(panels, given.robots, strict=True):
-        drive = open_drive(given.folder, robot=robot, home=HOME, home_noise=math.radians(0.5))
+        drive = read_mrclam(given.folder, robot, HOME, math.radians(0.5))
         track = run(drive, make_estimator("robust", drive))
         moved = [m.landmark for m in track.landmarks if m.moved]
         print(f"robot {robot}: moved since home was stored: {', '.join(moved)}")

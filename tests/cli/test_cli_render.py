@@ -1,4 +1,4 @@
-"""`homeward render` as a user would call it."""
+"""`homeward simulate --images` as a user would call it."""
 
 import csv
 import math
@@ -17,7 +17,7 @@ SMALL = ("camera.width=128", "camera.height=32", "trajectory.duration=2", "rates
 
 def render(*words, changes=SMALL):
     options = [part for change in changes for part in ("--set", change)]
-    return call("render", *words, *options)
+    return call("simulate", *words, "--images", *options)
 
 
 def rows(path):

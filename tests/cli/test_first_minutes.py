@@ -186,16 +186,16 @@ BAD_INPUTS = [
     (["simulate", "nowhere"], "presets"),
     (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
     (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),
-    (["render", "study", "--set", "furnish.boxes=100"], "boxes"),
-    (["reproduce", "--set", "runs=0"], "runs"),
+    (["simulate", "study", "--images", "--set", "furnish.boxes=100"], "boxes"),
+    (["study", "paper", "--set", "runs=0"], "runs"),
     (["study", "nowhere"], "nowhere"),
     (["view", "short"], "rerun FOLDER/rerun.rbl FOLDER/run.mcap"),
-    (["observe", "--landmarks", "0"], "landmarks"),
-    (["observe", "bad"], "bearings.csv, row 3"),
-    (["observe", "sample", "--window", "0"], "window"),
+    (["plan", "--landmarks", "0"], "landmarks"),
+    (["plan", "--drive", "bad"], "bearings.csv, row 3"),
+    (["plan", "--drive", "sample", "--window", "0"], "window"),
     (["plan", "nowhere"], "plans"),
     (["plan", "off.yaml"], "outside the outline"),
-    (["compare", "a.png", "b.png"], "a.png"),
+    (["see", "a.png", "b.png"], "a.png"),
     (["see", "short"], "images.csv"),
     (["convert", "bad", "--"], "bearings.csv, row 3"),
 ]
@@ -234,7 +234,7 @@ def test_no_pose_is_no_answer(short, tmp_path):
     assert "No pose was found" in result.stdout
     assert result.exit_code == 1
     (short / "truth.csv").unlink()
-    result = call("observe", short, "--out", tmp_path / "o")
+    result = call("plan", "--drive", short, "--out", tmp_path / "o")
     assert "found no pose" in result.stderr
     assert result.exit_code == 1
 
@@ -313,6 +313,6 @@ def test_every_default_that_is_listed_can_be_set(name):
 
 
 def test_listed_defaults_are_those_of_the_model_that_holds_them():
-    told = {key.name: key.default for key in keys(other_model("render"))}
+    told = {key.name: key.default for key in keys(other_model("rooms"))}
     assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
     assert told["boxes.*.at"] == "needed"

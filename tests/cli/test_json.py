@@ -28,7 +28,7 @@ def said(*words, status=0):
     return json.loads(done.stdout)
 
 
-WRITE = {"studio", "render", "convert", "export", "live"}
+WRITE = {"studio", "convert", "export", "live"}
 """What these make are files, pages or a talk."""
 WRITE |= {f"place {name}" for name in ("view", "merge", "forget", "undo")}
 
@@ -80,11 +80,11 @@ def test_several_estimators(drive, tmp_path):
 
 
 def test_what_bearings_tell(drive, tmp_path):
-    told = said("observe", "--landmarks", "2", "--out", tmp_path / "model")
-    assert set(told) == documented("observe")
+    told = said("plan", "--landmarks", "2", "--out", tmp_path / "model")
+    assert set(told) == documented("plan", 1)
     assert (told["rank"], told["unknowns"]) == (4, 5)
-    told = said("observe", drive, "--window", "40", "--out", tmp_path / "observed")
-    assert set(told) == documented("observe", 1)
+    told = said("plan", "--drive", drive, "--window", "40", "--out", tmp_path / "observed")
+    assert set(told) == documented("plan", 2)
     assert told["whole"]["position_sigma_m"] > 0
 
 

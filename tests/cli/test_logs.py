@@ -68,7 +68,7 @@ def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
     (mrclam / "Barcodes.dat").touch()
     (mrclam / "Robot2_Odometry.dat").touch()
     said = call("info", mrclam).output
-    assert "--robot N and --home X,Y,HEADING; robots: 2." in said
+    assert "import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE` (robots: 2)" in said
     assert "columns" not in said  # no table of nothing
 
 
@@ -143,7 +143,6 @@ def test_what_fits_no_log_is_refused(log, tmp_path):
     topics = tmp_path / "topics.yaml"
     topics.write_text("clock: header\n")
     assert "no topics" in refused(call("run", sample_drive(), "--topics", topics))
-    assert "cannot be chosen" in refused(call("run", log, "--robot", 2, "--out", tmp_path / "x"))
     assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
 
 

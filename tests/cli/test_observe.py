@@ -1,4 +1,4 @@
-"""`homeward observe` as a user would call it."""
+"""`homeward plan --landmarks` as a user would call it."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from homeward.studies.single_run import RunSettings, prepare
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), ["4 of the 5", "circle through itself, L1 and L2", "same to"]),
+        (("--landmarks", 2), ["4 of the 5", "circle through itself, L1 and L2", "same to"]),
         (("--landmarks", 2, "--compass"), ["5 of the 5", "Nothing is left open"]),
         (
             ("--landmarks", 5, "--unknown", "speed-scale"),
@@ -24,7 +24,7 @@ from homeward.studies.single_run import RunSettings, prepare
 )
 def test_a_model(tmp_path, options, words):
     out = tmp_path / "out"
-    answer = done(call("observe", *options, "--out", out))
+    answer = done(call("plan", *options, "--out", out))
     for part in words:
         assert part in answer.stdout
     assert {p.name for p in out.iterdir()} == {
@@ -41,7 +41,7 @@ def test_a_model(tmp_path, options, words):
 
 def test_the_sample_drive(tmp_path):
     out = tmp_path / "out"
-    answer = done(call("observe", "sample", "--window", 60, "--out", out))
+    answer = done(call("plan", "--drive", "sample", "--window", 60, "--out", out))
     assert "Stretch by stretch" in answer.stdout
     assert yaml.safe_load((out / "observe.yaml").read_text())["window"] == 60.0
 
@@ -65,6 +65,6 @@ def test_a_drive_that_tells_nothing_is_drawn_too():
 
 def test_other_peoples_folders_are_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    answer = call("observe", "--out", tmp_path)
+    answer = call("plan", "--landmarks", 2, "--out", tmp_path)
     assert answer.exit_code == 2
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]

@@ -1,4 +1,4 @@
-"""`homeward reproduce` as a user would call it; the studies behind it."""
+"""`homeward study paper` as a user would call it; the studies behind it."""
 
 import csv
 from dataclasses import replace
@@ -53,7 +53,7 @@ def result(tmp_path_factory):
 
 def test_page_and_figures_are_written(tmp_path):
     out = tmp_path / "paper"
-    done(call("reproduce", "--out", out, "--runs", "2", "--seed", "5"))
+    done(call("study", "paper", "--out", out, "--runs", "2", "--seed", "5"))
     page = (out / "paper.html").read_text()
     for words in ("leaves open", "wrong in it", "0.3778", "1.9091", "0.0174", "What holds: "):
         assert words in page
@@ -204,7 +204,7 @@ def test_a_stopped_reproduction_goes_on_from_its_blocks_and_a_pipe_gets_lines(
 ):
     monkeypatch.setattr(options, "PIPED_S", 0.0)
     short = ("--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
-    words = ("reproduce", "--runs", "1", *short, "--out", tmp_path / "paper")
+    words = ("study", "paper", "--runs", "1", *short, "--out", tmp_path / "paper")
     answer = done(call(*words))
     assert "the paper's cases: 100%" in answer.stderr
     assert "%" not in answer.stderr.splitlines()[0].split(":")[0]
@@ -265,7 +265,7 @@ def test_one_parameter_finds_the_single_fault():
 def test_a_reproduction_without_faults_has_all_its_figures(tmp_path):
     changes = ("faults=0", "single_fault=0", "several_faults=[]", "stop_radius=0.1", "longest=1")
     words = [word for change in changes for word in ("--set", f"assumed.{change}")]
-    done(call("reproduce", "--out", tmp_path / "paper", "--runs", "1", *words))
+    done(call("study", "paper", "--out", tmp_path / "paper", "--runs", "1", *words))
     page = (tmp_path / "paper" / "paper.html").read_text()
     assert "home within 20 cm" in page
     assert "0.99 % at the stop radius" in page

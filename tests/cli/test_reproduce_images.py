@@ -1,4 +1,4 @@
-"""`homeward reproduce --measurements images`, and the worlds behind it."""
+"""`homeward study paper --set measurements=images`, and the worlds behind it."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -76,10 +76,10 @@ def test_the_panorama_s_legend_names_what_is_drawn(world, moved):
 def test_the_page_has_the_panorama(tmp_path, monkeypatch):
     monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
     out = tmp_path / "paper"
-    words = ["--measurements", "images", "--runs", "1", "--set", "images.width=512"]
+    words = ["--set", "measurements=images", "--runs", "1", "--set", "images.width=512"]
     changes = ("longest=0.2", "circle_time=0.2", "faults=0", "single_fault=0", "several_faults=[]")
     words += [part for change in changes for part in ("--set", f"assumed.{change}")]
-    answer = done(call("reproduce", "--out", out, *words))
+    answer = done(call("study", "paper", "--out", out, *words))
     assert (out / "panorama_case_2.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "paper.html").read_text()
     assert "extracted features" in page

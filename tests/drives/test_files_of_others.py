@@ -196,7 +196,7 @@ def test_errors_print_what_a_terminal_would_act_on():
         ["simulate", "x" * 5000, "--out", "{out}"],
         ["study", "x" * 5000, "--out", "{out}"],
         ["plan", "x" * 5000, "--out", "{out}"],
-        ["render", "x" * 5000, "--out", "{out}"],
+        ["simulate", "x" * 5000, "--images", "--out", "{out}"],
         ["info", "x" * 5000],
         ["convert", "x" * 5000, "{out}"],
         ["run", "x" * 5000 + ".yaml", "--out", "{out}"],

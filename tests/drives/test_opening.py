@@ -8,6 +8,7 @@ from refusals import refusal
 from valid_drive import VALID, put
 
 from homeward.drives.foreign.reading import understand
+from homeward.drives.mrclam import read_mrclam
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.info import log_info
@@ -45,10 +46,10 @@ def test_opens_a_drive_folder(drive_folder):
 
 
 def test_opens_an_mrclam_folder(mrclam_folder):
-    drive = open_drive(mrclam_folder, robot=1, home=HOME)
+    drive = read_mrclam(mrclam_folder, 1, HOME)
     assert drive.name == "mrclam-robot1"
     assert drive.home["6"].bearing == pytest.approx(-0.3)
-    noisy = open_drive(mrclam_folder, robot=1, home=HOME, home_noise=0.1, seed=1)
+    noisy = read_mrclam(mrclam_folder, 1, HOME, 0.1, 1)
     assert noisy.home["6"].sigma == 0.1
     assert noisy.home["6"].bearing != drive.home["6"].bearing
 
@@ -102,15 +103,8 @@ def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):
     assert {i: seen.bearing for i, seen in drive.home.items()} == {"a": 0.4}
 
 
-def test_mrclam_needs_a_robot_and_a_home(mrclam_folder):
-    for choices in ({}, {"robot": 1}, {"home": HOME}):
-        told = refusal(open_drive, mrclam_folder, **choices)
-        assert "needs a robot and a home pose: --robot 1 --home X,Y,HEADING [m, m, rad]" in told
-
-
-def test_a_drive_folder_brings_its_own_home(drive_folder):
-    for choices in ({"robot": 1}, {"home": HOME}, {"home_noise": math.radians(0.5)}):
-        assert "cannot be chosen for a drive folder" in refusal(open_drive, drive_folder, **choices)
+def test_an_mrclam_folder_is_imported_first(mrclam_folder):
+    assert "homeward import mrclam FOLDER --robot N" in refusal(open_drive, mrclam_folder)
 
 
 def test_refuses_what_no_reader_knows(tmp_path):
@@ -165,7 +159,7 @@ def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings
 def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
     (mrclam_folder / "Robot1_Measurement.dat").write_text("100 63 1.0 0.5\n")
     assert "is 100.0 s after the last of the odometry" in refusal(
-        open_drive, mrclam_folder, robot=1, home=HOME
+        read_mrclam, mrclam_folder, 1, HOME
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from homeward.bounds import posterior_bound
 from homeward.drives.drive import HomeBearing, Sightings
-from homeward.drives.opening import open_drive
+from homeward.drives.mrclam import read_mrclam
 from homeward.errors import InputError
 from homeward.frames import Pose
 from homeward.simulation.files import CIRCLE
@@ -102,7 +102,7 @@ def test_a_drive_without_sightings_or_home_bearings(circle):
 
 def test_a_real_drive(data_dir):
     folder = data_dir / "MRCLAM_Dataset6"
-    drive = open_drive(folder, robot=3, home=Pose(2.0, 0.0, 0.3), home_noise=0.009)
+    drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), 0.009)
     view = observe_drive(drive, window=60.0)
     assert len(view.names) == 15
     assert view.stored.all()

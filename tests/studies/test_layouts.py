@@ -197,7 +197,7 @@ def test_settings_go_where_they_belong():
 def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, monkeypatch):
     short = ("--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
     few = ("--set", "grid.stop_radius=[0.15]", "--set", "grid.faults=[1]")
-    words = ["reproduce", "--study", "--runs", "4", *short, *few, "--out", tmp_path / "out"]
+    words = ["study", "layouts", "--runs", "4", *short, *few, "--out", tmp_path / "out"]
     sizes = ["--set", "varied=2", "--set", "robust=2"]
     short_ones = {k: VARIANTS[k] for k in ("Pi 0.5", LONG)} | {
         LONG: {"assumed": {"circle_time": 2}}
@@ -241,13 +241,13 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--workers", "2", "--scheduler", "tcp://x:1"], "one of them"),
-        (["--study", "--set", "varied=0"], "varied"),
-        (["--study", "--set", "assumed.speed=1"], "speed"),
-        (["--study", "--runs", "0"], "layouts"),
+        (["paper", "--workers", "2", "--scheduler", "tcp://x:1"], "one of them"),
+        (["layouts", "--set", "varied=0"], "varied"),
+        (["layouts", "--set", "assumed.speed=1"], "speed"),
+        (["layouts", "--runs", "0"], "layouts"),
     ],
 )
 def test_wrong_options_are_one_line(tmp_path, words, complaint):
-    answer = call("reproduce", "--out", tmp_path / "x", *words)
+    answer = call("study", *words, "--out", tmp_path / "x")
     assert complaint in refused(answer)
     assert not (tmp_path / "x").exists()

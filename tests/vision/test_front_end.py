@@ -252,7 +252,7 @@ def test_no_odometry(folder, tmp_path):
 
 def test_compare_writes_picture_matches_and_words(folder, tmp_path):
     result = call(
-        "compare", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
+        "see", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
     )
     assert result.exit_code == 0, result.output
     assert "Heading change" in result.output
@@ -266,7 +266,7 @@ def test_compare_writes_picture_matches_and_words(folder, tmp_path):
 
 def test_compare_says_when_there_is_not_enough_in_common(folder, tmp_path):
     cv2.imwrite(str(tmp_path / "other.png"), draw(make_room(7), 3, 3, 0))
-    result = call("compare", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
+    result = call("see", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
     assert result.exit_code == 1
     assert "not enough in common" in result.output
     assert (tmp_path / "c" / "comparison.png").exists()

@@ -215,4 +215,4 @@ def test_other_estimators_know_nothing_of_pictures(drive, name):
 
 
 def test_observe_takes_the_folder(folder, tmp_path):
-    done(call("observe", folder, "--out", tmp_path / "observed"))
+    done(call("plan", "--drive", folder, "--out", tmp_path / "observed"))

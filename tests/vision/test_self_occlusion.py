@@ -121,9 +121,9 @@ def test_compare_says_it_too(folder, tmp_path):
     room = make_room(7)
     cv2.imwrite(str(folder / "now.png"), on_robot(draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)))
     pair = folder / "home.png", folder / "now.png"
-    said = words("compare", *pair, "--out", tmp_path / "a")
+    said = words("see", *pair, "--out", tmp_path / "a")
     assert "turn with the camera" in said
     assert "(--mask FILE)" in said
     mask = folder / "mask.png"
-    again = words("compare", *pair, "--mask", mask, "--out", tmp_path / "b")
+    again = words("see", *pair, "--mask", mask, "--out", tmp_path / "b")
     assert "turn with the camera" not in again

@@ -16,35 +16,35 @@ from homeward.cli.drives.run import run
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
 from homeward.cli.export import export
-from homeward.cli.images.compare import compare
-from homeward.cli.images.render import render
 from homeward.cli.images.see import see
 from homeward.cli.place import place
 from homeward.cli.settings import settings
-from homeward.cli.studies.observe import observe
 from homeward.cli.studies.plan import plan
-from homeward.cli.studies.reproduce import reproduce
 from homeward.cli.studies.study import study
 from homeward.cli.studio import studio
 from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.errors import HomewardError, InputError, without
 
-REMOVED = {
-    "camera": "calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file in "
-    "images.yaml or the topics file (camera: {file: camera.yaml})",
-    "view": "open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
+FORMER = {
+    "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
+    "in images.yaml or the topics file (camera: {file: camera.yaml})",
+    "compare": "now `homeward see HOME.png NOW.png`",
+    "observe": "now `homeward plan --landmarks N` or `homeward plan --drive DRIVE`",
+    "render": "now `homeward simulate ROOM --images`",
+    "reproduce": "now `homeward study paper` or `homeward study layouts`",
+    "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
-"""What to use instead of commands that earlier versions had."""
+"""Commands of earlier versions, and what does their work now."""
 
 
 class OneLineErrors(TyperGroup):
     """Turns every error of ours, and Ctrl-C, into one line and an exit status."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the arguments name."""
-        if args[0] in REMOVED:
-            raise InputError(f"homeward {args[0]} was removed: {REMOVED[args[0]]}")
-        return super().resolve_command(ctx, args)
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; of a former one, raise an error that names its successor."""
+        if cmd_name in FORMER:
+            raise InputError(f"homeward {cmd_name} is {FORMER[cmd_name]}")
+        return super().get_command(ctx, cmd_name)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -93,28 +93,13 @@ def main(
     """Where is the robot, relative to a place it has seen before? From bearings alone."""
 
 
-COMMANDS = (
-    run,
-    tune,
-    live,
-    studio,
-    simulate,
-    render,
-    reproduce,
-    study,
-    observe,
-    plan,
-    import_,
-    info,
-    convert,
-    export,
-    compare,
-    see,
-    settings,
-)
-for command in COMMANDS:
+EVERYDAY = (run, import_, info, see, live, place, tune, simulate)
+OTHERS = (plan, study, convert, export, settings, studio)
+for command in (*EVERYDAY, *OTHERS):
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name="place", epilog=EXIT_STATUSES)
+        continue
     # Whole first paragraphs: what typer takes of itself ends in the middle of a sentence.
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
     name = command.__name__.rstrip("_")
     app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
-app.add_typer(place, name="place", epilog=EXIT_STATUSES)

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 
 PIPED_S = 30.0
 """In a pipe, progress is told so often [s]."""
-Robot = Annotated[int | None, typer.Option(help="MRCLAM: which robot.")]
-HomePose = Annotated[
-    str | None, typer.Option(help="MRCLAM: X,Y,HEADING [m, m, rad] of home in its map.")
-]
-HomeNoise = Annotated[float, typer.Option(help="MRCLAM: noise of the home bearings [deg].")]
 Topics = Annotated[
     Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
 ]
@@ -121,21 +116,13 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
 
 
 def read_drive(
-    source: str,
-    robot: int | None,
-    home: str | None,
-    home_noise_deg: float,
-    topics: Path | None,
-    **others: Any,
+    source: str, topics: Path | None, home_spin: tuple[float, float] | None = None
 ) -> Drive:
-    """Return the drive that options tell of; `others` are those of `open_drive`."""
+    """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
-    from homeward.frames import Pose
 
-    place = None if home is None else Pose(*three_numbers(home, "--home"))
-    others |= {"home_noise": math.radians(home_noise_deg), "topics": topics}
     with progress(f"reading {source}") as tell:
-        return open_drive(source, robot=robot, home=place, tell=tell, **others)
+        return open_drive(source, topics=topics, home_spin=home_spin, tell=tell)
 
 
 def day(text: str) -> float:

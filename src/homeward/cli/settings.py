@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 OTHERS = {
     "simulate": ("homeward simulate --set ..., scenario.yaml", "simulation.scenario:Scenario"),
-    "render": (
-        "homeward render --set ..., scenario.yaml",
+    "rooms": (
+        "homeward simulate ROOM --images --set ..., scenario.yaml",
         "simulation.render.room.settings:RenderScenario",
     ),
-    "reproduce": ("homeward reproduce --set ...", "studies.paper.settings:PaperSettings"),
+    "paper": ("homeward study paper --set ...", "studies.paper.settings:PaperSettings"),
     "study": ("the YAML file of homeward study", "studies.study.settings:StudySettings"),
     "map": ("the YAML file of homeward study, for a map", "studies.paper.map_settings:MapSettings"),
     "plan": ("the YAML file of homeward plan", "studies.planning.settings:Plan"),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeNoise, HomePose, Robot, Topics, read_drive
+from homeward.cli.options import Topics, read_drive
 from homeward.cli.terminal import say
 
 
@@ -17,7 +17,7 @@ def studio(
         typer.Argument(
             metavar="[SCENE|DRIVE|PLACE]",
             help="A scene (warehouse, paper-homing, circle, a scenario.yaml) to play in; what was "
-            "driven: sample, a drive folder, an MRCLAM folder, a ROS bag or MCAP file; or a place.",
+            "driven: sample, a drive folder, a ROS bag or MCAP file; or a place.",
         ),
     ] = "warehouse",
     estimator: Annotated[
@@ -27,9 +27,6 @@ def studio(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open it in the browser.")
     ] = True,
-    robot: Robot = None,
-    home: HomePose = None,
-    home_noise_deg: HomeNoise = 0.0,
     topics: Topics = None,
 ) -> None:
     """Open a page to play in: move landmarks, home and robot, and see which estimators notice.
@@ -64,7 +61,7 @@ def studio(
     elif is_place(Path(source)):
         shown = Visited(load_place(source))
     else:
-        drive = read_drive(source, robot, home, home_noise_deg, topics)
+        drive = read_drive(source, topics)
         there = located(source)
         plan = log_info(there, topics).plan if is_log(there) else None
         told = read_drive_settings(there / SETTINGS) if is_drive_folder(there) else None

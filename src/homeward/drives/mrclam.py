@@ -21,6 +21,7 @@ from homeward.drives.folder import (
     truth_of,
     wrapped,
 )
+from homeward.drives.one_clock import on_one_clock
 from homeward.drives.text.files import is_there, require_folder
 from homeward.drives.text.table import Table, read_columns
 from homeward.errors import InputError
@@ -73,7 +74,7 @@ def read_mrclam(
     landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
     subjects = _read_barcodes(folder / BARCODES)
     remarks: dict[str, int] = {}
-    return Drive(
+    drive = Drive(
         name=f"{folder.resolve().name}-robot{robot}",
         odometry=odometry_of(
             read_columns(folder / f"Robot{robot}_Odometry.dat", ("t", "v", "omega")), remarks
@@ -86,6 +87,7 @@ def read_mrclam(
         truth=_read_truth(folder / f"Robot{robot}_Groundtruth.dat", home, remarks),
         remarks=remarks,
     )
+    return on_one_clock(drive, folder)
 
 
 def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
@@ -101,11 +103,16 @@ def _check_robot(folder: Path, robot: int) -> None:
     """Say which robots there are when this one is not."""
     if is_there(folder / f"Robot{robot}_Odometry.dat"):
         return
-    raise InputError(f"no robot {robot} in it; there are: {robots_in(folder)}", folder)
+    raise InputError(f"no robot {robot} in it; there are: {_robots_in(folder)}", folder)
 
 
-def robots_in(folder: Path) -> str:
-    """Return the numbers of the robots that an MRCLAM folder has, in words."""
+def mrclam_command(folder: Path) -> str:
+    """Return the command that makes a drive of an MRCLAM folder."""
+    way = "`homeward import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE`"
+    return f"{way} (robots: {_robots_in(folder)})"
+
+
+def _robots_in(folder: Path) -> str:
     names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
     there = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
     return ", ".join(there) or "none"

@@ -12,7 +12,7 @@ from homeward.drives.drive import Drive, HomeWhen
 from homeward.drives.folder import BEARINGS, HOME, SETTINGS, is_drive_folder, read_folder
 from homeward.drives.home.choosing import with_home
 from homeward.drives.images import IMAGES
-from homeward.drives.mrclam import is_mrclam, read_mrclam
+from homeward.drives.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.log import is_log
 from homeward.drives.text.files import is_there, shipped
@@ -31,10 +31,6 @@ TABLES = (".csv", ".tsv")
 class Choices:
     """What a user says of a drive beside where it is."""
 
-    robot: int | None
-    home: Pose | None
-    home_noise: float
-    seed: int
     topics: Path | None
     home_spin: tuple[float, float] | None
     tell: Callable[[float], None] | None
@@ -43,11 +39,6 @@ class Choices:
         """Raise InputError when topics were named: a drive of this kind has none."""
         if self.topics is not None:
             raise InputError(f"there are no topics to choose in a {kind}", path)
-
-    def refuse(self, kind: str, path: Path) -> None:
-        """Raise InputError when any was made: a drive of this kind brings its own home."""
-        if self.robot is not None or self.home is not None or self.home_noise or self.seed:
-            raise InputError(f"robot, home, its noise and seed cannot be chosen for a {kind}", path)
 
 
 @dataclass(frozen=True)
@@ -63,10 +54,6 @@ class Reader:
 def open_drive(
     path: str | os.PathLike[str],
     *,
-    robot: int | None = None,
-    home: Pose | None = None,
-    home_noise: float = 0.0,
-    seed: int = 0,
     topics: str | os.PathLike[str] | None = None,
     home_spin: tuple[float, float] | None = None,
     tell: Callable[[float], None] | None = None,
@@ -76,14 +63,12 @@ def open_drive(
     Parameters
     ----------
     path : path-like
-        A drive folder, a folder of images, an MRCLAM folder, a ROS bag, an MCAP file or `SAMPLE`.
-    robot, home, home_noise, seed
-        As in `read_mrclam`; robot and home are needed there, and refused elsewhere.
+        A drive folder, a folder of images, a ROS bag, an MCAP file or `SAMPLE`.
     topics : path-like, optional
         As in `read_log`; refused elsewhere.
     home_spin : (float, float), optional
         From when until when the robot turned on the spot at home, since the drive's first sample
-        [s]; instead of the home bearings that it brings. Refused for an MRCLAM folder.
+        [s]; instead of the home bearings that it brings.
     tell : callable, optional
         Told the fraction done of a log or of images, in [0, 1].
 
@@ -94,7 +79,7 @@ def open_drive(
     """
     place = located(path)
     named = None if topics is None else Path(topics)
-    choices = Choices(robot, home, home_noise, seed, named, home_spin, tell)
+    choices = Choices(named, home_spin, tell)
     drive = on_one_clock(on_time(reader_of(place).read(place, choices)), place)
     drive = _truth_from_home(drive, place)
     when = drive.settings.home
@@ -156,22 +141,13 @@ def reader_of(place: Path) -> Reader:
         raise InputError("no drive yet: homeward import makes one of tables of any columns", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
         raise InputError(f"a folder of logs; name one: {', '.join(map(quoted, logs[:4]))}", place)
+    if is_mrclam(place):
+        raise InputError(f"an MRCLAM folder: {mrclam_command(place)} makes a drive of it", place)
     kinds = " nor ".join(reader.kind for reader in READERS)
     raise InputError(f"neither {kinds}", place)
 
 
-def _open_mrclam(path: Path, choices: Choices) -> Drive:
-    if choices.robot is None or choices.home is None:
-        ways = "--robot 1 --home X,Y,HEADING [m, m, rad], in the frame of its survey"
-        raise InputError(f"an MRCLAM folder needs a robot and a home pose: {ways}", path)
-    choices.refuse_topics("MRCLAM folder", path)
-    if choices.home_spin is not None:
-        raise InputError("home is chosen in the map of an MRCLAM folder, not by a spin", path)
-    return read_mrclam(path, choices.robot, choices.home, choices.home_noise, choices.seed)
-
-
 def _open_folder(path: Path, choices: Choices) -> Drive:
-    choices.refuse("drive folder", path)
     choices.refuse_topics("drive folder", path)
     return read_folder(path, home_needed=choices.home_spin is None)
 
@@ -180,12 +156,10 @@ def _open_log(path: Path, choices: Choices) -> Drive:
     # Imported here alone: rosbags takes a while.
     from homeward.drives.ros.reading import read_log
 
-    choices.refuse("log", path)
     return read_log(path, choices.topics, choices.tell)
 
 
 def _open_images(path: Path, choices: Choices) -> Drive:
-    choices.refuse("folder of images", path)
     choices.refuse_topics("folder of images", path)
     # Imported here alone: what only reads logs needs no images.
     from homeward.vision.recorded.recording import see_recording
@@ -201,7 +175,6 @@ def is_image_folder(path: Path) -> bool:
 
 READERS = (
     Reader("a folder of images (images.csv)", is_image_folder, _open_images),
-    Reader("an MRCLAM folder (Barcodes.dat)", is_mrclam, _open_mrclam),
     Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
     Reader("a log (a ROS bag or an MCAP file)", is_log, _open_log),
 )

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import Drive, Finite, NonNegative, Span, Start, Strict
+from homeward.drives.drive import Drive, Finite, Span, Start, Strict
 from homeward.drives.folder import HOME
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
@@ -38,25 +38,17 @@ TRUTH_NEAR_S = 1.0
 
 
 class DriveChoice(Strict):
-    """A drive, and what its reader has to be told."""
+    """A drive, and the topics of a log."""
 
     drive: str
     """A path, or `SAMPLE`."""
-    robot: int | None = None
-    """For an MRCLAM folder: which robot."""
-    home: tuple[Finite, Finite, Finite] | None = None
-    """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
-    home_noise_deg: NonNegative = 0.0
-    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
     topics: str | None = None
-    """For a log: the path of a YAML file that says which topics hold what."""
+    """For a log: the path of a YAML file that names its topics."""
 
 
 class RunSettings(DriveChoice):
     """Everything that a run depends on; run.yaml holds it, and a run repeats from it."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
-    """For an MRCLAM folder: of the noise of the home bearings."""
     home_spin: Span | None = None
     """From when until when the robot turned on the spot at home, in the drive itself [s]."""
     estimator: str = DEFAULT
@@ -142,10 +134,6 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
     drive = open_drive(
         drive_path(run),
-        robot=run.robot,
-        home=None if run.home is None else Pose(*run.home),
-        home_noise=float(np.radians(run.home_noise_deg)),
-        seed=run.seed,
         topics=run.topics,
         home_spin=run.home_spin,
         tell=progress,

@@ -20,6 +20,7 @@ from homeward.drives.drive import (
     Truth,
 )
 from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
 from homeward.drives.saving import save_drive
@@ -112,7 +113,7 @@ def test_real_drive_comes_back_and_runs_alike(data_dir, tmp_path):
     folder = data_dir / "MRCLAM_Dataset6"
     if not folder.is_dir():
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
-    drive = open_drive(folder, robot=3, home=Pose(2.0, 0.0, 0.3), home_noise=math.radians(0.5))
+    drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), math.radians(0.5))
     drive = first(300.0, drive)
     save_drive(drive, tmp_path / "robot3.mcap")
     back = open_drive(tmp_path / "robot3.mcap")

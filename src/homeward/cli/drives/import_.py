@@ -1,20 +1,28 @@
-"""`homeward import`: a drive from CSV files of any columns, separators and units."""
+"""`homeward import`: a drive folder from tables of any columns, or from an MRCLAM folder."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, HomeSpin, spin_span
+from homeward.cli.options import AsJson, HomeSpin, spin_span, three_numbers
 from homeward.cli.terminal import answer, say, table, warn
+from homeward.errors import InputError
+
+MRCLAM = "mrclam"
+"""First argument for a folder of this data set."""
 
 
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Text files with odometry, bearings, home's bearings, perhaps truth."),
+        typer.Argument(
+            help="Text files with odometry, bearings, home bearings, perhaps ground truth; or the "
+            "word mrclam and an MRCLAM folder."
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -33,15 +41,33 @@ def import_(
     picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
         "out/import.png"
     ),
+    robot: Annotated[int | None, typer.Option(help="mrclam: number of the robot.")] = None,
+    home: Annotated[
+        str | None, typer.Option(help="mrclam: X,Y,HEADING [m, m, rad] of home in the survey.")
+    ] = None,
+    home_noise_deg: Annotated[
+        float, typer.Option(help="mrclam: noise of the computed home bearings [deg].")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="mrclam: seed of that noise.")] = 0,
     json: AsJson = False,
 ) -> None:
     """Turn CSV files of any columns, separators and units into a drive folder.
 
-    Says what each column was taken for, and draws it, before anything is written. Angles and turn
-    rates run anti-clockwise.
+    Reports what each column was taken for, and draws it, before anything is written. Angles and
+    turn rates are positive anti-clockwise. `homeward import mrclam FOLDER --robot 3 --home
+    2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
     """
-    from homeward.drives.foreign.reading import about_home, drive_of, understand
     from homeward.drives.saving import save_drive
+
+    if files[0] == Path(MRCLAM) and len(files) > 1:
+        if columns or home_spin:
+            raise InputError("import mrclam takes --robot, --home, --home-noise-deg, --seed, --out")
+        _mrclam(files[1:], robot, home, (home_noise_deg, seed), out, json)
+        return
+    if robot is not None or home is not None or home_noise_deg or seed:
+        ways = "--robot, --home, --home-noise-deg and --seed are for homeward import mrclam FOLDER"
+        raise InputError(ways)
+    from homeward.drives.foreign.reading import about_home, drive_of, understand
     from homeward.drives.text.files import naming
     from homeward.report.canvas import png
     from homeward.report.imported import glance
@@ -62,8 +88,8 @@ def import_(
     if json:
         if out is not None:
             save_drive(drive, out)
-        told = [dict(zip(keys, row, strict=True)) for row in rows]
-        answer({"columns": told, "remarks": remarks, "picture": picture, "folder": out})
+        columns_read = [dict(zip(keys, row, strict=True)) for row in rows]
+        answer({"columns": columns_read, "remarks": remarks, "picture": picture, "folder": out})
         return
     for remark in remarks:
         warn(remark)
@@ -72,4 +98,33 @@ def import_(
         say("Nothing else was written; --out FOLDER writes the drive.")
         return
     save_drive(drive, out)
+    say(f"Drive folder: {out}")
+
+
+def _mrclam(
+    folders: list[Path],
+    robot: int | None,
+    home: str | None,
+    noise: tuple[float, int],
+    out: Path | None,
+    json: bool,
+) -> None:
+    """Write the drive of one robot of an MRCLAM folder."""
+    from homeward.drives.mrclam import read_mrclam
+    from homeward.drives.saving import save_drive
+    from homeward.frames import Pose
+
+    if len(folders) != 1 or robot is None or home is None or out is None:
+        raise InputError(
+            "import mrclam needs one FOLDER, --robot N, --home X,Y,HEADING [m, m, rad] in the "
+            "frame of its survey, and --out DRIVE"
+        )
+    place, (noise_deg, seed) = Pose(*three_numbers(home, "--home")), noise
+    drive = read_mrclam(folders[0], robot, place, math.radians(noise_deg), seed)
+    save_drive(drive, out)
+    if json:
+        answer({"remarks": drive.remark_lines, "folder": out})
+        return
+    for remark in drive.remark_lines:
+        warn(remark)
     say(f"Drive folder: {out}")

@@ -14,10 +14,8 @@ import typer
 from homeward.cli.options import (
     AsJson,
     Changes,
-    HomePose,
     HomeSpin,
     KnownPlace,
-    Robot,
     Topics,
     day,
     key_values,
@@ -43,7 +41,7 @@ def run(
     drive: Annotated[
         str,
         typer.Argument(
-            help="A drive folder, a folder of images, a ROS bag or MCAP file, an MRCLAM folder, "
+            help="A drive folder, a folder of images, a ROS bag or MCAP file, "
             "the run.yaml of an earlier run, or: sample."
         ),
     ],
@@ -63,12 +61,6 @@ def run(
             help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth; default: drive.yaml's."
         ),
     ] = None,
-    robot: Robot = None,
-    home: HomePose = None,
-    home_noise_deg: Annotated[
-        float | None, typer.Option(help="MRCLAM: noise of the home bearings [deg].")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="MRCLAM: of that noise.")] = None,
     topics: Topics = None,
     home_spin: HomeSpin = None,
     place: KnownPlace = None,
@@ -113,10 +105,6 @@ def run(
     options = {
         "estimator": estimator,
         "start": _start(start),
-        "robot": robot,
-        "home": None if home is None else three_numbers(home, "--home"),
-        "home_noise_deg": home_noise_deg,
-        "seed": seed,
         "home_spin": spin_span(home_spin),
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),

@@ -6,10 +6,11 @@ import asyncio
 import os
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
+from homeward.cli.images.rendered import render
 from homeward.cli.options import AsJson, Changes, key_values, progress
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.errors import InputError
@@ -21,7 +22,12 @@ if TYPE_CHECKING:
 
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(help="A preset (warehouse, paper-homing, circle) or a YAML file.")
+        str,
+        typer.Argument(
+            help="A preset (warehouse, paper-homing, circle), a room with --images (study, "
+            "bedroom, living-room, kitchen, office, corridor, classroom, attic, gallery, hall), "
+            "or a YAML file."
+        ),
     ],
     out: Annotated[Path | None, typer.Option(help="The drive folder to write.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
@@ -60,13 +66,21 @@ def simulate(
     pace: Annotated[
         float, typer.Option(min=0.1, max=10.0, help="With --live: so many times real time.")
     ] = 1.0,
+    images: Annotated[
+        bool, typer.Option("--images", help="Render what a camera sees on a drive through a room.")
+    ] = False,
+    points: Annotated[
+        bool, typer.Option("--points", help="With --images: the point that each pixel shows, too.")
+    ] = False,
     changes: Changes = None,
     json: AsJson = False,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
 
-    Beside the drive it writes scenario.yaml, which repeats the drive to the last bit, and
-    world.csv, the truth about the landmarks.
+    Next to the drive it writes scenario.yaml, which repeats the drive to the last bit, and
+    world.csv, ground truth of the landmarks. With --images it writes home.png, images.csv and the
+    images, images.yaml, things.csv with what was moved since the home image, and scenario.yaml;
+    with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
     """
     from homeward.registry import make_estimator
     from homeward.report.output import check_output, whole_folder
@@ -85,6 +99,17 @@ def simulate(
     }
     if (out is None) == (live is None):
         raise InputError("give one of --out and --live")
+    given = {key: value for key, value in options.items() if value is not None}
+    if images:
+        del options["seed"], options["estimator"]
+        if live is not None or (wrong := sorted(options.keys() & given.keys())):
+            name = "live" if live is not None else wrong[0].removeprefix("trajectory.")
+            raise InputError(f"--{name} is not for --images; --set takes its trajectory")
+        estimators = {"estimator": estimator} if estimator else {}
+        render(scenario, cast(Path, out), seed, points, key_values(changes or []) | estimators)
+        return
+    if points:
+        raise InputError("--points needs --images")
     if live is not None:  # the place and its routes are the server's
         if place is not None:
             raise InputError("--live knows no place: that is homeward live's")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from homeward.cli.drives.run import run_settings
-from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, three_numbers
+from homeward.cli.options import AsJson, Topics, progress
 from homeward.cli.terminal import answer, say, table, warn
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ def tune(
         list[str],
         typer.Argument(help="Drives or logs of one robot, as of `homeward run`."),
     ],
-    robot: Robot = None,
-    home: HomePose = None,
-    home_noise_deg: HomeNoise = 0.0,
     topics: Topics = None,
     json: AsJson = False,
 ) -> None:
@@ -40,13 +37,7 @@ def tune(
     from homeward.studies.single_run import opened
     from homeward.studies.tuning import tune as identify
 
-    options = {
-        "robot": robot,
-        "home": None if home is None else three_numbers(home, "--home"),
-        "home_noise_deg": home_noise_deg or None,
-        "topics": None if topics is None else str(topics),
-    }
-    given = {key: value for key, value in options.items() if value is not None}
+    given = {} if topics is None else {"topics": str(topics)}
     with progress(count(len(drives), "drive")) as tell:
         found = identify([opened(run_settings(drive, given)) for drive in drives], tell)
     if json:

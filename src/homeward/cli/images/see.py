@@ -1,4 +1,4 @@
-"""`homeward see`: pictures of a drive in, an ordinary drive folder out."""
+"""`homeward see`: images of a drive in, an ordinary drive folder out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from homeward.cli.images.comparison import compare
 from homeward.cli.options import (
     AsJson,
     Force,
@@ -19,6 +20,7 @@ from homeward.cli.options import (
     spin_span,
 )
 from homeward.cli.terminal import answer, no_answer, say, warn
+from homeward.errors import InputError
 
 
 def see(
@@ -26,10 +28,16 @@ def see(
         Path,
         typer.Argument(
             help="A folder with images.csv (t,file), a home image and odometry.csv; or a video "
-            "instead of images.csv, or a log, both with --tags."
+            "instead of images.csv, or a log, both with --tags; or a panorama taken at home."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The drive folder to write.")],
+    now: Annotated[
+        Path | None,
+        typer.Argument(help="A second panorama of the camera, taken elsewhere, to compare."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The drive folder to write [two panoramas: out/compare].")
+    ] = None,
     tags: Annotated[
         str | None,
         typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
@@ -37,6 +45,19 @@ def see(
     topics: Topics = None,
     home_spin: HomeSpin = None,
     home_during: HomeDuring = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            help="Two panoramas: an images.yaml that names the camera; default: equirectangular."
+        ),
+    ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(
+            help="Two panoramas: an image as large as they are, black where the robot itself, or "
+            "anything else that turns with the camera, is seen; default: that of images.yaml."
+        ),
+    ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -47,11 +68,24 @@ def see(
     truth.csv are handed on. Tags need no home image: home.csv, --home-spin or --home-during serve
     as well, and a drive in a known place needs none. Where no landmark was found, the exit status
     is 1.
+
+    Of two panoramas (`homeward see home.png now.png`) it reports how the camera has turned since
+    home and in which direction home is; the folder gets comparison.png, matches.csv and
+    comparison.json.
     """
+    if now is not None:
+        if tags or topics or home_spin or home_during:
+            raise InputError("two panoramas take --camera, --mask, --force, --out and --json alone")
+        compare(folder, now, out or Path("out/compare"), camera, mask, force, json)
+        return
+    if camera or mask:
+        raise InputError("--camera and --mask are for two panoramas; a folder has images.yaml")
+    if out is None:
+        raise InputError("--out FOLDER is missing: the drive folder to write")
     from homeward.drives.drive import HomeWhen
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.choosing import with_home
-    from homeward.errors import InputError, speaking_of
+    from homeward.errors import speaking_of
     from homeward.report.images import describe_sightings
     from homeward.report.output import check_output
     from homeward.vision.recorded.recording import see_recording

@@ -1,13 +1,14 @@
-"""`homeward plan`: from where a robot can come home, and what would help."""
+"""`homeward plan`: from where a robot can drive home, and what would help."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import AsJson, progress
+from homeward.cli.options import AsJson, Topics, progress
+from homeward.cli.studies.observability import observe_model, observe_recording
 from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
@@ -17,16 +18,97 @@ if TYPE_CHECKING:
 
 def plan(
     source: Annotated[
-        str, typer.Argument(metavar="PLAN", help="A YAML file, or: warehouse, an example.")
-    ],
-    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/plan"),
+        str | None, typer.Argument(metavar="[PLAN]", help="A YAML file, or: warehouse, an example.")
+    ] = None,
+    landmarks: Annotated[
+        int | None,
+        typer.Option(help="Instead of a floor plan: analyse observability with N landmarks."),
+    ] = None,
+    compass: Annotated[
+        bool, typer.Option("--compass", help="With --landmarks: the heading is known.")
+    ] = False,
+    distances: Annotated[
+        bool,
+        typer.Option("--distances", help="With --landmarks: distances from home are known."),
+    ] = False,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="With --landmarks: arc, straight, towards (a landmark), spot, still, or circle."
+        ),
+    ] = None,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --landmarks: speed-scale, turn-scale, turn-bias, lag or camera-yaw is "
+            "unknown, too; repeatable."
+        ),
+    ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(help="Instead of a floor plan: analyse observability along this drive."),
+    ] = None,
+    window: Annotated[
+        float | None, typer.Option(help="With --drive: stretches of the drive, in seconds [30].")
+    ] = None,
+    topics: Topics = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The folder to write [out/plan, or out/observe].")
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Map from where homing can begin on a floor plan, how well, and where to add landmarks.
 
     The folder gets plan.html, its maps as PNG and SVG, floor.csv with every point, and plan.yaml,
-    the plan with every default spelt out.
+    the plan with every default spelt out. With --landmarks or --drive it gets observe.html, which
+    states what bearings determine and what not, its drawing as PNG and SVG, and observe.yaml.
     """
+    of_model = {
+        "landmarks": landmarks,
+        "compass": compass or None,
+        "distances": distances or None,
+        "motion": motion,
+        "unknown": unknown or None,
+    }
+    of_drive = {
+        "drive": drive,
+        "window": window,
+        "topics": None if topics is None else str(topics),
+    }
+    chosen = _analysis(source, of_model, of_drive)
+    if chosen is of_model:
+        observe_model(_given(of_model), out or Path("out/observe"), json)
+    elif chosen is of_drive:
+        observe_recording(_given(of_drive), out or Path("out/observe"), json)
+    else:
+        _plan(cast(str, source), out or Path("out/plan"), json)
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _analysis(source: str | None, *analyses: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the options of the observability analysis that was chosen; None: a floor plan.
+
+    The first option of each analysis chooses it.
+
+    Raises
+    ------
+    InputError
+        If none or several were chosen, or an option of another one is given.
+    """
+    firsts = [next(iter(options)) for options in analyses]
+    chosen = [o for o, first in zip(analyses, firsts, strict=True) if o[first] is not None]
+    if len(chosen) + (source is not None) != 1:
+        raise InputError("give one of PLAN, --landmarks N and --drive DRIVE")
+    for options, first in zip(analyses, firsts, strict=True):
+        if options not in chosen and (others := _given(options)):
+            raise InputError(f"--{next(iter(others))} needs --{first}")
+    return chosen[0] if chosen else None
+
+
+def _plan(source: str, out: Path, json: bool) -> None:
     from homeward.report.output import check_output
     from homeward.report.plan.page import PAGE, SETTINGS_FILE, write_plan
     from homeward.report.plan.words import plan_summary

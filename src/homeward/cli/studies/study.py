@@ -9,21 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, Scheduler, Workers, progress, resumable
+from homeward.cli.options import AsJson, Scheduler, Workers, key_values, progress, resumable
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
+from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.studies.blocks.finish import Where
     from homeward.studies.paper.map_settings import MapSettings
+
+PAPER = ("paper", "layouts")
+"""Studies of the paper's cases."""
 
 
 def study(
     study: Annotated[
         str,
         typer.Argument(
-            help="A YAML file, or peers, a-ekf-tuning, pi-ekf-tuning, a-ekf-map, pi-ekf-map, "
-            "which ship."
+            help="A YAML file, or one that ships: paper, layouts (the paper's cases), peers, "
+            "a-ekf-tuning, pi-ekf-tuning, a-ekf-map, pi-ekf-map."
         ),
     ],
     out: Annotated[
@@ -31,6 +35,16 @@ def study(
     ] = None,
     runs: Annotated[int | None, typer.Option(help="Another number than the study's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Another seed than the study's.")] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="paper and layouts: another value of a setting; repeatable. homeward settings "
+            "paper lists them (measurements=images renders panoramas); layouts has also varied, "
+            "robust and grid.KEY.",
+        ),
+    ] = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
     json: AsJson = False,
@@ -42,9 +56,14 @@ def study(
     the same command goes on from them. By default all processors of this machine work. Where every
     run failed, the exit status is 1. Needs the extra scale.
 
+    `paper` runs the paper's Cases 1 to 4 with its printed parameters and writes paper.html with
+    both RMSE tables next to the printed ones. `layouts` runs Cases 1, 2 and 4 over thousands of
+    layouts, under many readings of the paper, and writes layouts.html with the verdict.
+
     A map (a YAML file with the key map) runs a paper's filter over two of its numbers, in a GPU
     where there is one, and leaves map.png and map.csv; --runs is that of all cells together.
     """
+    from homeward.drives.text.settings import nested
     from homeward.report.output import check_output
     from homeward.report.study.page import DATA, PAGE, headline, write_study
     from homeward.studies.blocks.finish import Where, Work
@@ -58,6 +77,14 @@ def study(
     where = Where(scheduler, workers)
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
     folder = out or Path("out") / Path(study).stem
+    if study in PAPER:
+        from homeward.cli.studies import paper
+
+        values = nested(key_values(options or [])) | changes
+        (paper.paper if study == "paper" else paper.layouts)(folder, where, values, json)
+        return
+    if options:
+        raise InputError(f"--set is for {' and '.join(PAPER)}; write it into the study's YAML file")
     if settings := load_map(study, changes):
         _map(settings, folder, where, json)
         return

@@ -24,7 +24,7 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.images import IMAGES, read_images
-from homeward.drives.mrclam import is_mrclam, robots_in
+from homeward.drives.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
 from homeward.drives.ros.log import Log
@@ -71,13 +71,12 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         When it is none of them, or damaged.
     """
     path = located(path)
+    if is_mrclam(path):
+        way = f"{mrclam_command(path)} makes a drive of it."
+        return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     reader_of(path)  # refuses what is nothing
     if is_image_folder(path):
         return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
-    if is_mrclam(path):
-        way = "homeward run reads it, given --robot N and --home X,Y,HEADING; robots:"
-        way = f"{way} {robots_in(path)}."
-        return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     if is_drive_folder(path):
         return _folder_info("drive folder", path, REQUIRED)
     from homeward.drives.ros.reading import calibrated

@@ -1,4 +1,4 @@
-"""What `homeward observe` leaves behind: a drawing, and a page that says what cannot be told."""
+"""Page and drawing of `homeward plan --landmarks` and `--drive`: observability."""
 
 from __future__ import annotations
 

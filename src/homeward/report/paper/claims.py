@@ -242,7 +242,7 @@ def command(study: LayoutStudy, reading: Reading, change: Mapping[str, Any] | No
     for section, values in (change or {}).items():
         tree[section] |= values
     usual = PaperSettings().model_dump(mode="json")
-    words = ["homeward reproduce"]
+    words = ["homeward study paper"]
     for section in ("printed", "assumed"):
         for key, value in tree[section].items():
             if value != usual[section][key]:

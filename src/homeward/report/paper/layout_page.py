@@ -1,4 +1,4 @@
-"""What `homeward reproduce --study` leaves behind: a page, figures, and every run."""
+"""What `homeward study layouts` leaves behind: a page, figures, and every run."""
 
 from __future__ import annotations
 

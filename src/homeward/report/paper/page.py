@@ -1,4 +1,4 @@
-"""What `homeward reproduce` leaves behind: figures, and a page beside the paper's tables."""
+"""What `homeward study paper` leaves behind: figures, and a page beside the paper's tables."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The paper's Cases 1, 2 and 4 over thousands of random layouts and fault sets, in blocks.
 
-What `homeward reproduce --study` asks: the filters under every reading of what the paper leaves
+What `homeward study layouts` asks: the filters under every reading of what the paper leaves
 open, what else their order depends on, and on the first layouts the robust localiser and the
 Cramer-Rao bound.
 """

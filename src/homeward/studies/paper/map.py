@@ -1,7 +1,7 @@
 """A map over two numbers of a paper's filter: each cell many homings, in the batch engine.
 
 All cells run in the same worlds with the same noise, and so does the EKF as printed, so that cells
-differ by their settings and not by chance. Layout k is that of `homeward reproduce --study`; the
+differ by their settings and not by chance. Layout k is that of `homeward study layouts`; the
 noise is drawn in the loop, and is the same in distribution. Of the runs only counts and sums are
 kept: a hundred million fit into a folder.
 """

@@ -46,7 +46,7 @@ class MapSettings(Strict):
     map: dict[Key, Range]
     """Two of them, the first across."""
     changes: Annotated[dict[str, Any], Field(alias="set")] = {}
-    """Keys of `homeward reproduce --set` to what they become, for all cells and the EKF."""
+    """Keys of `homeward study paper --set` to what they become, for all cells and the EKF."""
     engine: Literal["native", "cuda", "interpreter"] | None = None
     """None: a GPU in floats where there is one, else compiled C, else the interpreter."""
 

@@ -1,4 +1,4 @@
-"""What `homeward reproduce` asks: all cases for tables and figures, or layouts by the thousand."""
+"""`homeward study paper` and `layouts`: cases for tables and figures, or many layouts."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _shown(case: CaseName, settings: PaperSettings, outcome: Outcome) -> Shown:
 
 @dataclass(frozen=True)
 class LayoutStudy:
-    """Everything that `homeward reproduce --study` computes."""
+    """Everything that `homeward study layouts` computes."""
 
     settings: LayoutSettings
     grid: dict[tuple[CaseName, Reading], Outcome]

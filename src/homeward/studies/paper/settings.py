@@ -97,7 +97,7 @@ class Imaged(Strict):
 
 
 class PaperSettings(Strict):
-    """Everything that `homeward reproduce` does depends on."""
+    """Everything that `homeward study paper` does depends on."""
 
     printed: Printed = Printed()
     assumed: Assumed = Assumed()

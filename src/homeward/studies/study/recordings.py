@@ -11,8 +11,10 @@ import numpy as np
 from pydantic import Field
 
 from homeward.angles import wrap
-from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.drive import Drive, Finite, HomeBearing, NonNegative
+from homeward.drives.mrclam import read_mrclam
 from homeward.errors import InputError
+from homeward.frames import Pose
 from homeward.simulation.scenario import Interval
 from homeward.studies.single_run import DriveChoice, RunSettings, opened
 from homeward.studies.study.trial import Trial, unknown_bound
@@ -24,6 +26,12 @@ class Recording(DriveChoice):
     Its path may be beside the study's file.
     """
 
+    robot: int | None = None
+    """For an MRCLAM folder: which robot."""
+    home: tuple[Finite, Finite, Finite] | None = None
+    """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
+    home_noise_deg: NonNegative = 0.0
+    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
     label: str | None = None
     """Its name in figures; None: the drive's."""
     falsified: Annotated[int, Field(ge=0)] = 0
@@ -60,9 +68,12 @@ def recorded(recording: Recording) -> Drive:
 
 
 @lru_cache(maxsize=16)
-def _opened(path: str, *told: Any) -> Drive:
-    robot, home, topics = told
-    return opened(RunSettings(drive=path, robot=robot, home=home, topics=topics))
+def _opened(path: str, robot: int | None, home: Any, topics: str | None) -> Drive:
+    if (robot is None) != (home is None):
+        raise InputError(f"{path}: give both robot and home, or neither")
+    if robot is not None:
+        return read_mrclam(path, robot, Pose(*home))
+    return opened(RunSettings(drive=path, topics=topics))
 
 
 def recorded_trial(recording: Recording, seed: int) -> Trial:

@@ -1,84 +1,31 @@
-"""`homeward reproduce`: the paper's cases, beside its tables."""
+"""`homeward study paper` and `homeward study layouts`: the paper's cases, next to its tables."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from homeward.cli.options import AsJson, Scheduler, Workers, key_values, progress, resumable
+from homeward.cli.options import progress, resumable
 from homeward.cli.terminal import answer, say
 from homeward.cli.terminal import table as print_rows
-from homeward.errors import InputError
 
 if TYPE_CHECKING:
+    from homeward.studies.blocks.finish import Where
     from homeward.studies.paper.tables import Row
 
 IMAGE_RUNS = 10
 """Layouts per case when every sample must be rendered."""
 
 
-def reproduce(
-    out: Annotated[
-        Path | None, typer.Option(help="The folder to write [out/paper, or out/paper-study].")
-    ] = None,
-    measurements: Annotated[
-        Literal["model", "images"],
-        typer.Option(help="Bearings from the model's equations, or from rendered panoramas."),
-    ] = "model",
-    runs: Annotated[
-        int | None, typer.Option(help="Random layouts per case [100; images: 10; study: 10000].")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the first of them [0].")] = None,
-    study: Annotated[
-        bool,
-        typer.Option(
-            "--study",
-            help="Instead: Cases 1, 2 and 4 over thousands of layouts, under many readings.",
-        ),
-    ] = False,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Another value of a setting; repeatable. "
-            "homeward settings reproduce lists them; with --study there are also varied and "
-            "robust: how many layouts these parts get, and grid.KEY: what is combined.",
-        ),
-    ] = None,
-    json: AsJson = False,
-) -> None:
+def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     """Run the paper's Cases 1 to 4 with its filters and printed parameters.
 
-    The folder gets paper.html, with both RMSE tables beside the printed ones, what the paper
-    leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml. With
-    --study it gets layouts.html with the verdict, figures and layouts.csv. Either keeps finished
-    blocks in it, from which a stopped command goes on.
+    The folder gets paper.html, with both RMSE tables next to the printed ones, what the paper
+    leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
     """
-    from homeward.drives.text.settings import nested
-
-    values = nested(key_values(changes or []))
-    imaged = measurements == "images"
-    if study:
-        if imaged:
-            raise InputError("--study has no images: leave out --measurements images")
-        _study(out or Path("out/paper-study"), runs, seed, (scheduler, workers), values, json)
-        return
-    if imaged:
-        values = {"runs": IMAGE_RUNS} | values
-    values["measurements"] = measurements
-    values |= {k: v for k, v in (("runs", runs), ("seed", seed)) if v is not None}
-    _cases(out or Path("out/paper"), (scheduler, workers), values, json)
-
-
-def _cases(
-    out: Path, places: tuple[str | None, int | None], values: dict[str, Any], json: bool
-) -> None:
     from homeward.drives.text.settings import validated
     from homeward.report.output import check_output
     from homeward.report.paper.page import (
@@ -88,13 +35,15 @@ def _cases(
         sentences,
         write_reproduction,
     )
-    from homeward.studies.blocks.finish import Where, Work
+    from homeward.studies.blocks.finish import Work
     from homeward.studies.paper.layouts import open_store
     from homeward.studies.paper.reproduction import reproduce as run_cases
     from homeward.studies.paper.settings import PaperSettings
     from homeward.studies.paper.tables import rows
 
-    where, settings = Where(*places), validated(PaperSettings, values)
+    if values.get("measurements") == "images":
+        values = {"runs": IMAGE_RUNS} | values
+    settings = validated(PaperSettings, values)
     check_output(out, SETTINGS_FILE)
     store = open_store(out, SETTINGS_FILE)
     with resumable(), progress("the paper's cases") as tell:
@@ -124,14 +73,11 @@ def _cells(row: Row) -> list[str]:
     return [*(f"{value:.4f}" for value in row.median), *printed]
 
 
-def _study(
-    out: Path,
-    runs: int | None,
-    seed: int | None,
-    places: tuple[str | None, int | None],
-    values: dict[str, Any],
-    json: bool,
-) -> None:
+def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
+    """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper.
+
+    The folder gets layouts.html with the verdict, figures and layouts.csv.
+    """
     from homeward.report.output import check_output
     from homeward.report.paper.layout_page import (
         DATA,
@@ -143,13 +89,12 @@ def _study(
         ratio_table,
         write_layouts,
     )
-    from homeward.studies.blocks.finish import Where, Work
+    from homeward.studies.blocks.finish import Work
     from homeward.studies.blocks.store import MARKER
     from homeward.studies.paper.layouts import open_store
     from homeward.studies.paper.reproduction import layout_settings, study_layouts
 
-    where = Where(*places)
-    settings = layout_settings(values, runs, seed)
+    settings = layout_settings(values, values.pop("runs", None), values.pop("seed", None))
     check_output(out, MARKER)
     store = open_store(out)
     with resumable(), progress("layouts of the paper's cases") as tell:

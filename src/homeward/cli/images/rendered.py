@@ -1,15 +1,13 @@
-"""`homeward render`: make an image data set in a room, or drive home by its images."""
+"""`homeward simulate ROOM --images`: an image data set, or a robot that homes by its images."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from homeward.cli.options import Changes, key_values, progress
+from homeward.cli.options import progress
 from homeward.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -19,29 +17,17 @@ if TYPE_CHECKING:
 
 
 def render(
-    room: Annotated[
-        str,
-        typer.Argument(
-            help="A room (study, bedroom, living-room, kitchen, office, corridor, classroom, "
-            "attic, gallery, hall) or a YAML file."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="The folder to write.")],
-    seed: Annotated[int | None, typer.Option(help="Of furniture, poses and noise [0].")] = None,
-    estimator: Annotated[
-        str | None,
-        typer.Option(help="Whose pose steers, fed by the images: robust; default: the truth."),
-    ] = None,
-    points: Annotated[
-        bool, typer.Option("--points", help="Write the exact point that each pixel shows, too.")
-    ] = False,
-    changes: Changes = None,
+    room: str,
+    out: Path,
+    seed: int | None,
+    points: bool,
+    given: dict[str, Any],
 ) -> None:
-    """Render what a camera sees on a drive through a room.
+    """Render what a camera sees on a drive through a room, and write an image data set.
 
     The folder gets home.png, images.csv and the images, images.yaml, odometry.csv, truth.csv,
     drive.yaml, things.csv with what was moved since the home image, and scenario.yaml, which
-    repeats it all. With an estimator the loop is closed: image in, homing out; what the front-end
+    repeats it all. With an estimator the loop is closed: image in, homing out; what the front end
     saw is the drive folder drive/ in it.
     """
     from homeward.report.images import describe_moved
@@ -52,7 +38,6 @@ def render(
     from homeward.simulation.render.loop import moved_boxes
     from homeward.simulation.render.room.presets import load_room
 
-    given = key_values(changes or []) | ({"estimator": estimator} if estimator else {})
     scenario = load_room(room, seed, given)
     eye = Eye(scenario)
     check_output(out, SCENARIO)

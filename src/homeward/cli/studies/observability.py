@@ -1,84 +1,24 @@
-"""`homeward observe`: what bearings can tell, and what they cannot."""
+"""`homeward plan --landmarks N` and `--drive DRIVE`: what bearings determine, and what not."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import typer
-
-from homeward.cli.options import AsJson, HomeNoise, HomePose, Robot, Topics, progress, read_drive
+from homeward.cli.options import progress, read_drive
 from homeward.cli.terminal import answer, say
-from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.observability.study import ModelView
     from homeward.studies.observing import DriveView, Window
 
 
-def observe(
-    drive: Annotated[
-        str | None, typer.Argument(help="A drive folder, an MRCLAM folder, a log, or: sample.")
-    ] = None,
-    landmarks: Annotated[
-        int | None, typer.Option(help="Of the model, when there is no drive [2].")
-    ] = None,
-    compass: Annotated[bool, typer.Option("--compass", help="The heading is known.")] = False,
-    distances: Annotated[
-        bool, typer.Option("--distances", help="The landmarks' distances from home are known.")
-    ] = False,
-    motion: Annotated[
-        str | None,
-        typer.Option(help="arc, straight, towards (a landmark), spot, still, or circle."),
-    ] = None,
-    unknown: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="speed-scale, turn-scale, turn-bias, lag or camera-yaw, unknown too; repeatable."
-        ),
-    ] = None,
-    window: Annotated[
-        float | None, typer.Option(help="Stretches of the drive, in seconds [30].")
-    ] = None,
-    robot: Robot = None,
-    home: HomePose = None,
-    home_noise_deg: HomeNoise = 0.0,
-    topics: Topics = None,
-    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/observe"),
-    json: AsJson = False,
-) -> None:
-    """Say in words what bearings cannot tell apart, and draw it.
+def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
+    """Report what the bearings of a number of landmarks do not determine, and draw it.
 
-    Of a number of landmarks, or of a drive. The folder gets observe.html, the drawing as PNG and
-    SVG, and observe.yaml.
+    The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
     """
-    of_model = {
-        "landmarks": landmarks,
-        "compass": compass or None,
-        "distances": distances or None,
-        "motion": motion,
-        "unknown": unknown or None,
-    }
-    of_drive = {
-        "window": window,
-        "robot": robot,
-        "home": home,
-        "home-noise-deg": home_noise_deg,
-        "topics": None if topics is None else str(topics),
-    }
-    wrong = of_drive if drive is None else of_model
-    for name, value in wrong.items():
-        if value:
-            there = "needs a drive" if drive is None else "is for a model, not for a drive"
-            raise InputError(f"--{name} {there}")
-    if drive is None:
-        _of_model({k: v for k, v in of_model.items() if v is not None}, out, json)
-    else:
-        _of_drive(drive, {k: v for k, v in of_drive.items() if v is not None}, out, json)
-
-
-def _of_model(given: dict[str, Any], out: Path, json: bool) -> None:
-    from homeward.observability.study import observe as observe_model
+    from homeward.observability.study import observe
     from homeward.report.observe.page import (
         PAGE,
         SETTINGS_FILE,
@@ -88,13 +28,12 @@ def _of_model(given: dict[str, Any], out: Path, json: bool) -> None:
     )
     from homeward.report.output import check_output
 
-    settings = {"landmarks": 2, **given}
-    asked = {**settings, "unknown": tuple(settings.get("unknown", ()))}
+    asked = {**given, "unknown": tuple(given.get("unknown", ()))}
     with progress("observing") as tell:
-        view = observe_model(asked.pop("landmarks"), **cast(Any, asked))
+        view = observe(asked.pop("landmarks"), **cast(Any, asked))
         check_output(out, SETTINGS_FILE)
         tell(0.5)
-        write_model_view(out, view, settings)
+        write_model_view(out, view, given)
     if json:
         rank = view.drive.found.value if view.model is None else view.model.rank
         answer(
@@ -135,14 +74,17 @@ def _numbers(view: ModelView) -> str:
     )
 
 
-def _of_drive(drive: str, given: dict[str, Any], out: Path, json: bool) -> None:
+def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
+    """Report what the bearings of stretches of a drive do not determine, and draw it.
+
+    The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
+    """
     from homeward.report.observe.page import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
     from homeward.report.output import check_output
     from homeward.studies.observing import WINDOW_S, check_window, observe_drive
 
-    settings = {"drive": drive, "window": WINDOW_S, **given}
-    told = (given.get("robot"), given.get("home"), settings["home-noise-deg"], given.get("topics"))
-    opened = read_drive(drive, *told)
+    settings = {"window": WINDOW_S, **given}
+    opened = read_drive(given["drive"], given.get("topics"))
     check_window(opened, settings["window"])
     check_output(out, SETTINGS_FILE)
     with progress(f"observing {opened.name}") as tell:

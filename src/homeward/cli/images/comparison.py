@@ -1,35 +1,22 @@
-"""`homeward compare`: two panoramas in, heading change and direction home out."""
+"""`homeward see HOME NOW`: two panoramas in, heading change and direction of home out."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from homeward.cli.options import AsJson, Force
 from homeward.cli.terminal import answer, no_answer, say, warn
 
 
 def compare(
-    home: Annotated[Path, typer.Argument(help="The panorama taken at home.")],
-    now: Annotated[Path, typer.Argument(help="The panorama taken elsewhere, by the same camera.")],
-    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/compare"),
-    camera: Annotated[
-        Path | None,
-        typer.Option(help="An images.yaml that names the camera; default: equirectangular."),
-    ] = None,
-    mask: Annotated[
-        Path | None,
-        typer.Option(
-            help="An image as large as the panoramas, black where the robot itself, or anything "
-            "else that turns with the camera, is seen; default: that of images.yaml."
-        ),
-    ] = None,
-    force: Force = False,
-    json: AsJson = False,
+    home: Path,
+    now: Path,
+    out: Path,
+    camera: Path | None,
+    mask: Path | None,
+    force: bool,
+    json: bool,
 ) -> None:
-    """Tell how the camera has turned since home, and where home lies.
+    """Report how the camera has turned since home, and in which direction home is.
 
     The folder gets comparison.png with both panoramas and what was matched, matches.csv and
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
