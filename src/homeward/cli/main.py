@@ -46,6 +46,10 @@ class OneLineErrors(TyperGroup):
             raise InputError(f"homeward {cmd_name} is {FORMER[cmd_name]}")
         return super().get_command(ctx, cmd_name)
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names in the order of the help: everyday commands first."""
+        return [_name(command) for command in (*EVERYDAY, *OTHERS)]
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
@@ -95,11 +99,17 @@ def main(
 
 EVERYDAY = (run, import_, info, see, live, place, tune, simulate)
 OTHERS = (plan, study, convert, export, settings, studio)
+
+
+def _name(command: Any) -> str:
+    """Return the name of a command, or of the group of a `typer.Typer`."""
+    return "place" if command is place else str(command.__name__).rstrip("_")
+
+
 for command in (*EVERYDAY, *OTHERS):
     if isinstance(command, typer.Typer):
-        app.add_typer(command, name="place", epilog=EXIT_STATUSES)
+        app.add_typer(command, name=_name(command), epilog=EXIT_STATUSES)
         continue
     # Whole first paragraphs: what typer takes of itself ends in the middle of a sentence.
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
-    name = command.__name__.rstrip("_")
-    app.command(name, short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)
+    app.command(_name(command), short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)

@@ -20,7 +20,7 @@ Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the
 
 @place.callback()
 def about() -> None:
-    """Tell of a place, or change it."""
+    """Inspect or edit a saved map (place)."""
 
 
 @place.command()
