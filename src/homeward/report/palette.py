@@ -15,7 +15,7 @@ SKY = "#56b4e9"
 ORANGE = "#e69f00"
 VERMILLION = "#d55e00"
 GREEN = "#009e73"
-COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
+CONTENDER_COLOURS = (BLUE, INK, VERMILLION, ORANGE, GREEN, SKY, "#cc79a7", MUTED)
 
 STATUS_COLOURS = {
     Status.WAITING: "#d5d9dd",
@@ -51,4 +51,4 @@ def levels(chances: np.ndarray) -> np.ndarray:
     return np.where(judged, np.round(LEVELS * np.nan_to_num(chances)), UNJUDGED).astype(int)
 
 
-COLOURS = [colour(level) for level in range(LEVELS + 1)]
+LEVEL_COLOURS = [colour(level) for level in range(LEVELS + 1)]

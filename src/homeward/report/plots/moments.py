@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Sightings
 from homeward.naming import natural
-from homeward.report.palette import COLOURS, STATUS_COLOURS, UNJUDGED, colour, levels
+from homeward.report.palette import LEVEL_COLOURS, STATUS_COLOURS, UNJUDGED, colour, levels
 from homeward.report.words import name
 from homeward.track import Track
 
@@ -32,7 +32,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         nothing: ``pose`` (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``,
         ``status`` and ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of
         (number into ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`),
-        ``known`` a row of ``history``, whose rows hold (x, y, level of `COLOURS`) of each of
+        ``known`` a row of ``history``, whose rows hold (x, y, level of `LEVEL_COLOURS`) of each of
         ``names``.
     """
     per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
@@ -71,7 +71,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         "camera": list(mount.pose),
         "colours": {
             "status": list(STATUS_COLOURS.values()),
-            "moved": COLOURS,
+            "moved": LEVEL_COLOURS,
             "unjudged": colour(UNJUDGED),
         },
     }

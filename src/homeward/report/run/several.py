@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from homeward.naming import number, share
 from homeward.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
 from homeward.report.output import whole_folder
-from homeward.report.palette import COLOURS, INK, MUTED
+from homeward.report.palette import CONTENDER_COLOURS, INK, MUTED
 from homeward.report.run.folder import write_run
 from homeward.report.tables import write_tables
 from homeward.report.template import render
@@ -155,7 +155,7 @@ def _legend(figure: Figure, outcomes: Sequence[Outcome], truth: str) -> None:
 
 
 def _colour(j: int) -> str:
-    return COLOURS[j % len(COLOURS)]
+    return CONTENDER_COLOURS[j % len(CONTENDER_COLOURS)]
 
 
 def _span(values: np.ndarray) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from homeward.report.below_bound import MARK, below_bound
 from homeward.report.canvas import legend_below, new_figure, plain, quantile_bar, style, uncrowd
-from homeward.report.palette import COLOURS, INK, MUTED, RULE
+from homeward.report.palette import CONTENDER_COLOURS, INK, MUTED, RULE
 from homeward.report.study.maps import draw_maps, grids
 from homeward.studies.study.results import Results
 from homeward.studies.study.summary import Line, lines, over_time
@@ -43,7 +43,7 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
     if len(results.plan.contenders) <= MOST_CONTENDERS:
         words = "Errors, homecoming and consistency, over all runs"
         yield OVERVIEW, words, draw_overview(results)
-    if len(results.plan.contenders) <= len(COLOURS):
+    if len(results.plan.contenders) <= len(CONTENDER_COLOURS):
         yield (
             OVER_TIME,
             "RMSE of the position over time, and the Cramér-Rao bound",
@@ -72,7 +72,10 @@ def draw_overview(results: Results) -> Figure:
     """Draw a row for each scenario and estimator: errors, share at home, NEES."""
     rows = lines(results)[:MOST_ROWS]
     closed = results.plan.study.loop == "closed"
-    colours = {c.label: COLOURS[j % len(COLOURS)] for j, c in enumerate(results.plan.contenders)}
+    colours = {
+        c.label: CONTENDER_COLOURS[j % len(CONTENDER_COLOURS)]
+        for j, c in enumerate(results.plan.contenders)
+    }
     places = _places(rows)
     with style():
         found = below(results)
@@ -163,9 +166,9 @@ def draw_rmse(results: Results) -> Figure:
         times = results.plan.times
         for j in range(len(results.plan.contenders)):
             rmse = over_time(results, "position_error", i, j, root=True)
-            axes.plot(times, rmse, color=COLOURS[j])
+            axes.plot(times, rmse, color=CONTENDER_COLOURS[j])
             bound = over_time(results, "position_bound_over_time", i, j, root=True)
-            axes.plot(times, bound, color=COLOURS[j], lw=0.9, ls=(0, (4, 3)))
+            axes.plot(times, bound, color=CONTENDER_COLOURS[j], lw=0.9, ls=(0, (4, 3)))
         axes.set(yscale="log", ylabel="RMSE [m]")
 
     return _panels(results, draw, [Line2D([], [], color=MUTED, lw=0.9, ls="--", label="bound")])
@@ -177,7 +180,7 @@ def draw_nees(results: Results) -> Figure:
     def draw(axes: Axes, i: int) -> None:
         for j in range(len(results.plan.contenders)):
             nees = over_time(results, "nees_over_time", i, j, root=False)
-            axes.plot(results.plan.times, nees, color=COLOURS[j])
+            axes.plot(results.plan.times, nees, color=CONTENDER_COLOURS[j])
         # Of the mean of N draws from chi-square(3), which has variance 6.
         half = 1.96 * math.sqrt(6.0 / results.plan.cases[i].runs)
         axes.axhspan(max(CONSISTENT - half, 0.1), CONSISTENT + half, color=RULE, lw=0, zorder=0)
@@ -206,7 +209,7 @@ def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[L
             axes.tick_params(labelbottom=True)
             axes.set_xlabel("time [s]")
         handles = [
-            Line2D([], [], color=COLOURS[j], label=_wrapped(contender.label))
+            Line2D([], [], color=CONTENDER_COLOURS[j], label=_wrapped(contender.label))
             for j, contender in enumerate(results.plan.contenders)
         ]
         legend_below(figure, [*handles, *entries])
