@@ -65,14 +65,14 @@ class Shuttle(SimulatedRobotClient):
                 self._sent[message.t] = time.perf_counter()
             yield message
 
-    def hear(self, said: object) -> None:
+    def on_message(self, said: object) -> None:
         """Take what the session said, and when it did."""
-        super().hear(said)
+        super().on_message(said)
         if isinstance(said, Answer) and said.t in self._sent:
             self.latencies.append(time.perf_counter() - self._sent.pop(said.t))
         if self.ending is not None:
             self.endings.append((self.ending.state, self.robot.distance))
-            self.again()
+            self.restart()
 
 
 def by_tcp(shuttle: Shuttle, record: Path | None) -> np.ndarray:
@@ -116,7 +116,7 @@ def by_ros(shuttle: Shuttle, record: Path | None) -> np.ndarray:
         else:
             lines.get(message.type, lines[""]).publish(String(data=line_of(message)))
 
-    node.create_subscription(String, "homeward/said", lambda m: shuttle.hear(_said(m)), 100)
+    node.create_subscription(String, "homeward/said", lambda m: shuttle.on_message(_said(m)), 100)
     command = [sys.executable, "-m", "homeward.ros", "--ros-args", *options]
     with subprocess.Popen(command) as live:
         while lines[""].get_subscription_count() == 0:

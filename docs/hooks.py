@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import griffe
+import typer
 from mkdocs.structure.files import File, Files
 from notebooks import notebook  # beside this file
 from typer.testing import CliRunner
 
 import homeward
-from homeward.cli.main import COMMANDS, app
+from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.text.keys import keys
 from homeward.estimator import Status
@@ -64,10 +65,9 @@ def _is_lesson(page: File) -> bool:
 def commands() -> str:
     """Return what ``--help`` says of every command."""
     parts = []
-    names = [command.__name__.rstrip("_") for command in COMMANDS]
-    for group in app.registered_groups:
-        inside = group.typer_instance.registered_commands
-        names += [f"{group.name} {command.callback.__name__}" for command in inside]
+    names = []
+    for name, command in typer.main.get_command(app).commands.items():
+        names += [f"{name} {inner}" for inner in command.commands] if name == "place" else [name]
     for name in names:
         told = CliRunner().invoke(app, [*name.split(), "--help"], terminal_width=80).stdout.rstrip()
         told = told.partition("\n\n  Exit status")[0]

@@ -56,6 +56,9 @@ def band(name: str, values: Values, drives: int) -> tuple[float, float]:
     half = WIDTH * spread / math.sqrt(max(number, 1))
     if name == "error":
         return -math.inf, centre * math.exp(half)
+    if name in THEORY:  # positive, and skewed: the same ratio to each side
+        ratio = 1.0 + half / centre
+        return centre / ratio, centre * ratio
     low = -math.inf if name in CEILINGS else centre - half
     high = math.inf if name in FLOORS else centre + half
     return low, high

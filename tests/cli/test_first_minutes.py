@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 import yaml
 from commands import call, first_seconds, refused
 from typer.testing import CliRunner
 
 import homeward
 from homeward.cli import terminal
-from homeward.cli.main import COMMANDS, app
+from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings
 from homeward.drives.text.keys import ANY, keys
@@ -30,7 +31,7 @@ from homeward.registry import ESTIMATORS, settings_model
 from homeward.studies import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [command.__name__.rstrip("_") for command in COMMANDS]
+NAMES = [name for name in typer.main.get_command(app).commands if name != "place"]
 
 
 def program(*words, **options):

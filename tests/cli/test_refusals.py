@@ -70,7 +70,7 @@ REFUSED = {
     "plan": "give one of",
     "plan cellar": "warehouse",
     "plan warehouse --motion arc": "--motion needs --landmarks",
-    "simulate office --images --trajectory homing": "--trajectory.kind is not for",
+    "simulate office --images --trajectory homing": "--trajectory is not for",
     "simulate circle --points": "needs --images",
     "study peers --set runs=3": "--set is for paper and layouts",
     "import mrclam nowhere --robot 2": "--home X,Y,HEADING",
@@ -79,7 +79,7 @@ REFUSED = {
     "view out": "rerun FOLDER/rerun.rbl FOLDER/run.mcap",
     "reproduce": "is now `homeward study paper` or `homeward study layouts`",
     "observe sample": "`homeward plan --drive DRIVE`",
-    "simulate office --images": "`homeward simulate ROOM --images`",
+    "render office": "`homeward simulate ROOM --images`",
     "compare a.png b.png": "`homeward see HOME.png NOW.png`",
 }
 """Words to what the line says."""

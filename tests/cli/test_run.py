@@ -146,7 +146,7 @@ def test_a_bad_file_is_named_with_its_row_and_nothing_is_written(short, tmp_path
 def test_run_yaml_takes_no_changes_and_must_be_one(short, tmp_path):
     out = tmp_path / "out"
     done(call("run", short, "--out", out))
-    assert "--seed" in refused(call("run", out / "run.yaml", "--seed", "3", "--out", out))
+    assert "--smooth" in refused(call("run", out / "run.yaml", "--smooth", "--out", out))
     (tmp_path / "other.yaml").write_text("- 1\n")
     assert "other.yaml" in refused(call("run", tmp_path / "other.yaml", "--out", out))
 

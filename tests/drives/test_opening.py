@@ -111,13 +111,13 @@ def test_refuses_what_no_reader_knows(tmp_path):
     assert refusal(open_drive, tmp_path / "absent") == "no such file or folder"
     (tmp_path / "empty").mkdir()
     assert refusal(open_drive, tmp_path / "empty") == (
-        "neither a folder of images (images.csv) nor an MRCLAM folder (Barcodes.dat) "
+        "neither a folder of images (images.csv) "
         "nor a drive folder (odometry.csv, bearings.csv, home.csv) "
         "nor a log (a ROS bag or an MCAP file)"
     )
     (tmp_path / "file.txt").write_text("hello")
     assert refusal(open_drive, tmp_path / "file.txt").startswith(
-        "neither a folder of images (images.csv) nor an MRCLAM folder"
+        "neither a folder of images (images.csv) nor a drive folder"
     )
 
 

@@ -41,9 +41,9 @@ def fed(folder):
             session.receive(message, now)
         for said in session.process():
             answers += isinstance(said, Answer)
-            shuttle.hear(said)
+            shuttle.on_message(said)
         if (command := session.tick(now)) is not None:
-            shuttle.hear(command)
+            shuttle.on_message(command)
 
 
 def watch(folder):

@@ -10,8 +10,8 @@ from made_up_run import START, made_up
 from homeward.estimator import Status
 from homeward.reasons import Rejection
 from homeward.report import words
-from homeward.report.images import describe_moved
 from homeward.report.run.summary import sentence, summarise
+from homeward.report.words import describe_moved
 from homeward.scoring import score
 
 

@@ -1,23 +1,20 @@
-"""Results of cameras: two panoramas that were compared, and sightings along a drive."""
+"""Comparison of two panoramas: words, picture and files."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from homeward.drives.drive import Drive
 from homeward.drives.text.table import write_csv
 from homeward.report.canvas import WIDTH_IN, bare, new_figure, png, style
 from homeward.report.files import number
 from homeward.report.output import whole_folder
 from homeward.report.palette import BLUE, INK, MUTED, VERMILLION
-from homeward.report.words import count, listing
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import Features
 
@@ -175,28 +172,3 @@ def _turn(angle: float) -> str:
 
 def _deg(angle: float) -> str:
     return f"{math.degrees(angle):.2f} deg"
-
-
-def describe_sightings(drive: Drive) -> str:
-    """Say how many landmarks were seen, and how often."""
-    stamps, ids = np.unique(drive.sightings.t).size, set(drive.sightings.landmark.tolist())
-    at_home = len(ids & set(drive.home))
-    return (
-        f"{drive.sightings.t.size:,} sightings of {count(len(ids), 'landmark')} in "
-        f"{count(stamps, 'image')}; {at_home:,} of them were seen from home."
-    )
-
-
-def describe_moved(boxes: Mapping[str, bool]) -> str:
-    """Say what was moved since home was stored, and how much of that a run can find out.
-
-    `boxes` are those that were moved; True where home's picture shows one.
-    """
-    if not boxes:
-        return "Nothing was moved since home."
-    shown = [name for name, seen in boxes.items() if seen]
-    moved = f"Moved since home: {listing(list(boxes))}; home's picture shows"
-    return (
-        f"{moved} {listing(shown) if shown else 'none of them'}. A run notices it of those alone on"
-        " which landmarks lie that are seen from home and often enough on the way."
-    )

@@ -104,6 +104,7 @@ def simulate(
         del options["seed"], options["estimator"]
         if live is not None or (wrong := sorted(options.keys() & given.keys())):
             name = "live" if live is not None else wrong[0].removeprefix("trajectory.")
+            name = "trajectory" if name == "kind" else name
             raise InputError(f"--{name} is not for --images; --set takes its trajectory")
         estimators = {"estimator": estimator} if estimator else {}
         render(scenario, cast(Path, out), seed, points, key_values(changes or []) | estimators)

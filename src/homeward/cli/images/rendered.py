@@ -30,8 +30,8 @@ def render(
     repeats it all. With an estimator the loop is closed: image in, homing out; what the front end
     saw is the drive folder drive/ in it.
     """
-    from homeward.report.images import describe_moved
     from homeward.report.output import check_output, whole_folder
+    from homeward.report.words import describe_moved
     from homeward.simulation.files import SCENARIO
     from homeward.simulation.render.dataset import write_rendered
     from homeward.simulation.render.eye import Eye

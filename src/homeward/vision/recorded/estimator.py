@@ -157,7 +157,8 @@ class RecordedVisualHoming(VisualHoming):
             return super()._answer(mapped, fix)
         if doubt is not None:
             return doubt.applied_to(mapped)
-        return dataclasses.replace(mapped, reason=f"{mapped.reason}; {_words(fix)}")
+        said = fix.reason if mapped.pose is not None else _words(fix)
+        return dataclasses.replace(mapped, reason=f"{mapped.reason}; {said}")
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
         """Return what the map says; unsure where home's picture said otherwise, or is not seen."""
