@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -38,9 +39,10 @@ found.fetched = performance.getEntriesByType("resource").map((e) => e.name);
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     pytest.importorskip("mkdocs", reason="the site needs the extra `docs`")
-    if "HOMEWARD_SITE" in os.environ:  # built before, by `make docs`
-        return Path(os.environ["HOMEWARD_SITE"]).resolve()
     folder = tmp_path_factory.mktemp("site")
+    if "HOMEWARD_SITE" in os.environ:  # built before, by `make docs`
+        # A copy for each worker, as pages with a script are written next to those of the site.
+        return shutil.copytree(os.environ["HOMEWARD_SITE"], folder, dirs_exist_ok=True)
     # Not --quiet: it hides warnings from what makes them fail.
     words = [sys.executable, "-m", "mkdocs", "build", "--site-dir", folder]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
