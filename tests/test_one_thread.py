@@ -1,6 +1,11 @@
 """BLAS is held to one thread while a drive is worked on, and is as it was before and after."""
 
+import subprocess
+import sys
+from importlib.util import find_spec
+
 import numpy as np
+import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings
@@ -62,3 +67,21 @@ def test_blocks_that_overlap_leave_the_user_s_setting_too():
         assert threads() == {1}
         second.__exit__(None, None, None)
         assert threads() == {2}
+
+
+LATE = """
+from homeward.one_thread import one_thread
+from threadpoolctl import threadpool_info, threadpool_limits
+import numpy
+with one_thread():
+    pass
+import cv2
+with threadpool_limits(limits=2, user_api="blas"), one_thread():
+    print({p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"})
+"""
+
+
+@pytest.mark.skipif(find_spec("cv2") is None, reason="OpenCV brings a BLAS of its own")
+def test_a_library_that_is_loaded_later_is_held_too():
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, check=True)
+    assert done.stdout == "{1}\n"

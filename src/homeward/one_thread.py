@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
@@ -36,13 +37,20 @@ def one_thread() -> Iterator[None]:
 
 def _hold() -> dict[LibController, int]:
     """Hold those to one thread that use more; return how many they used."""
-    before = {blas: threads for blas in _libraries() if (threads := blas.num_threads or 1) > 1}
+    before = {
+        blas: threads
+        for blas in _libraries(len(sys.modules))
+        if (threads := blas.num_threads or 1) > 1
+    }
     for blas in before:
         blas.set_num_threads(1)
     return before
 
 
-@functools.cache
-def _libraries() -> list[LibController]:
-    """Return the BLAS of NumPy and of SciPy; to look for them takes milliseconds."""
+@functools.lru_cache(maxsize=1)
+def _libraries(modules: int) -> list[LibController]:
+    """Return the BLAS libraries that are loaded; to look for them takes milliseconds.
+
+    `modules` is the number of imported modules: a new one may have loaded another library.
+    """
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
