@@ -1,7 +1,7 @@
 """Write src/homeward/report/templates/rerun.rbl again: `.venv/bin/python docs/make_blueprint.py`.
 
-`homeward run` puts a copy beside run.mcap, so that `rerun out/demo/*` shows both. Rerun applies a
-blueprint to recordings of the same application, and names that of a log after its file: run.
+`homeward run` writes a copy next to run.mcap; `rerun out/demo/rerun.rbl out/demo/run.mcap` opens
+both. Rerun applies a blueprint to recordings of the same application, named after the file: run.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 FILE = Path(__file__).parents[1] / "src/homeward/report/templates/rerun.rbl"
 SIZES = {"home": 1.5, "path": 1.2, "true_path": 0.5, "rays": 1.2, "landmarks": 5.0, "robot": 1.5}
 """Radii of the points of each cloud [points of the screen]; Rerun knows these by their sign."""
-# Of a PointCloud2 Rerun takes the positions by itself, and has each other field beside them.
+# Rerun takes the positions of a PointCloud2 by itself and keeps each other field as a component.
 COLOURS = VisualizerComponentMapping(
     "Points3D:colors",
     ComponentSourceKind.SourceComponent,

@@ -35,7 +35,7 @@ class Limits(Strict):
     patience: PositiveOrInf = 10.0
     """After standing so long for one reason after another it gives up [s]."""
     obstacle_distance: NonNegative = 0.3
-    """It stands before anything nearer, where something tells how far the way is free [m]."""
+    """The robot stands if an obstacle is nearer, where a free distance is reported [m]."""
 
     def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
         """Return the twist nearest to the wanted one that is reached from the last in `dt` [s]."""

@@ -16,7 +16,7 @@ MAX_CLOCK_OFFSET_S = 5.0
 """What begins up to so long after another thing ended may be of the same drive [s]."""
 OUTSIDE = "sightings at times without odometry (are their stamps in other units?)"
 
-SLOW, FEWEST_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
+SLOW, MIN_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
 """Twists that come so rarely in the median [s] lead nowhere, since each holds half as long at most;
 of fewer of them nobody says how often they come."""
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -69,7 +69,7 @@ def require_overlap(
 
 def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
     """Remark odometry whose stamps `t`, (n,), seem to be in a smaller unit than seconds."""
-    if t.size < FEWEST_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
+    if t.size < MIN_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
     remarks[TOO_RARE.format(step, twist_validity(np.diff(t).tolist()), unit)] = t.size
@@ -88,7 +88,7 @@ def on_time(drive: Drive) -> Drive:
 def _remark_slow(drive: Drive) -> dict[str, int]:
     """Return remarks on odometry and ground truth that come slowly."""
     remarks, t = {}, drive.odometry.t
-    step = float(np.median(np.diff(t))) if t.size >= FEWEST_TWISTS else 0.0
+    step = float(np.median(np.diff(t))) if t.size >= MIN_TWISTS else 0.0
     if step > TWIST_VALIDITY_S and not any(
         words.startswith(ODOMETRY_ROWS) for words in drive.remarks
     ):

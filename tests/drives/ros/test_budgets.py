@@ -125,7 +125,7 @@ def test_very_many_messages_in_a_small_log(tmp_path, monkeypatch):
 
 
 def test_a_packed_file_is_worth_no_more_than_a_log_may_hold(tmp_path, monkeypatch):
-    monkeypatch.setattr(log, "LEAST_UNPACKED", 10 * 2**20)
+    monkeypatch.setattr(log, "MIN_UNPACKED", 10 * 2**20)
     save = tmp_path / "bag"
     save.mkdir()
     (save / "x.mcap").write_bytes(crafted.packed_zeros("zstd", 30))

@@ -34,8 +34,8 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 _OLDER_ROSBAG = b"#ROSBAG"
 LARGEST_UNPACKED = 2**34
 """Of a file that is compressed as a whole, which is unpacked to a temporary one [byte]."""
-LEAST_UNPACKED, LARGEST_GROWTH = 256 * 2**20, 100
-"""Such a file may always unpack to so many bytes, and beyond to this many times its size."""
+MIN_UNPACKED, MAX_GROWTH = 256 * 2**20, 100
+"""Limits of an unpacked file: the larger of this size [bytes] and this multiple of its own size."""
 LEAST_MEMORY, MOST_MEMORY, MEMORY_PER_BYTE = 2**31, 2**33, 2
 """Of the process that reads a file [byte]: rosbags keeps the index of all messages in memory."""
 LEAST_SECONDS, BYTES_PER_SECOND = 10.0, 100_000
@@ -181,7 +181,7 @@ class Log:
             return
         with tempfile.TemporaryDirectory(prefix="homeward-") as folder, _about(file):
             whole = Path(folder) / file.stem
-            growth = max(LEAST_UNPACKED, LARGEST_GROWTH * file.stat().st_size)
+            growth = max(MIN_UNPACKED, MAX_GROWTH * file.stat().st_size)
             room = min(LARGEST_UNPACKED, growth, shutil.disk_usage(folder).free // 2)
             for _ in self._ask(file, "", "unpack", os.path.abspath(file), str(whole), room):
                 pass
